@@ -1,8 +1,8 @@
-"""Device, hand and wall on one axis, integrated by SciPy piece by piece: the reference that shares no line with ours.
+"""Independent reference: device, hand and wall on one axis, integrated piece by piece with SciPy.
 
-Between two events (the wall is met or left, the velocity passes zero, friction gives way, the grip begins or ceases
-to slip, a kink of path or grip) the motion is smooth. Each such piece is one call of `solve_ivp` with DOP853, which
-ends at the first event; its time is located with Brent's method on the dense output.
+Motion is smooth between two events: the wall is met or left, the velocity passes zero, friction gives way, the grip
+starts or stops slipping, a kink of path or grip. Each piece is one call of `solve_ivp` with DOP853, which ends at the
+first event. Brent's method locates its time on the dense output.
 """
 
 from collections.abc import Callable
@@ -21,12 +21,12 @@ Law = Callable[[float, Array], float]
 RTOL, ATOL = 1e-13, 1e-15
 MAX_PIECES = 10_000
 KINKED = 1e-12
-"""Time in s within which a kink has been reached."""
+"""Time in s within which a kink counts as reached."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """Position in m and velocity in m/s at each tick, and when in s the wall began and ceased to push."""
+    """Position in m and velocity in m/s at each tick, and times in s at which the wall started and stopped pushing."""
 
     time_s: Array
     position: Array
@@ -38,18 +38,18 @@ class Motion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Regime:
-    """Which laws act."""
+    """Laws in force."""
 
     grip: float | None = 0.0
-    """0: the grip holds; +1 or -1: it slips, and its force points there; none: nobody grips."""
+    """0: the grip holds; +1 or -1: it slips, with its force in that direction; None: nobody grips."""
     rub: float | None = None
-    """+1 or -1: friction against a motion that way; 0: it holds the device; none: there is none."""
+    """+1 or -1: friction against a motion in that direction; 0: friction holds the device; None: no friction."""
     wall: str = "away"
     """away, pushes, or slack: inside a wall that would have to pull."""
 
 
 def number(value: object) -> float:
-    """A field that is given for one axis."""
+    """Return a field that is given for one axis."""
     if not isinstance(value, float | int):
         message = f"{value!r}: must be one number: one axis"
         raise TypeError(message)
@@ -57,7 +57,7 @@ def number(value: object) -> float:
 
 
 class Plant:
-    """The numbers of a scene of one axis: a device, perhaps a hand, a wall that fills x < 0, and a steady push."""
+    """Numbers of a one-axis scene: a device, perhaps a hand, a wall that fills x < 0, and a steady push."""
 
     def __init__(self, scene: Scene) -> None:
         device, hand, environment = scene.master, scene.operator, scene.environment
@@ -92,11 +92,11 @@ class Plant:
                 self.push += number(pusher.force_n)
 
     def kinks(self) -> list[float]:
-        """When path or grip cease to be smooth."""
+        """Return the times at which path or grip are not smooth."""
         return sorted({*self.knots[1:], *(self.release or ())})
 
     def target(self, t: float) -> float:
-        """Where the hand means to be: `10 s³ - 15 s⁴ + 6 s⁵` of each leg."""
+        """Return the position that the hand aims at: `10 s³ - 15 s⁴ + 6 s⁵` of each leg."""
         leg = int(np.searchsorted(self.knots, t, side="right"))
         if leg >= len(self.knots):
             return self.ends[-1]
@@ -105,22 +105,22 @@ class Plant:
         return self.ends[leg - 1] + (self.ends[leg] - self.ends[leg - 1]) * s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
 
     def grip(self, t: float) -> float:
-        """The strength of the grip in N."""
+        """Return the strength of the grip in N."""
         if self.release is None or t <= self.release[0]:
             return self.strength
         begins, ends = self.release
         return self.strength * max(0.0, (ends - t) / (ends - begins))
 
     def wish(self, t: float, x: float, v: float) -> float:
-        """The force in N that the hand would exert if its grip were endless."""
+        """Return the force in N that the hand would exert with an unlimited grip."""
         return self.stiffness * (self.target(t) - x) - self.damping * v
 
     def pressed(self, x: float, v: float) -> float:
-        """What the wall exerts in N while it pushes."""
+        """Return the force in N of a pushing wall."""
         return -self.wall_stiffness * x - self.wall_damping * v
 
     def load(self, regime: Regime, t: float, x: float, v: float) -> float:
-        """All forces in N but Coulomb friction."""
+        """Return the sum of forces in N without Coulomb friction."""
         force = self.push - self.viscous * v
         if regime.grip is not None:
             force += regime.grip * self.grip(t) if regime.grip else self.wish(t, x, v)
@@ -129,7 +129,7 @@ class Plant:
         return force
 
     def slope(self, regime: Regime) -> Callable[[float, Array], tuple[float, float]]:
-        """The right-hand side."""
+        """Return the right-hand side of the equation of motion."""
         if regime.rub == 0.0:
             return lambda _, __: (0.0, 0.0)
         friction = self.coulomb * (regime.rub or 0.0)
@@ -141,7 +141,7 @@ class Plant:
         return slope
 
     def margins(self, regime: Regime) -> dict[str, Law]:
-        """What falls through zero at each event that can end the regime."""
+        """Return the functions that fall through zero at the events that can end the regime."""
         found: dict[str, Law] = {}
         sign = regime.grip
         if sign == 0.0 and self.strength < inf:
@@ -164,14 +164,14 @@ class Plant:
         return found
 
     def rubbed(self, regime: Regime, t: float, x: float) -> Regime:
-        """The regime of a device at rest."""
+        """Return the regime of a device at rest."""
         if self.coulomb == 0.0:
             return replace(regime, rub=None)
         load = self.load(regime, t, x, 0.0)
         return replace(regime, rub=0.0 if abs(load) <= self.coulomb else float(np.sign(load)))
 
     def begin(self) -> Regime:
-        """The regime at time 0."""
+        """Return the regime at time 0."""
         x, v = self.position, self.velocity
         regime = Regime()
         if x < 0.0 and self.wall_stiffness > 0.0:
@@ -185,7 +185,7 @@ class Plant:
         return replace(regime, rub=float(np.sign(v)))
 
     def after(self, event: str, regime: Regime, t: float, x: float, v: float) -> tuple[Regime, float, float]:
-        """What an event leaves."""
+        """Return regime, position and velocity after an event."""
         if event == "slips":
             return replace(regime, grip=float(np.sign(self.wish(t, x, v)))), x, v
         if event == "sets off":
@@ -203,12 +203,12 @@ class Plant:
 
 
 def ticks_of(scene: Scene) -> Array:
-    """When the ticks of a run are, in s."""
+    """Return the times of a run's ticks in s."""
     return np.arange(round(scene.run.duration_s / scene.run.period_s), dtype=np.float64) * scene.run.period_s
 
 
 def terminal(law: Law) -> Law:
-    """An event that ends the piece where `law` falls through zero."""
+    """Return an event that ends the piece when `law` falls through zero."""
 
     def event(t: float, y: Array) -> float:
         return law(t, y)
@@ -219,11 +219,11 @@ def terminal(law: Law) -> Law:
 
 
 def integrate(scene: Scene, rtol: float = RTOL, max_step_s: float | None = None) -> Motion:
-    """The motion at each tick of a scene whose wall acts continuously.
+    """Return the motion at each tick of a scene with a continuous wall.
 
     Args:
-        scene: One axis, at most one wall, a steady push; other than that it is not implemented.
-        rtol: Of `solve_ivp`; the absolute tolerance is a hundredth of it.
+        scene: One axis, at most one wall, a steady push; nothing else is implemented.
+        rtol: Relative tolerance of `solve_ivp`; the absolute one is a hundredth of it.
         max_step_s: Longest step; by default a tick, so that the dense output is as good as the steps.
     """
     plant, period = Plant(scene), scene.run.period_s
@@ -276,9 +276,9 @@ def integrate(scene: Scene, rtol: float = RTOL, max_step_s: float | None = None)
 
 
 def recursion(scene: Scene) -> Motion:
-    """The motion under a wall that is sampled at each tick and held until the next: linear within a tick.
+    """Return the motion under a wall that is sampled at each tick and held until the next: linear within a tick.
 
-    Its transition matrix is summed in extended precision; hand and push stand still, and nothing rubs.
+    Its transition matrix is summed in extended precision. Hand and push are constant, without friction.
     """
     plant, period = Plant(scene), scene.run.period_s
     if plant.coulomb != 0.0 or plant.strength < inf or len(plant.knots) > 1 or plant.wall_damping != 0.0:
@@ -305,7 +305,7 @@ def recursion(scene: Scene) -> Motion:
 
 
 def tick_by_tick(scene: Scene) -> Motion:
-    """The same by DOP853, a call per tick."""
+    """Return the same motion by DOP853, one call per tick."""
     plant, period = Plant(scene), scene.run.period_s
     ticks = ticks_of(scene)
     states = np.empty((len(ticks), 2))

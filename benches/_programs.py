@@ -1,4 +1,4 @@
-"""Programs in Rust that benches and tests run."""
+"""Rust programs that benches and tests run."""
 
 import os
 import subprocess
@@ -8,10 +8,10 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def built(name: str, profile: str = "release") -> Path:
-    """Builds an example of any crate and returns its path.
+    """Build an example of any crate and return its path.
 
-    The whole workspace is named, as in every call of cargo: its features are then those of the extension, and cargo
-    reuses what `make setup` has built.
+    Like every call of cargo, this one names the whole workspace: features then equal those of the extension, and cargo
+    reuses the build of `make setup`.
     """
     command = ["cargo", "build", "--quiet", "--locked", "--workspace", "--profile", profile, "--example", name]
     subprocess.run(command, check=True, cwd=ROOT)

@@ -1,4 +1,4 @@
-"""What every bench shares: `--json`, where its table goes then, how the JSON is written, and its requirements."""
+"""Shared parts of the benches: `--json`, output of table and JSON, requirements."""
 
 import argparse
 import json
@@ -9,7 +9,7 @@ from typing import TextIO
 
 
 def bench_options(description: str | None, epilog: str) -> argparse.ArgumentParser:
-    """Options of a bench, with `--json` for a start."""
+    """Return the options of a bench, with `--json`."""
     options = argparse.ArgumentParser(
         description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -18,12 +18,12 @@ def bench_options(description: str | None, epilog: str) -> argparse.ArgumentPars
 
 
 def table_file(json_path: str | None) -> TextIO:
-    """Where the table goes: standard output, unless the JSON does."""
+    """Return the file for the table: standard output, unless the JSON goes there."""
     return sys.stderr if json_path == "-" else sys.stdout
 
 
 def write_json(json_path: str | None, report: object) -> None:
-    """Writes `report` to the path of `--json`, if it was given."""
+    """Write `report` to the path of `--json`, if given."""
     text = json.dumps(report, indent=2) + "\n"
     if json_path == "-":
         sys.stdout.write(text)
@@ -32,7 +32,7 @@ def write_json(json_path: str | None, report: object) -> None:
 
 
 def print_requirements(holds: Mapping[str, bool], out: TextIO) -> int:
-    """Prints whether each requirement holds; the exit status: 0 where all do, else 1."""
+    """Print if each requirement holds; return the exit status: 0 if all do, else 1."""
     for requirement, met in holds.items():
         print(f"{requirement}: {'holds' if met else 'DOES NOT HOLD'}", file=out)
     return 0 if all(holds.values()) else 1

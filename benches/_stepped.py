@@ -1,7 +1,7 @@
-"""Device, hand and wall on one axis by methods with steps: what the exact engine is held against.
+"""Device, hand and wall on one axis by fixed-step methods, for comparison with the exact engine.
 
-No method knows an event: a contact, a grip that slips and a reversal under friction fall inside a step. A method with
-steps cannot hold a device at rest, so its friction is `c V / V_f` below V_f = 1 mm/s.
+No method handles events: a contact, a slipping grip and a reversal under friction fall inside a step. A fixed-step
+method cannot hold a device at rest, so its friction is `c V / V_f` below V_f = 1 mm/s.
 """
 
 import importlib
@@ -26,7 +26,7 @@ FRICTION_SPEED = 1e-3
 
 
 class Numbers(NamedTuple):
-    """A scene, in the form that Numba takes; without a release `begins_s` is infinite."""
+    """Scene in the form that Numba takes; without a release `begins_s` is infinite."""
 
     period_s: float
     position: float
@@ -45,12 +45,12 @@ class Numbers(NamedTuple):
     wall_stiffness: float
     wall_damping: float
     is_held: bool
-    """Whether the wall's force is sampled at each tick and held, else it acts continuously."""
+    """True if the wall's force is sampled at each tick and held, else it acts continuously."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stepped:
-    """Position in m and velocity in m/s at each tick, and when in s the wall was last left: known to a tick."""
+    """Position in m and velocity in m/s at each tick, and last time in s that the wall was left: accurate to a tick."""
 
     position: Array
     velocity: Array
@@ -59,7 +59,7 @@ class Stepped:
 
 @cache
 def compiled(*, numba: bool) -> Callable[[Numbers, int, int, Array, Array], None]:
-    """The loop over ticks and steps, as machine code where `numba`."""
+    """Return the loop over ticks and steps, as machine code if `numba`."""
     jit: Any = importlib.import_module("numba").njit if numba else lambda function: function
 
     @jit  # type: ignore[untyped-decorator]
@@ -100,7 +100,7 @@ def compiled(*, numba: bool) -> Callable[[Numbers, int, int, Array, Array], None
                 elif method == 1:
                     middle = v + 0.5 * h * first
                     x += h * middle
-                    # Damping needs V at the end: half a kick short of it the method would lose an order.
+                    # Damping needs V at the end: with a V half a kick earlier the method would lose an order.
                     v = middle + 0.5 * h * acceleration(p, held, t + h, x, v + h * first)
                 else:
                     v += h * first
@@ -110,13 +110,13 @@ def compiled(*, numba: bool) -> Callable[[Numbers, int, int, Array, Array], None
 
 
 def step(scene: Scene, method: Method, step_s: float, *, numba: bool = False) -> Stepped:
-    """The motion at each tick of a scene of `_piecewise.Plant`.
+    """Return the motion at each tick of a scene of `_piecewise.Plant`.
 
     Args:
         scene: One axis.
         method: One of `METHODS`.
         step_s: A whole fraction of a tick.
-        numba: As machine code, which needs `haptether[bench]`.
+        numba: True for machine code; needs `haptether[bench]`.
     """
     plant, ticks = Plant(scene), ticks_of(scene)
     begins_s, ends_s = plant.release or (inf, inf)

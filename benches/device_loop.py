@@ -22,31 +22,31 @@ STEPS = 5_000
 
 
 class Still:
-    """A device that rests."""
+    """Device at rest."""
 
     paces = False
 
     def open(self) -> None:
-        """Nothing to open."""
+        """Do nothing."""
 
     def read(self) -> MasterSample:
-        """Where it rests."""
+        """Return the rest position."""
         return MasterSample(0.0)
 
     def write(self, force: tuple[float, ...]) -> None:
-        """Nothing to move."""
+        """Do nothing."""
 
     def close(self) -> None:
-        """Nothing to close."""
+        """Do nothing."""
 
 
 def scene() -> bytes:
-    """One axis, two controllers, nobody presses the clutch."""
+    """Return a one-axis scene with two controllers whose clutch is never pressed."""
     return scene_json(load_scene("remote_push", ["safety.controllers=[hsc, wsc]", "operator.clutch=[]"]))
 
 
 def wakes(who: str, peer: str, seconds: float) -> npt.NDArray[np.float64]:
-    """Overshoots in us of one run."""
+    """Return the overshoots in us of one run."""
     how: dict[str, Any] = {"peer": peer, "run_id": 1, "insecure": True, "patience_s": seconds}
     if who == "native":
         master: LiveMaster | MasterRun = LiveMaster(scene(), **how)
@@ -59,13 +59,13 @@ def wakes(who: str, peer: str, seconds: float) -> npt.NDArray[np.float64]:
 
 
 def call_us(peer: str) -> tuple[float, float]:
-    """Median time in us of a step, and of a call of the extension that does nothing."""
+    """Return the median time in us of a step, and of an extension call that does nothing."""
     loop = MasterLoop(scene(), peer=peer, run_id=1, insecure=True, realtime="off", keep_s=1.0)
     loop.begin()
     step, nothing = loop.step, loop.press_clutch
     took = np.empty((2, STEPS))
     for number in range(STEPS):
-        # Samples that come faster than the period are held back.
+        # Samples that arrive within a period are held back.
         loop.wait()
         begun = time.perf_counter_ns()
         step(0.0)
@@ -78,7 +78,7 @@ def call_us(peer: str) -> tuple[float, float]:
 
 
 def main() -> int:
-    """Measures and prints the table."""
+    """Measure and print the table."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--rounds", type=int, default=4, help="turns of each; default 4")
     options.add_argument("--seconds", type=float, default=5.0, help="of each turn; default 5")

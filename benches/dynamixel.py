@@ -2,13 +2,13 @@
 
 Ours in Rust and from Python, `dynamixel2` (Rust, which has no fast read) and ROBOTIS' own client (Python), in turn on
 one pseudo-terminal, where a process in Rust answers (`dynamixel/examples/bus_cycle.rs`): at once, or when the bytes
-would have come at 1, 3 and 4 Mbit/s. Cycles begin at 500 Hz and at 1 kHz, and one that is not over when the next begins
-is an overrun. Without a wire they also run back to back, each begun when the one before is over: what that takes goes
-by how the kernel's thread behind the pseudo-terminal meets two writes in a row, which no loop does.
+would have come at 1, 3 and 4 Mbit/s. Cycles begin at 500 Hz and at 1 kHz; a cycle that lasts until the next one begins
+is an overrun. Without a wire they also run back to back. Those times depend on how the kernel's thread behind the
+pseudo-terminal handles two writes in a row, which no loop makes.
 
 Required: p50 of a cycle of ours without a wire, at either rate, at most 1.2 times that of `dynamixel2`, both by their
-best round; six servos at 4 Mbit/s and 1 kHz without an overrun in one round at least: the machine is shared, and what
-others take of it shows in the other rounds.
+best round; six servos at 4 Mbit/s and 1 kHz without an overrun in at least one round: other loads of a shared machine
+show in the other rounds.
 """
 
 import contextlib
@@ -30,11 +30,11 @@ from haptether.dynamixel import DynamixelBus, SyncRead
 
 EXAMPLE = "example: python benches/dynamixel.py --servos 7 --rounds 5 --json -"
 BAUD = 4_000_000
-"""Of the clients, which a pseudo-terminal does not go by."""
+"""Baud rate of the clients; a pseudo-terminal ignores it."""
 WIRES = (0, 1_000_000, 3_000_000, 4_000_000)
-"""In bit/s; 0 answers at once."""
+"""Rates in bit/s; 0 answers at once."""
 RATES = (500, 1000)
-"""Hz."""
+"""Cycle rates in Hz."""
 PRESENT_CURRENT, MEASURED_BYTES = 126, 10
 GOAL_CURRENT = 102
 WARM_UP = 20
@@ -45,17 +45,17 @@ Cycle = Callable[[], None]
 
 
 class Round(NamedTuple):
-    """Cycles of one client, one after the other."""
+    """Consecutive cycles of one client."""
 
     taken_ms: list[float]
-    """Of each."""
+    """Time of each cycle."""
     overruns: int
-    """How many were not over when the next began."""
+    """Cycles that lasted until the next began."""
 
 
 @contextlib.contextmanager
 def answering(program: Path, servos: int, wire: int) -> Iterator[str]:
-    """The path of a pseudo-terminal where servos answer."""
+    """Yield the path of a pseudo-terminal with answering servos."""
     command = [str(program), "answer", str(servos), str(wire)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -66,14 +66,14 @@ def answering(program: Path, servos: int, wire: int) -> Iterator[str]:
 
 
 def rust_round(program: Path, client: str, path: str, *counts: int) -> Round:
-    """A round of a client in Rust: servos, cycles, rate in Hz."""
+    """Run a round of a Rust client: servos, cycles, rate in Hz."""
     command = [str(program), "run", client, path, *map(str, counts)]
     seen: dict[str, Any] = json.loads(subprocess.run(command, check=True, capture_output=True, timeout=120).stdout)
     return Round([taken / 1e6 for taken in seen["taken_ns"]], seen["overruns"])
 
 
 def vendor_cycle(port: PortHandler, ids: list[int], *, fast: bool) -> Cycle:
-    """A cycle of the vendor's client."""
+    """Return a cycle of the vendor's client."""
     packets = PacketHandler(2.0)
     read = GroupSyncRead(port, packets, PRESENT_CURRENT, MEASURED_BYTES)
     write = GroupSyncWrite(port, packets, GOAL_CURRENT, 2)
@@ -83,7 +83,7 @@ def vendor_cycle(port: PortHandler, ids: list[int], *, fast: bool) -> Cycle:
     transfer = read.fastSyncRead if fast else read.txRxPacket
 
     def cycle() -> None:
-        # Its timeout is 34 ms: a process that had to wait for a processor may be over it, once.
+        # Its timeout is 34 ms; a process that waits for a processor may exceed it once.
         if transfer() != 0 and transfer() != 0:
             message = "a read of the vendor's client failed twice"
             raise RuntimeError(message)
@@ -96,7 +96,7 @@ def vendor_cycle(port: PortHandler, ids: list[int], *, fast: bool) -> Cycle:
 
 
 def our_cycle(bus: DynamixelBus, ids: list[int]) -> Cycle:
-    """A cycle of the extension's bus."""
+    """Return a cycle of the extension's bus."""
     read = SyncRead(PRESENT_CURRENT, MEASURED_BYTES, ids)
     measured, goals = struct.Struct("<" + "hii" * len(ids)), struct.Struct(f"<{len(ids)}h")
     named = bytes(ids)
@@ -109,7 +109,7 @@ def our_cycle(bus: DynamixelBus, ids: list[int]) -> Cycle:
 
 
 def timed(cycle: Cycle, cycles: int, rate: int) -> Round:
-    """A round of a client in Python, that begins a cycle when it is due."""
+    """Run a round of a Python client; each cycle begins at its due time."""
     for _ in range(WARM_UP):
         cycle()
     taken = []
@@ -120,7 +120,7 @@ def timed(cycle: Cycle, cycles: int, rate: int) -> Round:
             begin += 1.0 / rate
             left = begin - time.perf_counter()
             if left < 0.0:
-                # What is late does not make the next one late as well.
+                # A late cycle does not delay the next one.
                 overruns += 1
                 begin -= left
             else:
@@ -132,7 +132,7 @@ def timed(cycle: Cycle, cycles: int, rate: int) -> Round:
 
 
 def python_round(client: str, path: str, servos: int, cycles: int, rate: int) -> Round:
-    """A round of a client in Python."""
+    """Run a round of a Python client."""
     ids = list(range(1, 1 + servos))
     if client.startswith("haptether"):
         bus = DynamixelBus(path, baud=BAUD, timeout_s=0.5)
@@ -149,13 +149,13 @@ def python_round(client: str, path: str, servos: int, cycles: int, rate: int) ->
 
 
 def wire_ms(servos: int, wire: int, *, fast: bool) -> float:
-    """Bytes of a cycle at 10 bits each: instruction and answers of the read, and the write."""
+    """Return the wire time of a cycle in ms at 10 bits per byte: the read with its answers, and the write."""
     answers = 8 + servos * (MEASURED_BYTES + 4) if fast else servos * (11 + MEASURED_BYTES)
     return 1e3 * 10 * (14 + servos + answers + 14 + 3 * servos) / wire if wire else 0.0
 
 
 def main() -> int:
-    """Prints p50, p99 and overruns of each client; status 1 if what is required does not hold."""
+    """Print p50, p99 and overruns of each client; return 1 if a requirement does not hold."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--servos", type=int, default=6, help="how many servos, 1 to 20 (6)")
     options.add_argument("--rounds", type=int, default=5, help="rounds of each client, 1 to 50 (5)")

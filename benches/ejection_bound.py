@@ -32,7 +32,7 @@ Array = npt.NDArray[np.float64]
 PUSHES = 9
 """Steps of the push after the release."""
 RELEASE_S = 0.7
-"""By then the hand rests."""
+"""Time of the release; the hand is at rest by then."""
 GROUPS = {
     "wsc": ("wsc",),
     "hsc": ("hsc",),
@@ -52,38 +52,38 @@ ESTIMATORS = (
 
 
 KINDS = ("measured", "estimated", "driven")
-"""Whether V is measured, or friction of any sign drives the device."""
+"""Source of V; "driven" has friction of either sign, which may drive the device."""
 ENDS = ("alive", "silent slave", "silent master", "silent", "short outage", "clutch opens")
-"""What becomes of a link after the release: both sides are deaf for good where it is silent."""
+"""State of a link after the release: if silent, both sides receive nothing from then on."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tightness:
-    """How near a group of scenes came to its bound."""
+    """Largest speeds of a group of scenes relative to its bound."""
 
     controllers: str
     velocity: str
     """Measured by the device, or estimated; or "driven"."""
     scenes: int
     absent: dict[str, int]
-    """How many scenes have no bound, by the reason without its numbers."""
+    """Number of scenes without a bound, by the reason without its numbers."""
     rows: int
     exceeded: int
     worst: float
-    """Largest speed seen over the bound."""
+    """Largest ratio of speed to bound."""
     median: float
-    """Of the largest of each scene."""
+    """Median over the scenes of their largest ratio."""
     seed: int
-    """Of the worst scene."""
+    """Seed of the worst scene."""
 
 
 def random_scene(rng: np.random.Generator, controllers: tuple[str, ...], *, measured: bool) -> Scene:
-    """A device that is pushed, without an arm, and a hand that lets it go."""
+    """Return a scene with a pushed device, without an arm, and a hand that lets go."""
     return checked(_plain(scene_table(rng, controllers, measured=measured)), Path()).scene
 
 
 def scene_table(rng: np.random.Generator, controllers: tuple[str, ...], *, measured: bool) -> dict[str, Any]:
-    """Its tables."""
+    """Return the tables of such a scene."""
     mass_kg, cap_n = rng.uniform(0.05, 0.5), rng.uniform(2.0, 8.0)
     travel_m = rng.uniform(0.05, 0.3)
     estimator = ESTIMATORS[rng.integers(len(ESTIMATORS))]
@@ -132,7 +132,7 @@ def scene_table(rng: np.random.Generator, controllers: tuple[str, ...], *, measu
 
 
 def driven_scene(rng: np.random.Generator, controllers: tuple[str, ...]) -> Scene:
-    """The same with friction of either sign, damping from none upward, a wall, or an arm behind a link that may die."""
+    """Return a scene with friction of either sign, damping from zero, and a wall or an arm with a failing link."""
     measured = bool(rng.integers(2))
     raw = scene_table(rng, controllers, measured=measured)
     master, safety = raw["master"], raw["safety"]
@@ -158,7 +158,7 @@ def driven_scene(rng: np.random.Generator, controllers: tuple[str, ...]) -> Scen
     safety["damping"] = min(damping, 5.0, 0.999 * strongest)
     safety["limiter"]["ramp_in_s"] = float(rng.choice([0.0, 0.2, 2.0]))
     if damping > 0.0 and rng.integers(3) == 0:
-        # As by default, where friction leaves room for it.
+        # These keep their defaults if friction leaves room for them.
         del safety["probe_force_n"], safety["release_tries"]
         safety["release_ramp_s"] = 0.2
     after_s = float(rng.choice([0.3, 1.0, 3.0]))
@@ -177,10 +177,11 @@ def driven_scene(rng: np.random.Generator, controllers: tuple[str, ...]) -> Scen
 
 
 def _add_link(rng: np.random.Generator, raw: dict[str, Any]) -> None:
-    """An arm, a link, and what becomes of it: after the release, for a hand that a fade moves does not rest."""
+    """Add an arm, a link and its fault; the fault follows the release, because a fade would move the hand."""
     delays = rng.uniform(0.0, 0.1, 2)
-    # Times of a link count from its beginning, those of the hand from engagement, a round trip later; HOLD comes 20 ms
-    # after the last frame. So the fade begins within 0.12 s after the release.
+    # Link times count from the link's start, hand times from engagement, a round trip later. HOLD follows 20 ms after
+    # the
+    # last frame. The fade thus begins within 0.12 s after the release.
     at_s = RELEASE_S + delays[0] + rng.uniform(-0.005, 0.1)
     end = ENDS[rng.integers(len(ENDS))]
     lasts_s = rng.uniform(0.03, 0.3) if end == "short outage" else 1e3
@@ -200,7 +201,7 @@ def _add_link(rng: np.random.Generator, raw: dict[str, Any]) -> None:
 
 
 def _plain(raw: Any) -> Raw:  # noqa: ANN401  # numbers of either kind, at any depth
-    """Numbers of NumPy as Python's own, which the schema knows."""
+    """Convert NumPy numbers to Python numbers, which the schema accepts."""
     if isinstance(raw, dict):
         return {key: _plain(value) for key, value in raw.items()}
     if isinstance(raw, list):
@@ -210,13 +211,13 @@ def _plain(raw: Any) -> Raw:  # noqa: ANN401  # numbers of either kind, at any d
 
 
 def random_pushes(rng: np.random.Generator, scene: Scene, rows: int) -> dict[str, Array]:
-    """A push that is held, and what it becomes after the release, a row each."""
+    """Return a held push and its course after the release, one row each."""
     held, times, levels = _steps(rng, scene, rows)
     return _samples(times, held[:, None], levels[:, :, None])
 
 
 def driven_pushes(rng: np.random.Generator, scene: Scene, rows: int) -> dict[str, Array]:
-    """The same in several axes; of some rows the hand holds nothing, so that |V| in any direction counts."""
+    """Return the same for several axes; in some rows the hand holds nothing, so that |V| counts in any direction."""
     held, times, levels = _steps(rng, scene, rows)
     axes = scene.master.axes
     if axes == 1:
@@ -232,7 +233,7 @@ def driven_pushes(rng: np.random.Generator, scene: Scene, rows: int) -> dict[str
 
 
 def _steps(rng: np.random.Generator, scene: Scene, rows: int) -> tuple[Array, Array, Array]:
-    """What is held in N, when it changes in s, and to what, shapes `(rows,)` and `(rows, PUSHES)`."""
+    """Return the held force in N, its change times in s and its new values, shapes `(rows,)` and `(rows, PUSHES)`."""
     cap_n = scene.ejection_settings().max_force_n
     held = cap_n * rng.uniform(0.1, 1.0, rows)
     first = rng.choice([0.0, 1.0], (rows, 1)) * rng.uniform(0.0, 0.03, (rows, 1))
@@ -253,7 +254,7 @@ def _steps(rng: np.random.Generator, scene: Scene, rows: int) -> tuple[Array, Ar
 
 
 def _samples(times: Array, held: Array, levels: Array) -> dict[str, Array]:
-    """Rows of a sweep of a force that is held, shape `(rows, axes)`, and its levels since, `(rows, PUSHES, axes)`."""
+    """Return sweep rows of a held force, shape `(rows, axes)`, and its later levels, `(rows, PUSHES, axes)`."""
     steps = np.diff(np.concatenate((held[:, None], levels), axis=1), axis=1, prepend=0.0)
     samples: dict[str, Array] = {}
     for place in range(PUSHES + 1):
@@ -266,7 +267,7 @@ def _samples(times: Array, held: Array, levels: Array) -> dict[str, Array]:
 
 
 def ratios(seed: int, controllers: tuple[str, ...], *, measured: bool, rows: int, threads: int = 1) -> Array:
-    """Largest speed after the release over the bound, of each row of one random scene."""
+    """Return the largest speed after the release over the bound, for each row of one random scene."""
     rng = np.random.default_rng(seed)
     scene = random_scene(rng, controllers, measured=measured)
     bound = ejection_bound(scene).speed
@@ -277,7 +278,7 @@ def ratios(seed: int, controllers: tuple[str, ...], *, measured: bool, rows: int
 
 
 def driven_ratios(seed: int, controllers: tuple[str, ...], *, rows: int, threads: int = 1) -> Array | str:
-    """The same of a random `driven_scene`; why there is no bound where there is none."""
+    """Return the same for a random `driven_scene`, or the reason if there is no bound."""
     rng = np.random.default_rng(seed)
     scene = driven_scene(rng, controllers)
     bound = ejection_bound(scene)
@@ -285,7 +286,7 @@ def driven_ratios(seed: int, controllers: tuple[str, ...], *, rows: int, threads
         assert bound.reason is not None
         return re.sub(r"-?\d[\d.e+-]*", "_", bound.reason)
     seen = sweep(scene, samples=driven_pushes(rng, scene, rows), threads=threads)
-    # A link may part the two, and a speed that has grown without end leaves what can be simulated.
+    # A link may separate the two sides, and an unbounded speed leaves the range that can be simulated.
     assert not {"never-engaged", "not-released"}.intersection(seen["outcome"])
     return np.asarray(seen["max_ejection_velocity"] / bound.speed)
 
@@ -293,7 +294,7 @@ def driven_ratios(seed: int, controllers: tuple[str, ...], *, rows: int, threads
 def _searched(
     name: str, controllers: tuple[str, ...], kind: str, seeds: range, arguments: argparse.Namespace
 ) -> Tightness:
-    """How near the scenes of some seeds come to their bounds."""
+    """Return the tightness of the bounds for the scenes of some seeds."""
     worst: dict[int, Array] = {}
     absent: Counter[str] = Counter()
     for seed in seeds:
@@ -320,7 +321,7 @@ def _searched(
 
 
 def main() -> int:
-    """Runs all groups; 1 if a scene exceeds its bound, or the bound of WSC and its unions is not near."""
+    """Run all groups; return 1 if a scene exceeds its bound, or the bound of WSC and its unions is not near."""
     options = bench_options(__doc__, "Status 1 says that a scene exceeds its bound, or that a bound is not near.")
     options.add_argument("--rows", type=int, default=100_000, help="scenes in all (100000)")
     options.add_argument("--each", type=int, default=400, help="releases of each device (400)")

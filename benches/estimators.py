@@ -59,7 +59,7 @@ HSC = 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """An estimator, its parameters in words, and its peer."""
+    """Estimator, its parameters in words, and its peer."""
 
     method: str
     parameters: str
@@ -69,7 +69,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """What truly happened, one value a tick."""
+    """True values of a run, one per tick."""
 
     name: str
     position: Array
@@ -79,18 +79,18 @@ class Run:
     hand_force: Array
     rendered_force: Array
     held_force: Array
-    """What the device exerted over the tick that ends here."""
+    """Device force over the tick that ends here."""
     holds: list[slice]
-    """While the hand holds, with a tremor."""
+    """Ticks while the hand holds, with a tremor."""
     release: int
-    """Tick at which the grip begins to loosen."""
+    """Tick at which the grip starts to loosen."""
     let_go: int
     """First tick at which nobody holds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """What an estimator costs and how well it does."""
+    """Cost and quality of an estimator."""
 
     method: str
     parameters: str
@@ -106,9 +106,9 @@ class Score:
     gone_worst_n: float
     """Largest |error| of F_h while nobody holds."""
     trip_ms: float | None
-    """From the begin of the release to the first HSC trip, at worst; none if it does not come."""
+    """Longest time from the start of the release to the first HSC trip; None if no trip follows."""
     trip_late_ms: float | None
-    """The same from where HSC would trip on the true force of the hand."""
+    """Same time, from the tick at which HSC would trip on the true hand force."""
     hold_grasp: float
     """Largest S_h until the release with F_v above F_t."""
     gone_grasp: float
@@ -116,7 +116,7 @@ class Score:
     false_trips: int
     """Ticks at which HSC trips while the hand holds."""
     touch_trips: int
-    """Most ticks with a trip as the hand meets the wall at 0.1 m/s."""
+    """Largest number of ticks with a trip as the hand meets the wall at 0.1 m/s."""
     eligible: bool
 
 
@@ -124,18 +124,18 @@ class Score:
 
 
 def before(values: Array, first: float = 0.0) -> Array:
-    """The values one tick earlier."""
+    """Return the values one tick earlier."""
     return np.concatenate(([first], values[:-1]))
 
 
 def peer_backward_difference(x: Array, force: Array) -> Estimate:
-    """Two `numpy.diff`."""
+    """Estimate with two calls of `numpy.diff`."""
     velocity = np.diff(x, prepend=x[0]) / PERIOD_S
     return velocity, np.diff(velocity, prepend=0.0) / PERIOD_S, (force + before(force)) / 2
 
 
 def peer_low_pass(x: Array, force: Array, cutoff_hz: float) -> Estimate:
-    """`numpy.diff` and `scipy.signal.lfilter`."""
+    """Estimate with `numpy.diff` and `scipy.signal.lfilter`."""
     difference, _, mean = peer_backward_difference(x, force)
     share = -np.expm1(-2 * np.pi * cutoff_hz * PERIOD_S)
     velocity, aligned = (
@@ -145,7 +145,7 @@ def peer_low_pass(x: Array, force: Array, cutoff_hz: float) -> Estimate:
 
 
 def peer_savitzky_golay(x: Array, force: Array, degree: int, window: int) -> Estimate:
-    """`scipy.signal.savgol_coeffs` at the newest sample and `lfilter`."""
+    """Estimate with `scipy.signal.savgol_coeffs` at the newest sample and `lfilter`."""
     first, second = (
         scipy.signal.savgol_coeffs(window, degree, deriv=d, delta=PERIOD_S, pos=window - 1) for d in (1, 2)
     )
@@ -161,7 +161,7 @@ def peer_savitzky_golay(x: Array, force: Array, degree: int, window: int) -> Est
 
 
 def peer_kalman(x: Array, force: Array, jerk_density: float) -> Estimate:
-    """`scipy.linalg.solve_discrete_are` and `lfilter` with the transfer functions."""
+    """Estimate with `scipy.linalg.solve_discrete_are`, and `lfilter` with the transfer functions."""
     transition = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
     noise = np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]])
     noise *= jerk_density * PERIOD_S**5 / (QUANTUM_M**2 / 12)
@@ -181,7 +181,7 @@ def peer_kalman(x: Array, force: Array, jerk_density: float) -> Estimate:
 
 
 def peer_adaptive_window(x: Array, force: Array, window: int, fit: str) -> Estimate:
-    """All ticks at once in NumPy, one lag after the other."""
+    """Estimate for all ticks at once in NumPy, lag by lag."""
     bound = np.full_like(x, QUANTUM_M)
     chosen, velocity = widest_lines(x, bound, window, fit, first=x[0], first_bound=QUANTUM_M)
     unsure = 2 * QUANTUM_M / chosen
@@ -194,7 +194,7 @@ def peer_adaptive_window(x: Array, force: Array, window: int, fit: str) -> Estim
 
 
 def slopes(values: Array, window: int, fit: str, first: float) -> list[tuple[Array, Array]]:
-    """For each lag the rise since then and the slope of the line over that many ticks."""
+    """Return for each lag the rise since then and the slope of the line over that many ticks."""
     padded = np.concatenate((np.full(window, first), values))
     total, moment = np.zeros_like(values), np.zeros_like(values)
     lines = []
@@ -212,7 +212,7 @@ def slopes(values: Array, window: int, fit: str, first: float) -> list[tuple[Arr
 def widest_lines(
     values: Array, bound: Array, window: int, fit: str, *, first: float, first_bound: float
 ) -> tuple[Array, Array]:
-    """The longest window whose line stays within the bound, and its slope."""
+    """Return the longest window whose line stays within the bound, and its slope."""
     bounds = np.concatenate((np.full(window, first_bound), bound))
     lowest, highest = np.full_like(values, -np.inf), np.full_like(values, np.inf)
     lines = slopes(values, window, fit, first)
@@ -228,18 +228,18 @@ def widest_lines(
 
 
 def given_lines(values: Array, chosen: Array, window: int, fit: str) -> Array:
-    """The slope over the window chosen at each tick."""
+    """Return the slope over the window chosen at each tick."""
     found = np.zeros_like(values)
     for lag, (_, slope) in enumerate(slopes(values, window, fit, 0.0), start=1):
         found[chosen == lag] = slope[chosen == lag]
     return found
 
 
-# What is measured
+# Measurements
 
 
 def cases() -> list[Case]:
-    """All kinds, each with parameters from quick and noisy to slow and smooth."""
+    """Return all kinds, each with parameters from quick and noisy to slow and smooth."""
 
     def case(method: str, parameters: str, kind: EstimatorKind, peer: Peer) -> Case:
         return Case(method=method, parameters=parameters, kind=kind, peer=peer)
@@ -267,7 +267,7 @@ def cases() -> list[Case]:
 
 
 def simulate(controllers: Sequence[Literal["wsc"]], depths_m: Sequence[float]) -> Run:
-    """Presses, holds with a tremor at each depth, lets go."""
+    """Simulate a hand that presses, holds with a tremor at each depth, and lets go."""
     legs: list[tuple[float, float, Literal["linear", "minimum-jerk"]]] = []
     holds: list[slice] = []
     for depth_m in depths_m:
@@ -311,7 +311,7 @@ def simulate(controllers: Sequence[Literal["wsc"]], depths_m: Sequence[float]) -
 def watch_grasp(
     run: Run, velocity: Array, grasp_force: Array, aligned_rendered: Array | None = None
 ) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """S_h, and at which ticks HSC calls the hand unsafe; F_v as late as F_h, as the safety layer has it."""
+    """Return S_h and the ticks at which HSC reports an unsafe hand; F_v is as late as F_h, as in the safety layer."""
     settings = SafetySettings(["hsc"], hsc_force_threshold_n=FORCE_THRESHOLD_N, grasp_threshold=GRASP_THRESHOLD)
     controller = SafetyController(DeviceModel.phantom_desktop(), settings, period_s=PERIOD_S)
     seen = controller.run(velocity, run.rendered_force, grasp_force, aligned_rendered)
@@ -320,29 +320,29 @@ def watch_grasp(
 
 
 def first_trip(run: Run, trips: npt.NDArray[np.bool_]) -> int | None:
-    """The first tick with a trip from the release on."""
+    """Return the first tick with a trip after the release."""
     after = trips[run.release :]
     return run.release + int(after.argmax()) if after.any() else None
 
 
 def quantised(run: Run, offset: float) -> Array:
-    """What an encoder whose lines lie `offset` quanta further along says of the positions."""
+    """Return the positions from an encoder whose lines are shifted by `offset` quanta."""
     return np.round(run.position / QUANTUM_M + offset) * QUANTUM_M
 
 
 def worst_ms(ticks: list[int | None]) -> float | None:
-    """The longest in ms, none if one of them never was."""
+    """Return the longest time in ms; None if one tick is missing."""
     found = [tick for tick in ticks if tick is not None]
     return max(found) * PERIOD_S * 1e3 if len(found) == len(ticks) else None
 
 
 def rms(error: Array) -> float:
-    """Root of the mean square."""
+    """Return the root of the mean square."""
     return float(np.sqrt(np.mean(error**2)))
 
 
 def delay_ms(estimates: list[Array], truths: list[Array]) -> float:
-    """The shift of the truth that leaves the least RMS error, also between ticks."""
+    """Return the shift of the truth with the least RMS error, also between ticks."""
 
     def left(shift: float) -> float:
         error = 0.0
@@ -358,7 +358,7 @@ def delay_ms(estimates: list[Array], truths: list[Array]) -> float:
 
 
 def judge(case: Case, runs: list[Run], fast: Run) -> Score:
-    """Errors, delays and trips over all runs and offsets; the times are left at zero."""
+    """Return errors, delays and trips over all runs and offsets; the times stay zero."""
     device = DeviceModel.phantom_desktop()
     seen: dict[str, tuple[list[Array], list[Array]]] = {"v": ([], []), "a": ([], []), "f": ([], [])}
     held: list[Array] = []
@@ -421,7 +421,7 @@ def judge(case: Case, runs: list[Run], fast: Run) -> Score:
 
 
 def false_ticks(case: Case, run: Run, offset: float) -> int:
-    """Ticks with a trip until the release."""
+    """Return the ticks with a trip until the release."""
     position = quantised(run, offset)
     velocity, acceleration, aligned = estimate(case, position, run.held_force)
     grasp_force = DeviceModel.phantom_desktop().grasp_force(velocity, acceleration, aligned)
@@ -430,19 +430,19 @@ def false_ticks(case: Case, run: Run, offset: float) -> int:
 
 
 def align_rendered(case: Case, run: Run, position: Array) -> Array:
-    """F_v through the estimator's kernel."""
+    """Filter F_v with the estimator's kernel."""
     return estimate(case, position, before(run.rendered_force))[2]
 
 
 def estimate(case: Case, position: Array, held_force: Array) -> Estimate:
-    """A fresh estimator over all samples."""
+    """Run a fresh estimator over all samples."""
     velocity, acceleration, aligned = Estimator(case.kind, period_s=PERIOD_S).run(position, held_force)
     assert aligned is not None
     return velocity, acceleration, aligned
 
 
 def agree(case: Case, position: Array, held_force: Array) -> None:
-    """Refuses a peer that computes something else: its time would be no comparison."""
+    """Refuse a peer with a different result: its time would be no comparison."""
     for name, ours, theirs in zip(
         ("velocity", "acceleration", "aligned force"),
         estimate(case, position, held_force),
@@ -455,7 +455,7 @@ def agree(case: Case, position: Array, held_force: Array) -> None:
 
 
 def ns_per_sample(work: Callable[[], object], samples: int, repeats: int) -> float:
-    """The least of `repeats` times."""
+    """Return the least of `repeats` times."""
     best = float("inf")
     for _ in range(repeats):
         begun = time.perf_counter_ns()
@@ -465,7 +465,7 @@ def ns_per_sample(work: Callable[[], object], samples: int, repeats: int) -> flo
 
 
 def measure(case: Case, runs: list[Run], fast: Run, samples: int, repeats: int) -> Score:
-    """The whole score."""
+    """Return the whole score."""
     run = runs[-1]
     tiles = -(-samples // len(run.position))
     position = np.tile(quantised(run, OFFSETS[0]), tiles)[:samples]
@@ -479,7 +479,7 @@ def measure(case: Case, runs: list[Run], fast: Run, samples: int, repeats: int) 
 
 
 def report(scores: list[Score], chosen: Score | None, out: TextIO) -> None:
-    """The table."""
+    """Print the table."""
     titles = ["ns", "peer/x", "V", "V-ms", "A", "A-ms", "F_h", "F-ms", "hold", "gone", "trip"]
     titles += ["late", "   hold-S", "gone-S", "false", "touch"]
     head = "".join(f"{title:>7}" for title in titles)
@@ -511,7 +511,7 @@ false: ticks with a trip until the release; touch: most such ticks when meeting 
 
 
 def plot(scores: list[Score], chosen: Score, chosen_case: Case, run: Run, folder: Path) -> Path:
-    """The choice: delay against noise of all, and F_h of three around the release."""
+    """Plot the choice: delay against noise of all, and F_h of three around the release."""
     import matplotlib as mpl  # noqa: PLC0415 (only when asked for)
 
     mpl.use("Agg")
@@ -553,7 +553,7 @@ def plot(scores: list[Score], chosen: Score, chosen_case: Case, run: Run, folder
 
 
 def main() -> int:
-    """Measures, prints, and checks the default."""
+    """Measure, print, and check the default."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--plot", metavar="DIR", type=Path, help="writes estimators.png there")
     options.add_argument("--samples", type=int, default=100_000, help="for timing (default 100000)")

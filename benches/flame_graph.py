@@ -1,10 +1,10 @@
 """Where the time of a simulated tick goes: stacks sampled by `perf` while a scene runs, by part and as a flame graph.
 
-Each checkout runs the scene with its own built extension (a release build says what users have), so that a tree can
-be compared with another, `--before CHECKOUT`, or with stacks that were written before, `--keep FILE` and `--before
-FILE`. Times are shares of the samples times the processor time of a tick, least of some runs. A function that was
-compiled into another is one of its own here, as the extension's line tables name it. Needs `perf` (package linux-perf),
-`addr2line` (binutils) and leave to sample (`kernel.perf_event_paranoid` at most 2).
+Each checkout runs the scene with its own built extension (a release build says what users have), so that a tree can be
+compared with another, `--before CHECKOUT`, or with stacks that were written before, `--keep FILE` and `--before FILE`.
+Times are shares of the samples times the processor time of a tick, least of some runs. An inlined function appears as
+one of its own, as in the extension's line tables. Needs `perf` (package linux-perf), `addr2line` (binutils) and leave
+to sample (`kernel.perf_event_paranoid` at most 2).
 """
 
 import json
@@ -55,20 +55,20 @@ PARTS = (
     ("copies of memory", r"^_*mem(cpy|move|set)"),
     ("sides, loops and what is inlined there", r"^<?haptether_bridge::"),
 )
-"""By the innermost function of ours that a sample was taken in; the first that fits."""
+"""Parts by the innermost function of ours in a sample; the first match counts."""
 ROOT_FRAMES = (
     "haptether_bridge::virtual_time::run_virtual",
     "haptether_bridge::virtual_time::run_virtual_ahead",
     "haptether_bridge::scene::bilateral::run",
 )
-"""The run of a scene: the compiler may put the first two into the last."""
+"""Functions that run a scene: the compiler may inline the first two into the last."""
 Stack = tuple[str, ...]
 
 
 def sample(
     checkout: Path, scene: str, seconds: float, repeats: int, overrides: Iterable[str]
 ) -> tuple[Counter[Stack], float]:
-    """Stacks below the run of a scene, outermost first, with their counts, and the time of a tick in ns."""
+    """Return stacks below the run of a scene, outermost first, with their counts, and the time of a tick in ns."""
     if checkout.is_file():
         profile = json.loads(checkout.read_text(encoding="utf-8"))
         return Counter({tuple(stack): count for *stack, count in profile["stacks"]}), profile["ns"]
@@ -102,14 +102,14 @@ def sample(
 
 
 def addresses(block: list[str]) -> list[int]:
-    """Addresses of the frames of a sample in the extension, -1 of those elsewhere, the innermost first."""
+    """Return the frame addresses of a sample in the extension, -1 for frames elsewhere, innermost first."""
     of_lines = [int(line.split(None, 1)[0], 16) if f"/{EXTENSION.name})" in line else -1 for line in block]
-    # A caller stands at what follows its call.
+    # The address of a caller is the one after its call.
     return [place - 1 if index and place > 0 else place for index, place in enumerate(of_lines)]
 
 
 def inlined_at(places: set[int], extension: Path) -> dict[int, list[str]]:
-    """The functions at each address of the extension, the innermost first."""
+    """Return the functions at each address of the extension, innermost first."""
     asked = sorted(place for place in places if place > 0)
     shift = code_shift(extension)
     command = ["addr2line", "--inlines", "--functions", "--demangle", "--addresses", "--exe", str(extension)]
@@ -117,7 +117,7 @@ def inlined_at(places: set[int], extension: Path) -> dict[int, list[str]]:
     printed = subprocess.run(command, input=lines, check=True, capture_output=True, text=True, timeout=600).stdout
     found: dict[int, list[str]] = {}
     for block in re.split(r"^0x", printed, flags=re.MULTILINE)[1:]:
-        # The address, and then a function and where it is of each.
+        # The address, then function and location of each.
         place, *named = block.splitlines()
         pairs = [pair for pair in zip(named[::2], named[1::2], strict=True) if pair[0] != "??"]
         found[int(place, 16) - shift] = [function_at(*pair) for pair in pairs]
@@ -125,7 +125,7 @@ def inlined_at(places: set[int], extension: Path) -> dict[int, list[str]]:
 
 
 def code_shift(extension: Path) -> int:
-    """Addresses of the code less its places in the file, which `perf` prints below a stack."""
+    """Return code addresses minus their places in the file, which `perf` prints below a stack."""
     image = extension.read_bytes()
     (table,) = struct.unpack_from("<Q", image, 32)
     size, count = struct.unpack_from("<HH", image, 54)
@@ -137,18 +137,18 @@ def code_shift(extension: Path) -> int:
 
 
 def function_at(function: str, location: str) -> str:
-    """A function with the module of its file, where that is one of ours: line tables have no modules."""
+    """Return a function with the module of its file, if it is one of ours: line tables have no modules."""
     ours = re.search(r"/(bridge|master|netsim|safety|slave)/src/(.+)\.rs:", location)
     name = function_name(function)
     if ours is None:
         return name
     module = f"haptether_{ours[1]}::{ours[2].removesuffix('/mod').replace('/', '::')}"
-    # Of a function that is compiled into another, the name of that one may be all that there is.
+    # For an inlined function, its name may be all that is known.
     return module if "::" in name else f"{module}::{name}"
 
 
 def function_name(name: str) -> str:
-    """A function without its hash and parameters of type."""
+    """Return a function name without its hash and type parameters."""
     name = re.sub(r"::h[0-9a-f]{16}$", "", name.strip())
     depth, letters = 0, []
     for place, letter in enumerate(name):
@@ -162,7 +162,7 @@ def function_name(name: str) -> str:
 
 
 def by_part(stacks: Counter[Stack], ns: float) -> dict[str, float]:
-    """Time of a tick in ns by part, without that of functions of other parts that it calls."""
+    """Return the time of a tick in ns by part, without functions of other parts that it calls."""
     total = sum(stacks.values())
     spent = dict.fromkeys([*(name for name, _ in PARTS), "else"], 0.0)
     for stack, count in stacks.items():
@@ -171,13 +171,13 @@ def by_part(stacks: Counter[Stack], ns: float) -> dict[str, float]:
 
 
 def part_of(stack: Stack) -> str:
-    """The part of the innermost function that is of one: what is of the standard library is its caller's."""
+    """Return the part of the innermost function that has one: the standard library counts for its caller."""
     fits = (name for frame in reversed(stack) for name, pattern in PARTS if re.search(pattern, frame))
     return next(fits, "else")
 
 
 def draw(drawn: dict[str, tuple[Counter[Stack], float]], path: Path) -> None:
-    """Flame graphs one below the other, on one scale of time."""
+    """Draw flame graphs, one below the other, on one time scale."""
     most = max(ns for _, ns in drawn.values())
     figure = new_figure(2, 3.0 * len(drawn), "Time of a remote tick by function")
     panels = figure.subplots(len(drawn), 1, squeeze=False)[:, 0]
@@ -193,7 +193,7 @@ def draw(drawn: dict[str, tuple[Counter[Stack], float]], path: Path) -> None:
 
 
 def rectangles(panel: "Axes", stacks: Counter[Stack], left: float, level: int, scale: float) -> int:
-    """Draws the frames of one level and above; returns the deepest."""
+    """Draw the frames of one level and above; return the deepest level."""
     groups: dict[str, Counter[Stack]] = {}
     _, most = panel.get_xlim()
     for stack, count in stacks.items():
@@ -216,7 +216,7 @@ def rectangles(panel: "Axes", stacks: Counter[Stack], left: float, level: int, s
 
 
 def main() -> int:
-    """Samples, prints the table, draws."""
+    """Sample, print the table, draw."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--scene", default="remote_push", help="default %(default)s")
     options.add_argument("--seconds", type=float, default=300.0, help="simulated; default %(default)s")

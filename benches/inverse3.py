@@ -22,7 +22,7 @@ WARM_UP = 100
 
 
 def main() -> int:
-    """Prints p50 and p99 of a tick, and the rate that was kept."""
+    """Print p50 and p99 of a tick, and the achieved rate."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--ticks", type=int, default=10_000, help="ticks at 1 kHz (10000)")
     chosen = options.parse_args()

@@ -5,10 +5,10 @@ kinematics: each posture that comes back is led through that chain; the errors a
 postures. Streamed steps: error is the largest of any joint's velocity against the minimum, which is refined in 80 bits
 and held to its conditions; a program that a solver gives up is counted.
 
-All that stands in one table is timed in turns, one round after the other. Required: forward kinematics and Jacobian in
-one call in 3 us, inverse kinematics in 20 us, both within 1e-12 of the chain, the round trip of postures within 1e-10,
-every streamed step within 1e-9 of its conditions, and a period of `UrStreaming` that turns the tool of a UR arm, within
-the limits of its driver, in 10 us.
+All entries of a table are timed in turns, round by round. Required: forward kinematics and Jacobian in one call in 3
+us, inverse kinematics in 20 us, both within 1e-12 of the chain, the round trip of postures within 1e-10, every streamed
+step within 1e-9 of its conditions, and a period of `UrStreaming` that turns the tool of a UR arm, within the limits of
+its driver, in 10 us.
 """
 
 import importlib
@@ -52,19 +52,19 @@ from ur.references import apart, extended_chain, minimum, residual
 
 Array = npt.NDArray[np.float64]
 Work = Callable[[int], object]
-"""Does the n-th of a list of tasks, round and round."""
+"""Runs task n of a list, modulo its length."""
 
 EXAMPLE = "example: python benches/kinematics.py --json -"
 MODEL = "ur5e"
 UNIT = "ur10 far"
 FORWARD_US, INVERSE_US, STEP_US = 3.0, 20.0, 10.0
 TURNED = "joints, self, tool turned"
-"""What the driver of a UR arm keeps to by itself, at its limits nearly always."""
+"""Solver settings that a UR driver nearly always uses, at its limits."""
 WITHIN = "all but tool speed, within limits"
 TIGHT, ROUND_TRIP, CONDITIONS = 1e-12, 1e-10, 1e-9
 PERIOD_S = 0.002
 CALLS = 200
-"""In a block that is timed at once."""
+"""Calls in one timed block."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,14 +74,14 @@ class Row:
     table: str
     name: str
     us: float
-    """Least over the rounds, per call."""
+    """Least time per call over the rounds."""
     us_median: float
     errors: dict[str, float]
-    """By column."""
+    """Errors by column."""
 
 
 def timed(works: dict[str, Work], rounds: int) -> dict[str, tuple[float, float]]:
-    """Least and median time of a call in us; the works take turns in every round."""
+    """Return least and median time of a call in us; the works take turns in every round."""
     blocks: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(rounds):
         for name, work in works.items():
@@ -93,7 +93,7 @@ def timed(works: dict[str, Work], rounds: int) -> dict[str, tuple[float, float]]
 
 
 def over(call: Callable[..., object], *arguments: Sequence[Any] | Array) -> Work:
-    """Calls with the n-th of each."""
+    """Return a call with the n-th entry of each argument."""
     if len(arguments) == 1:
         (only,) = arguments
         return lambda index: call(only[index])
@@ -105,7 +105,7 @@ def over(call: Callable[..., object], *arguments: Sequence[Any] | Array) -> Work
 
 
 def postures(count: int, seed: int) -> Array:
-    """Random joint angles over both turns."""
+    """Return random joint angles over both turns."""
     return np.random.default_rng(seed).uniform(-2 * np.pi, 2 * np.pi, (count, 6))
 
 
@@ -113,7 +113,7 @@ def postures(count: int, seed: int) -> Array:
 
 
 def raw_casadi(model: UrModel, calibration: UrCalibration | None) -> Callable[[Array], tuple[Array, Array]]:
-    """The same expressions, called as CasADi's functions are."""
+    """Return the same expressions as direct calls of CasADi functions."""
     chain = UrKinematics(model, calibration).chain
     function: Any = casadi.Function("plain", [chain.q], [chain.transform, chain.jacobian])
 
@@ -125,7 +125,7 @@ def raw_casadi(model: UrModel, calibration: UrCalibration | None) -> Callable[[A
 
 
 def forward_rows(rounds: int) -> list[Row]:
-    """Ours, CasADi called directly, and pinocchio, for a model and for a unit with its calibration."""
+    """Return rows of ours, direct CasADi and pinocchio, for a model and for a unit with its calibration."""
     q = np.ascontiguousarray(postures(CALLS, 1))
     found = []
     for arm, (model, calibration) in {MODEL: (ur_model(MODEL), None), UNIT: CALIBRATIONS[UNIT]}.items():
@@ -153,7 +153,7 @@ def forward_rows(rounds: int) -> list[Row]:
 
 
 def closest_of(package: Any) -> Callable[[Array, Array], Array | None]:  # noqa: ANN401  # it has no types
-    """The peer's posture nearest to where the arm was."""
+    """Return the peer's posture nearest to the previous one."""
 
     def call(pose: Array, near: Array) -> Array | None:
         found = package.inverse_kinematics_closest(pose, *near.tolist())
@@ -163,7 +163,7 @@ def closest_of(package: Any) -> Callable[[Array, Array], Array | None]:  # noqa:
 
 
 def inverse_rows(rounds: int, poses: int) -> list[Row]:
-    """Ours and ur-analytic-ik, for a model; ours for a unit with its calibration."""
+    """Return rows of ours and ur-analytic-ik for a model; of ours for a unit with its calibration."""
     found = []
     for arm, (model, calibration) in {MODEL: (ur_model(MODEL), None), UNIT: CALIBRATIONS[UNIT]}.items():
         inverse, rows = UrInverse(model, calibration), dh_rows(model, calibration)
@@ -226,7 +226,7 @@ LIMITS = {
 
 
 def streaming_rows(rounds: int) -> list[Row]:
-    """The programs of random steps, by every solver that is installed."""
+    """Return rows of random-step programs, for every installed solver."""
     found = []
     draws = np.random.default_rng(3)
     middle = np.array((-0.6, -1.6, 1.7, -1.5, -1.4, 0.3))
@@ -261,7 +261,7 @@ def streaming_rows(rounds: int) -> list[Row]:
 
 
 def whole_steps(rounds: int) -> list[Row]:
-    """A period of `UrStreaming.velocity` from numbers to numbers, by what is named, over and over along a run."""
+    """Return rows of a period of `UrStreaming.velocity` with each set of options, repeated along a run."""
     joints = model_limits(ur_model(MODEL))
     planes, keep_out = LIMITS["speed, table and wall"].planes, SelfKeepOut()
     named = {
@@ -284,11 +284,11 @@ def whole_steps(rounds: int) -> list[Row]:
         streaming = UrStreaming(UrKinematics(ur_model(MODEL)), limits, period_s=PERIOD_S, cost=cost)
         q, qd, twist = np.zeros((CALLS, 6)), np.zeros((CALLS, 6)), np.zeros((CALLS, 6))
         q[0] = (-0.6, -1.6, 1.7, -1.5, -1.4, 0.3)
-        # To and fro across, with a turn, at twice the limit: after its acceleration the tool is at its limit of speed.
+        # Back and forth with a turn, at twice the limit: after its acceleration the tool moves at its speed limit.
         twist[:, 1] = 0.4 * np.sign(np.sin(np.arange(CALLS) * 2 * np.pi / CALLS))
         twist[:, 5] = 0.3
         if name in turned:
-            # As fast as 60 degrees to and fro within 4 s, about two axes.
+            # As fast as 60 degrees back and forth within 4 s, about two axes.
             twist[:, 3] = 1.6 * np.sin(np.arange(CALLS) * 2 * np.pi / CALLS)
             twist[:, 5] = 1.6 * np.cos(np.arange(CALLS) * 2 * np.pi / CALLS)
         if name == WITHIN:
@@ -316,7 +316,7 @@ def whole_steps(rounds: int) -> list[Row]:
 
 
 def tracked(rounds: int) -> list[Row]:
-    """A period of the driver's `JointTracking`, which has a streamed step in it, with and without an orientation."""
+    """Return rows of a period of the driver's `JointTracking` (with a streamed step), with and without orientation."""
     options = ur_options({"host": "127.0.0.1", "axes": 3, "max_angular_speed": 3.0})
     kinematics = UrKinematics(ur_model(MODEL))
     begin = (-1.6, -1.7, -2.2, -0.8, 1.6, 0.0)
@@ -342,11 +342,11 @@ def tracked(rounds: int) -> list[Row]:
     ]
 
 
-# What is said
+# Reporting
 
 
 def missed(rows: list[Row]) -> list[str]:
-    """What was required and is not so."""
+    """Return the requirements that do not hold."""
     found = []
     for row in rows:
         where = f"{row.table}: {row.name}"
@@ -361,7 +361,7 @@ def missed(rows: list[Row]) -> list[str]:
                 found.append(f"{where}: {row.us:.2f} us, {row.errors['m']:.1e} m")
             if row.errors.get("missed", 0):
                 found.append(f"{where}: {row.errors['missed']} missed")
-            # Of a unit's postures, 5e-13 m and rad are as close as its iteration goes.
+            # For a unit's postures, its iteration reaches 5e-13 m and rad.
             if MODEL in row.table and row.errors.get("joints rad", 0.0) > ROUND_TRIP:
                 found.append(f"{where}: {row.errors['joints rad']:.1e} rad")
         if row.table.startswith("streamed") and (
@@ -372,7 +372,7 @@ def missed(rows: list[Row]) -> list[str]:
 
 
 def show(rows: list[Row]) -> str:
-    """The tables."""
+    """Return the tables."""
     lines: list[str] = []
     before = ""
     for row in rows:
@@ -387,7 +387,7 @@ def show(rows: list[Row]) -> str:
 
 
 def main() -> int:
-    """Measures, prints, and checks what is required."""
+    """Measure, print, and check the requirements."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--rounds", type=int, default=60, help="rounds in which all take turns (default 60)")
     options.add_argument("--poses", type=int, default=100_000, help="of the round trip (default 100000)")

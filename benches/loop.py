@@ -27,7 +27,7 @@ from haptether.bridge import LiveMaster, MasterTable, OperatorTable, SafetyTable
 EXAMPLE = "example: python benches/loop.py --rounds 10 --json -"
 PRIORITY, PERIOD_US = 80, 1000
 LONGEST_NS = 1_000_000
-"""Largest overshoot that cyclictest distinguishes; further ones are counted."""
+"""Largest overshoot that cyclictest resolves; larger ones are counted."""
 REQUIRED = 1.2
 SHARES = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
 
@@ -47,7 +47,7 @@ class Round:
 
 
 def quantiles(who: str, overshoot_ns: npt.NDArray[np.float64], beyond: int, load_average: float) -> Round:
-    """Of one run; what is beyond the histogram counts as 1 ms."""
+    """Return the quantiles of one run; times beyond the histogram count as 1 ms."""
     p50, p99, p999 = (float(np.quantile(overshoot_ns, share)) / 1e3 for share in SHARES.values())
     return Round(
         who=who, wakes=overshoot_ns.size, beyond=beyond, p50_us=p50, p99_us=p99, p999_us=p999, load_average=load_average
@@ -55,7 +55,7 @@ def quantiles(who: str, overshoot_ns: npt.NDArray[np.float64], beyond: int, load
 
 
 def cyclictest(policy: str, wakes: int) -> tuple[npt.NDArray[np.float64], int]:
-    """Its overshoots in ns, each wake once, and how many were later than 1 ms."""
+    """Return the overshoots of cyclictest in ns, each wake once, and the number of wakes more than 1 ms late."""
     with tempfile.NamedTemporaryFile() as histogram:
         command = ["cyclictest", "-q", "-m", "-N", "-i", str(PERIOD_US), "-l", str(wakes), "-h", str(LONGEST_NS)]
         command += ["--policy", policy, *(["-p", str(PRIORITY)] if policy == "fifo" else [])]
@@ -69,7 +69,7 @@ def cyclictest(policy: str, wakes: int) -> tuple[npt.NDArray[np.float64], int]:
 
 
 def live_loop(policy: str, wakes: int) -> tuple[npt.NDArray[np.float64], int, str]:
-    """The same of the live loop, and what it got of the system."""
+    """Return the same for the live loop, and its granted scheduling."""
     scene = Scene(
         schema=1,
         master=MasterTable(device="phantom-desktop"),
@@ -100,7 +100,7 @@ def live_loop(policy: str, wakes: int) -> tuple[npt.NDArray[np.float64], int, st
 
 
 def main() -> int:
-    """Measures, prints the table, and says whether the requirement is met."""
+    """Measure, print the table, and print if the requirement is met."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--rounds", type=int, default=6, help="turns of each; default 6")
     options.add_argument("--seconds", type=float, default=10.0, help="of each turn, 1 to 60; default 10")
@@ -139,7 +139,7 @@ def main() -> int:
         )
 
     for number in range(arguments.rounds):
-        # Who goes first changes, so that a load that rises or falls favours neither.
+        # The order alternates, so that a rising or falling load favours neither.
         order = ("cyclictest", "haptether") if number % 2 == 0 else ("haptether", "cyclictest")
         for who in order:
             measure(who)
@@ -172,7 +172,7 @@ def main() -> int:
 
 
 def allowed_policy() -> str:
-    """What this process may have."""
+    """Return the policy that this process may use."""
     try:
         before, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))

@@ -33,7 +33,7 @@ DELAY_S = 0.02
 EXACT_HZ = 1000
 RATES_HZ = (2_000, 4_000, 8_000, 10_000, 20_000, 30_000, 50_000, 70_000, 100_000)
 REQUIRED_P50_US, REQUIRED_HZ = 60.0, 50_000
-# The load must have offered this share of a rate for the rate to count.
+# Offered share of a rate above which the rate counts.
 OFFERED = 0.98
 
 
@@ -41,7 +41,7 @@ OFFERED = 0.98
 
 
 class Client(asyncio.DatagramProtocol):
-    """Listens, delays, and hands on; answers go to whoever spoke last."""
+    """Listens, delays, and forwards; answers go to the last sender."""
 
     transport: asyncio.DatagramTransport
     source: tuple[str, int]
@@ -52,31 +52,31 @@ class Client(asyncio.DatagramProtocol):
         self.upstream: asyncio.DatagramTransport | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Keeps what it sends with."""
+        """Keep the transport."""
         self.transport = cast("asyncio.DatagramTransport", transport)
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        """To the peer."""
+        """Forward to the peer."""
         self.source = addr
         if self.upstream is not None:
             self.loop.call_later(self.delay_s, self.upstream.sendto, data)
 
 
 class Peer(asyncio.DatagramProtocol):
-    """The way back."""
+    """Return path."""
 
     def __init__(self, client: Client) -> None:
         self.client = client
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        """To the client."""
+        """Forward to the client."""
         del addr
         client = self.client
         client.loop.call_later(client.delay_s, client.transport.sendto, data, client.source)
 
 
 async def forward(listen: tuple[str, int], peer: tuple[str, int]) -> None:
-    """A proxy as one would write it with asyncio, until it is killed."""
+    """Run a typical asyncio proxy until it is killed."""
     loop = asyncio.get_running_loop()
     _, client = await loop.create_datagram_endpoint(lambda: Client(DELAY_S), local_addr=listen)
     client.upstream, _ = await loop.create_datagram_endpoint(lambda: Peer(client), remote_addr=peer)
@@ -85,7 +85,7 @@ async def forward(listen: tuple[str, int], peer: tuple[str, int]) -> None:
 
 
 def be_peer(name: str, listen: str, peer: str) -> None:
-    """Runs such a proxy in this process."""
+    """Run such a proxy in this process."""
     ends = [(end.rpartition(":")[0], int(end.rpartition(":")[2])) for end in (listen, peer)]
     if name == "uvloop":
         importlib.import_module("uvloop").run(forward(*ends))
@@ -93,12 +93,12 @@ def be_peer(name: str, listen: str, peer: str) -> None:
         asyncio.run(forward(*ends))
 
 
-# What is measured
+# Measurements
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Direction:
-    """One direction, as the load saw it."""
+    """One direction, measured by the load."""
 
     sent: int
     refused: int
@@ -113,7 +113,7 @@ class Direction:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """One load through one proxy; the proxy's own account where it keeps one."""
+    """One load through one proxy, with the proxy's own counts if it keeps them."""
 
     proxy: str
     rate_hz: int
@@ -128,46 +128,46 @@ class Run:
 
     @property
     def offered_hz(self) -> float:
-        """What was sent each way, the lesser of the two."""
+        """Rate sent each way, the lesser of the two."""
         return min(direction.sent - direction.refused for direction in self.ways) / self.seconds
 
     @property
     def lost(self) -> int:
-        """What did not arrive, both directions together."""
+        """Lost packets of both directions."""
         return sum(direction.sent - direction.refused - direction.received for direction in self.ways)
 
     @property
     def early(self) -> int:
-        """What arrived before the delay was over."""
+        """Packets that arrived before the end of the delay."""
         return sum(direction.early for direction in self.ways) + (self.own_early or 0)
 
     def error_us(self, quantile: str) -> float:
-        """Time beyond the delay, the worse of the two directions."""
+        """Return the time beyond the delay, the worse of the two directions."""
         worse_ns: int = max(getattr(direction, f"{quantile}_ns") for direction in self.ways)
         return worse_ns / 1e3 - DELAY_S * 1e6
 
     @property
     def carried(self) -> bool:
-        """Whether the whole rate was offered, and all of it arrived."""
+        """True if the whole rate was offered and all of it arrived."""
         return self.lost == 0 and self.offered_hz >= OFFERED * self.rate_hz
 
 
 def free_address() -> str:
-    """An address that nobody has, so far."""
+    """Return a free address."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         return f"127.0.0.1:{probe.getsockname()[1]}"
 
 
 def put_first(pid: int) -> None:
-    """Before whatever else the machine does, if that is allowed: what is measured is not its share of it."""
+    """Raise the scheduling priority if allowed: other loads should not affect the measurement."""
     with suppress(PermissionError):
         os.sched_setscheduler(pid, os.SCHED_RR, os.sched_param(1))
 
 
 @contextmanager
 def peer_proxy(name: str, listen: str, peer: str) -> Iterator[None]:
-    """Such a proxy in a process of its own."""
+    """Run such a proxy in its own process."""
     command = [sys.executable, __file__, "--as-peer", name, listen, peer]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         put_first(process.pid)
@@ -180,7 +180,7 @@ def peer_proxy(name: str, listen: str, peer: str) -> Iterator[None]:
 
 
 def offer(load: Path, listen: str, peer: str, rate_hz: int, seconds: float) -> tuple[Direction, Direction]:
-    """Runs the load."""
+    """Run the load."""
     command = [str(load), listen, peer, str(rate_hz), str(seconds), str(DELAY_S)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         put_first(process.pid)
@@ -192,7 +192,7 @@ def offer(load: Path, listen: str, peer: str, rate_hz: int, seconds: float) -> t
 
 
 def measure(load: Path, name: str, rate_hz: int, seconds: float) -> Run:
-    """One rate through one proxy."""
+    """Measure one rate through one proxy."""
     listen, peer = free_address(), free_address()
     load_average = os.getloadavg()[0]
     if name != "haptether":
@@ -220,7 +220,7 @@ def measure(load: Path, name: str, rate_hz: int, seconds: float) -> Run:
 
 
 def ramp(load: Path, name: str, seconds: float) -> list[Run]:
-    """Ever more, until something is lost or the load cannot offer it."""
+    """Raise the rate until packets are lost or the load cannot offer it."""
     runs = []
     for rate_hz in RATES_HZ:
         runs.append(measure(load, name, rate_hz, seconds))
@@ -230,7 +230,7 @@ def ramp(load: Path, name: str, seconds: float) -> list[Run]:
 
 
 def main() -> int:
-    """Measures, prints the table, and says whether the requirement is met."""
+    """Measure, print the table, and print if the requirement is met."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--seconds", type=float, default=10.0, help="of the exactness run; default 10")
     options.add_argument("--ramp-seconds", type=float, default=3.0, help="of each rate; default 3")

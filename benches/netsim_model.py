@@ -32,13 +32,13 @@ EXAMPLE = """example:
   .venv/bin/python benches/netsim_model.py --json -
 """
 MAX_FOR_NO_RULE = 1.1
-"""Cost of a run whose link has no rule over that of a run without a link."""
+"""Cost of a run with a link without rules, relative to a run without a link."""
 PERIOD_NS = 1_000_000
 SIZE = 92
 DELAY_S, JITTER_S, LOSS = 0.05, 0.005, 0.01
 SHORT_S, LONG_S = 1.0, 21.0
 PACKETS_PER_TICK = 2
-"""One each way."""
+"""One in each direction."""
 
 Times: TypeAlias = npt.NDArray[np.int64]
 Tables: TypeAlias = dict[str, Any]
@@ -75,12 +75,12 @@ LINKS: dict[str, Tables] = {
     },
 }
 PEERS = {"delay": "delay", "delay, jitter, loss": "delay, independent jitter, loss"}
-"""The link that does what a peer does."""
+"""Link that is equivalent to each peer."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cost:
-    """ns per packet, least of the repeats; of a peer also over that of the link that does the same."""
+    """ns per packet, least of the repeats; for a peer also relative to its equivalent link."""
 
     name: str
     ns: float
@@ -88,12 +88,12 @@ class Cost:
 
 
 def numpy_delay(sent_ns: Times) -> Times:
-    """All arrivals at once."""
+    """Return all arrivals at once."""
     return sent_ns + round(DELAY_S * 1e9)
 
 
 def numpy_jitter_loss(sent_ns: Times) -> Times:
-    """All arrivals at once; -1 for a packet that is lost."""
+    """Return all arrivals at once; -1 for a lost packet."""
     random_numbers = np.random.default_rng(1)
     delay_s = np.maximum(random_numbers.normal(DELAY_S, JITTER_S, len(sent_ns)), 0.0)
     lost = random_numbers.random(len(sent_ns)) < LOSS
@@ -101,13 +101,13 @@ def numpy_jitter_loss(sent_ns: Times) -> Times:
 
 
 def python_delay(sent_ns: list[int]) -> list[int]:
-    """One packet after the other."""
+    """Return the arrivals packet by packet."""
     delay_ns = round(DELAY_S * 1e9)
     return [sent + delay_ns for sent in sent_ns]
 
 
 def python_jitter_loss(sent_ns: list[int]) -> list[int]:
-    """One packet after the other; -1 for one that is lost."""
+    """Return the arrivals packet by packet; -1 for a lost one."""
     drawn = random.Random(1)
     due_ns = []
     for sent in sent_ns:
@@ -117,7 +117,7 @@ def python_jitter_loss(sent_ns: list[int]) -> list[int]:
 
 
 def work(packets: int) -> Iterator[tuple[str, Callable[[], object]]]:
-    """Everything that judges packets, by its name."""
+    """Yield everything that judges packets, by its name."""
     sent_ns = np.arange(packets, dtype=np.int64) * PERIOD_NS
     sizes = np.full(packets, SIZE, dtype=np.int64)
     sent = sent_ns.tolist()
@@ -131,7 +131,7 @@ def work(packets: int) -> Iterator[tuple[str, Callable[[], object]]]:
 
 
 def scenes() -> Iterator[tuple[str, tuple[Scene, Scene]]]:
-    """A hand that trembles before a wall that an arm would touch, short and long, by its link."""
+    """Yield a hand that trembles before a wall within an arm's reach, short and long, by its link."""
     base: Tables = {
         "schema": 1,
         "master": {"device": "phantom-desktop"},
@@ -154,14 +154,14 @@ def scenes() -> Iterator[tuple[str, tuple[Scene, Scene]]]:
 
 
 def processor_ns(call: Callable[[], object]) -> float:
-    """Time that it takes, in ns."""
+    """Return the processor time of a call in ns."""
     begun = time.process_time_ns()
     call()
     return float(time.process_time_ns() - begun)
 
 
 def main() -> int:
-    """Measures, prints, and checks."""
+    """Measure, print, and check."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--packets", type=int, default=1_000_000, help="default 1000000")
     options.add_argument("--repeats", type=int, default=5, help="default 5")
@@ -174,7 +174,7 @@ def main() -> int:
     min_ns = dict.fromkeys(judged, math.inf)
     ran = {name: [math.inf, math.inf] for name in run}
     rounds = range(arguments.repeats)
-    # All take turns, so that a machine that is busy for a while does not spoil one of them.
+    # All take turns, so that a temporary load of the machine affects all of them.
     for _ in track(rounds, "packets", console=Console(stderr=True), transient=True):
         for name, judge in judged.items():
             min_ns[name] = min(min_ns[name], processor_ns(judge) / arguments.packets)

@@ -31,44 +31,44 @@ VERSION = "5.26"
 MODEL = ur_model("ur5e")
 START = (-1.6, -1.7, -2.2, -0.8, 1.6, 0.0)
 BENT = 0.5
-"""rad of joint 5 before its singularity."""
+"""Angle of joint 5 in rad before its singularity."""
 MODES = ("servoj", "servol", "speedl", "direct-torque")
 PATHS = ("figure", "singularity", "beside it")
 OPTIONS = {"max_angular_speed": 2.0, "watchdog_hz": 5.0}
-"""A shared machine may stall for longer than the 100 ms of the default watchdog."""
+"""A shared machine may stall for longer than the default watchdog's 100 ms."""
 START_S, SETTLE_S = 30.0, 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """What was measured of a mode along a path."""
+    """Measurements of a mode along a path."""
 
     mode: str
     path: str
     seconds: float
-    """Of motion, until the end or the fault."""
+    """Seconds of motion, until the end or the fault."""
     worst_m: float
     worst_rad: float
     p95_m: float
-    """What 95 % of the samples stay below: a machine that stands still now and then does not change it."""
+    """95 % of the samples are below; occasional stalls of the machine do not change it."""
     p95_rad: float
     end_rad: float
     speed: float
-    """Largest that was commanded, in m/s, and in rad/s."""
+    """Largest command in m/s, and in rad/s."""
     angular_speed: float
     latency_s: float | None
     fastest_joint: float
-    """Share of its largest speed."""
+    """Largest speed of a joint as a share of its limit."""
     joint_5: tuple[float, float]
-    """At the begin and at the end, in rad."""
+    """Start and end angle in rad."""
     worst_gap_s: float
-    """Between two samples."""
+    """Longest time between two samples."""
     fault: str
 
 
 @contextmanager
 def emulated(host: str, start: tuple[float, ...]) -> Iterator[None]:
-    """A controller as a process of its own."""
+    """Run a controller in its own process."""
     command = [
         sys.executable, "-m", "haptether", "ur-emulator", "--host", host, "--version", VERSION,
         "--control", "-", "--start", *map(str, start),
@@ -80,7 +80,7 @@ def emulated(host: str, start: tuple[float, ...]) -> Iterator[None]:
             message = f"the emulator has said nothing for {START_S:g} s"
             raise RuntimeError(message)
         process.stdout.readline()
-        # Until its first cycles are behind it.
+        # The first cycles have passed by then.
         time.sleep(SETTLE_S)
         yield
     finally:
@@ -89,12 +89,12 @@ def emulated(host: str, start: tuple[float, ...]) -> Iterator[None]:
 
 
 def begin_of(name: str) -> tuple[float, ...]:
-    """Joint angles at the begin of a path."""
+    """Return the initial joint angles of a path."""
     return START if name == "figure" else (*START[:4], BENT, START[5])
 
 
 def path_of(name: str, home: tuple[float, ...]) -> tuple[Path, float]:
-    """A path from a pose of the controller, and its seconds."""
+    """Return a path from a pose of the controller, and its seconds."""
     if name == "figure":
         return figure(home, amplitude_m=0.05, angle=math.radians(60.0), period_s=8.0), 9.0
     _, jacobian = UrKinematics(MODEL).forward_and_jacobian(begin_of(name))
@@ -103,7 +103,7 @@ def path_of(name: str, home: tuple[float, ...]) -> tuple[Path, float]:
 
 
 def measure(mode: str, name: str, host: str) -> Row:
-    """Leads an emulated arm along a path."""
+    """Lead an emulated arm along a path."""
     with emulated(host, begin_of(name)):
         arm = UrSlave(host=host, mode=mode, axes=3, **OPTIONS)
         arm.open()
@@ -163,7 +163,7 @@ def _led(arm: UrSlave, mode: str, name: str) -> Row:
 
 
 def show(rows: list[Row], json: str | None) -> None:
-    """The table."""
+    """Print the table."""
     table = Table(
         "mode", "path", "m", "95 %", "rad", "95 %", "at the end", "fastest joint", "joint 5", "worst gap", "fault"
     )
@@ -185,7 +185,7 @@ def show(rows: list[Row], json: str | None) -> None:
 
 
 def main() -> int:
-    """Measures all rows."""
+    """Measure all rows."""
     line = bench_options(__doc__, EXAMPLE)
     line.add_argument("--mode", choices=MODES, action="append", help="this one alone; may be given again")
     line.add_argument("--path", choices=PATHS, action="append", help="this one alone; may be given again")

@@ -33,14 +33,14 @@ REQUIRED_NS, REQUIRED = 100.0, 1.05
 
 
 def read_all(path: Path) -> None:
-    """Reads telemetry to its end."""
+    """Read telemetry to its end."""
     with TelemetryReader(path) as telemetry:
         for _ in telemetry:
             pass
 
 
 def lateness_us(seconds: float, case: str, folder: Path) -> tuple[float, float]:
-    """p50 and p99 of how late a live loop wakes, in us; with telemetry and a reader, or a recording as well."""
+    """Return p50 and p99 of a live loop's lateness in us; with telemetry and a reader, or with a recording as well."""
     outputs: dict[str, Any] = {} if case == "none" else {"telemetry": folder / "master.sock"}
     if case == "both":
         outputs |= {"record": folder / "master.mcap", "min_free_bytes": 0}
@@ -67,7 +67,7 @@ def lateness_us(seconds: float, case: str, folder: Path) -> tuple[float, float]:
 
 
 def main() -> int:
-    """Measures, prints both tables, and says whether the requirement is met."""
+    """Measure, print both tables, and print if the requirement is met."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--rounds", type=int, default=5, help="turns of each, 1 to 100; default 5")
     options.add_argument("--seconds", type=float, default=10.0, help="of each turn, 1 to 120; default 10")

@@ -9,8 +9,8 @@ the force if, within 2.5 s of its full grip, an intervention ends and none begin
 - stylus-arm: the same with hands of that population.
 
 Ends with status 1 if fewer than 95 % of the hands of a row recover. 3 to 5 N on 60 to 150 N/m and stylus-arm are only
-reported: F / K is up to 80 mm there, and soft hands oscillate with the remote wall. What is no hand: the trials of
-`safety/tests/all/probe.rs`.
+reported: F / K is up to 80 mm there, and soft hands oscillate with the remote wall. The trials of
+`safety/tests/all/probe.rs` cover loads that are not hands.
 """
 
 import sys
@@ -35,7 +35,7 @@ WITHIN_S, FOR_S = 2.5, 0.5
 MASS_KG = 0.157
 NAMES = ("vfc", "hsc", "wsc")
 PC = 8
-"""Its bit of `tripped`."""
+"""Bit of PC in `tripped`."""
 UNIONS = [list(some) for count in (1, 2, 3) for some in combinations(NAMES, count)]
 UNIONS += [[*some, "pc"] for some in UNIONS]
 
@@ -49,16 +49,16 @@ class Cell:
     tripped: int
     recovered: int
     held: int
-    """Of those that tripped, how many end in a HOLD of the master."""
+    """Tripped hands that end in a HOLD of the master."""
 
     @property
     def share(self) -> float:
-        """Of those that tripped, the share that has its force back."""
+        """Share of the tripped hands that recover their force."""
         return self.recovered / self.tripped if self.tripped else float("nan")
 
 
 def pushed(rng: np.random.Generator, stiffness: float, push_n: float, controllers: list[str]) -> tuple[Scene, float]:
-    """A push on the device itself; the hand and when it has its full grip again."""
+    """Return a scene with a push on the device itself, and the time of the hand's full grip after the release."""
     damping = float(rng.uniform(0.4, 2.0)) * float(np.sqrt(stiffness * MASS_KG))
     reaction_s = float(rng.uniform(0.2, 1.0))
     gripped_s = RELEASE_S + DECAY_S + reaction_s + RISE_S
@@ -83,7 +83,7 @@ Drawn = Iterator[tuple[Scene, float]]
 
 
 def local(low: float, high: float, least_n: float, most_n: float) -> Callable[[int, list[str]], Drawn]:
-    """Hands of `low` to `high` in N/m under pushes of `least_n` to `most_n` in N."""
+    """Return hands of `low` to `high` in N/m under pushes of `least_n` to `most_n` in N."""
 
     def draw(hands: int, controllers: list[str]) -> Drawn:
         rng = np.random.default_rng(1)
@@ -95,12 +95,12 @@ def local(low: float, high: float, least_n: float, most_n: float) -> Callable[[i
 
 
 def remote(hands: int, controllers: list[str], population: str | None = None) -> Drawn:
-    """`remote_push` with a hand that takes hold again after 0.9 s."""
+    """Return `remote_push` with a hand that takes hold again after 0.9 s."""
     gripped_s = 2.6 + 0.05 + 0.9 + RISE_S
     overrides = [
         f"safety.controllers=[{','.join(controllers)}]",
         f"operator.regrasp={{reaction_s=0.9, rise_s={RISE_S}}}",
-        # Engaged some tenths of a second after the start.
+        # Engagement follows some tenths of a second after the start.
         f"run.duration_s={gripped_s + 0.5 + WITHIN_S + FOR_S}",
     ]
     drawn = load_population(population).draws(hands) if population else {}
@@ -117,11 +117,11 @@ ROWS: dict[str, Callable[[int, list[str]], Drawn]] = {
     "stylus-arm": lambda hands, controllers: remote(hands, controllers, "stylus-arm"),
 }
 REPORTED = {"60-150 N/m, 3-5 N", "stylus-arm"}
-"""Nothing is required of them."""
+"""Rows without a requirement."""
 
 
 def outcome(run: Run, gripped_s: float) -> tuple[bool, bool]:
-    """Whether something intervenes as the hand takes hold, and whether the hand recovers the force."""
+    """Return if a controller intervenes as the hand takes hold, and if the hand recovers the force."""
     signals = run.signals
     assert signals is not None
     time_s = np.asarray(signals["time_s"])
@@ -137,7 +137,7 @@ def outcome(run: Run, gripped_s: float) -> tuple[bool, bool]:
 
 
 def cell(row: str, hands: int, controllers: list[str]) -> Cell:
-    """Runs them."""
+    """Run the hands of a cell."""
     tripped = recovered = held = 0
     for scene, gripped_s in ROWS[row](hands, controllers):
         run = simulate(scene)
@@ -149,7 +149,7 @@ def cell(row: str, hands: int, controllers: list[str]) -> Cell:
 
 
 def main() -> None:
-    """Runs, prints, and holds the shares to what is asked of them."""
+    """Run, print, and check the shares against their requirements."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--hands", type=int, default=100, help="of each cell")
     options.add_argument("--row", action="append", choices=ROWS, help="by default all")

@@ -34,11 +34,11 @@ EXAMPLE = """example:
 RELEASE_S = 1.0
 PUSHED_S = 10.0
 FIRST_S = 0.3
-"""The first throw is over by then."""
+"""Time by which the first throw is over."""
 THROWN = 0.15
 """Speed in m/s above which a stylus counts as thrown."""
 PROBED = 0.1
-"""Speed in m/s that the default probe stays below."""
+"""Speed in m/s that the default probe does not reach."""
 RATTLE_HZ = 30.0
 LAWS: dict[str, dict[str, float]] = {
     "printed": {"hold_off_s": 0.0, "release_ramp_s": 0.0, "probe_force_n": 0.0, "release_tries": 0},
@@ -49,10 +49,10 @@ KINDS = ("1 axis", "3 axes", "pose", "omni")
 CONTROLLERS = (("wsc",), ("hsc",), ("vfc",), ("wsc", "hsc"), ("vfc", "hsc", "wsc"))
 PUSHES_N = (3.0, 7.0)
 PUSHES_OF_OMNI_N = (2.0, 3.0)
-"""It exerts 3.3 N."""
+"""An Omni exerts 3.3 N."""
 DIRECTION = (0.8, -0.48, 0.36)
 HELD = 16
-"""Bit of `tripped` that is no trip but its remainder."""
+"""Bit of `tripped` that marks the rest of an earlier trip."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +72,7 @@ class Row:
 
 
 def scene(kind: str, controllers: tuple[str, ...], push_n: float, law: dict[str, float]) -> Scene:
-    """A hand that lets go under a push of `push_n` in N."""
+    """Return a scene with a hand that lets go under a push of `push_n` in N."""
     axes = 1 if kind in {"1 axis", "omni"} else 3
     force = push_n if axes == 1 else [push_n * share for share in DIRECTION]
     tables: dict[str, Any] = {
@@ -85,7 +85,7 @@ def scene(kind: str, controllers: tuple[str, ...], push_n: float, law: dict[str,
             "release": {"at_s": RELEASE_S, "decay_s": 0.02, "kind": "gain"},
         },
         "environment": {"pushers": [{"shape": "ramp", "at_s": 0.1, "rise_s": 0.6, "force_n": force}]},
-        # Below 1 N the quantum of the encoder decides what S_h is.
+        # Below 1 N the encoder's quantum dominates S_h.
         "safety": {"controllers": controllers, "hsc_force_threshold_n": 1.0, **law},
         "record": {},
     }
@@ -117,7 +117,7 @@ def scene(kind: str, controllers: tuple[str, ...], push_n: float, law: dict[str,
 
 
 def measured(kind: str, controllers: tuple[str, ...], push_n: float, law: str) -> Row:
-    """Runs one of them."""
+    """Run one case."""
     signals = simulate(scene(kind, controllers, push_n, LAWS[law])).signals
     assert signals is not None
     time_s = np.asarray(signals["time_s"])
@@ -152,7 +152,7 @@ def measured(kind: str, controllers: tuple[str, ...], push_n: float, law: str) -
 
 
 def rows(kinds: Sequence[str]) -> Iterator[Row]:
-    """Everything in the table."""
+    """Yield all rows of the table."""
     for kind in kinds:
         for controllers in CONTROLLERS:
             for push_n in PUSHES_OF_OMNI_N if kind == "omni" else PUSHES_N:
@@ -161,7 +161,7 @@ def rows(kinds: Sequence[str]) -> Iterator[Row]:
 
 
 def failures(found: list[Row]) -> Iterator[str]:
-    """Where the default does not do what is asked of it."""
+    """Yield the cases in which the default misses its requirements."""
     printed = {(row.kind, row.controllers, row.push_n): row for row in found if row.law == "printed"}
     for row in found:
         if row.law != "default":
@@ -181,7 +181,7 @@ def failures(found: list[Row]) -> Iterator[str]:
 
 
 def main() -> None:
-    """Runs, prints, and holds the default to what is asked of it."""
+    """Run, print, and check the requirements of the default."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--kind", action="append", choices=KINDS, help="by default all")
     arguments = options.parse_args()

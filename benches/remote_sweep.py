@@ -21,12 +21,12 @@ from haptether.bridge import sweep
 
 EXAMPLE = "example: python benches/remote_sweep.py --rows 1 64 --json -"
 SCENES = {"1 axis": ("remote_push", 80.0), "3 axes": ("three_axis_box", None)}
-"""Scene, and the most that a tick of a row may take in ns."""
+"""Scene, and longest permitted time in ns per tick of a row."""
 COMPARED = 5
 
 
 def columns(rows: int, is_shared: bool) -> dict[str, npt.NDArray[np.float64]]:
-    """What differs from row to row."""
+    """Return the columns that differ from row to row."""
     stiffness = {"operator.stiffness": np.linspace(200.0, 500.0, rows)}
     return stiffness if is_shared else stiffness | {"run.seed": np.arange(1.0, rows + 1.0)}
 
@@ -34,7 +34,7 @@ def columns(rows: int, is_shared: bool) -> dict[str, npt.NDArray[np.float64]]:
 def measured(
     name: str, samples: dict[str, npt.NDArray[np.float64]], repeats: int, lanes: bool = True
 ) -> tuple[float, bool]:
-    """Least time of a sweep in ns a tick of a row, and whether its rows are those that they are by themselves."""
+    """Return the least time in ns per tick of a row, and if its rows equal those of single runs."""
     least_s = float("inf")
     for _ in range(repeats):
         begun = time.perf_counter()
@@ -48,7 +48,7 @@ def measured(
 
 
 def main() -> int:
-    """Measures, prints the table, and says whether the requirement is met."""
+    """Measure, print the table, and print if the requirement is met."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--rows", type=int, nargs="+", default=[1, 8, 64, 512], help="default %(default)s")
     options.add_argument("--repeats", type=int, default=3, help="sweeps of each, 1 to 1000; default 3")

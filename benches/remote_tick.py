@@ -30,11 +30,11 @@ ROWS = {
     "3 axes, delay, jitter, loss": ("three_axis_box", NETWORK, 1000.0),
     "3 axes, perfect link": ("three_axis_box", NONE, None),
 }
-"""Scene, both directions of its link, and the most that a tick may take in ns."""
+"""Scene, both directions of its link, and longest permitted time of a tick in ns."""
 
 
 def write_scene(folder: Path, name: str, link: list[str], duration_s: float) -> Path:
-    """Writes a scene that lasts `duration_s`, without signals, as the example reads it."""
+    """Write a scene of `duration_s` without signals, in the example's format."""
     overrides = [f"link.{direction}.{one}" for direction in ("forward", "backward") for one in link]
     scene = json.loads(scene_json(load_scene(name, [*overrides, f"run.duration_s={duration_s}"])))
     scene["record"] = None
@@ -44,14 +44,14 @@ def write_scene(folder: Path, name: str, link: list[str], duration_s: float) -> 
 
 
 def cost(short: dict[str, Any], long: dict[str, Any], key: str) -> tuple[float, float]:
-    """Time of a tick in ns, and of what precedes the first tick in us: `(n_l t_l - n_s t_s) / (n_l - n_s)`."""
+    """Return ns per tick, and us before the first tick: `(n_l t_l - n_s t_s) / (n_l - n_s)`."""
     ticks, ns = [run["run"][2][0] for run in (short, long)], [run[key] for run in (short, long)]
     per_tick_ns = (ticks[1] * ns[1] - ticks[0] * ns[0]) / (ticks[1] - ticks[0])
     return per_tick_ns, ticks[0] * (ns[0] - per_tick_ns) * 1e-3
 
 
 def main() -> int:
-    """Measures, prints the table, and says whether the requirement is met."""
+    """Measure, print the table, and print if the requirement is met."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--repeats", type=int, default=10, help="runs of each scene, 1 to 1000; default 10")
     chosen = options.parse_args()

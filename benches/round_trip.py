@@ -28,7 +28,7 @@ from _report import bench_options, table_file, write_json
 
 EXAMPLE = "example: python benches/round_trip.py --json -"
 BYTES = 164
-"""Of a sealed frame of one axis."""
+"""Bytes of a sealed one-axis frame."""
 REQUIRED = 1.3
 WARM_UP = 500
 PATIENCE_S = 30.0
@@ -36,11 +36,11 @@ PATIENCE_S = 30.0
 Taken = npt.NDArray[np.float64]
 
 
-# Each peer answers in a process of its own, sends its port to the bench, and ends after the expected number of pings.
+# Each peer answers in its own process, sends its port to the bench, and ends after the expected number of pings.
 
 
 def answer_socket(port: Connection, pings: int) -> None:
-    """Sends back what it gets."""
+    """Send each datagram back."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there:
         there.settimeout(PATIENCE_S)
         there.bind(("127.0.0.1", 0))
@@ -51,7 +51,7 @@ def answer_socket(port: Connection, pings: int) -> None:
 
 
 def ping_socket(port: int, pings: int) -> Taken:
-    """Round trips in ns."""
+    """Return round trips in ns."""
     taken = np.empty(pings)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as here:
         here.settimeout(PATIENCE_S)
@@ -65,18 +65,18 @@ def ping_socket(port: int, pings: int) -> Taken:
 
 
 class Answering(asyncio.DatagramProtocol):
-    """Sends back what it gets."""
+    """Sends each datagram back."""
 
     def __init__(self, pings: int) -> None:
         self.left = pings
         self.done = asyncio.get_running_loop().create_future()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Keeps what it sends with."""
+        """Keep the transport."""
         self.transport = cast("asyncio.DatagramTransport", transport)
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        """Back."""
+        """Send the datagram back."""
         self.transport.sendto(data, addr)
         self.left -= 1
         if self.left == 0:
@@ -84,32 +84,32 @@ class Answering(asyncio.DatagramProtocol):
 
 
 def answer_asyncio(port: Connection, pings: int) -> None:
-    """The same in an event loop."""
+    """Send each datagram back, in an event loop."""
 
     async def serve() -> None:
         loop = asyncio.get_running_loop()
         transport, protocol = await loop.create_datagram_endpoint(lambda: Answering(pings), ("127.0.0.1", 0))
         port.send(transport.get_extra_info("sockname")[1])
         await asyncio.wait_for(protocol.done, PATIENCE_S)
-        # What was sent last may still wait in the loop.
+        # The last datagram may still wait in the loop.
         await asyncio.sleep(0.05)
 
     asyncio.run(serve())
 
 
 class Asking(asyncio.DatagramProtocol):
-    """Hands over what it gets."""
+    """Passes each datagram on."""
 
     def __init__(self) -> None:
         self.answers: asyncio.Queue[bytes] = asyncio.Queue()
 
     def datagram_received(self, data: bytes, _: tuple[str, int]) -> None:
-        """To who waits."""
+        """Pass the datagram to the waiting task."""
         self.answers.put_nowait(data)
 
 
 def ping_asyncio(port: int, pings: int) -> Taken:
-    """Round trips in ns."""
+    """Return round trips in ns."""
     taken = np.empty(pings)
 
     async def client() -> None:
@@ -127,7 +127,7 @@ def ping_asyncio(port: int, pings: int) -> Taken:
 
 
 def pair() -> Any:  # noqa: ANN401  # pyzmq is not there where types are checked
-    """A ZeroMQ socket whose waits have an end."""
+    """Return a ZeroMQ socket with timeouts."""
     zmq = importlib.import_module("zmq")
     made = zmq.Context().socket(zmq.PAIR)
     made.setsockopt(zmq.RCVTIMEO, round(PATIENCE_S * 1e3))
@@ -136,7 +136,7 @@ def pair() -> Any:  # noqa: ANN401  # pyzmq is not there where types are checked
 
 
 def answer_zmq(port: Connection, pings: int) -> None:
-    """The same over ZeroMQ."""
+    """Send each message back over ZeroMQ."""
     there = pair()
     port.send(there.bind_to_random_port("tcp://127.0.0.1"))
     for _ in range(pings):
@@ -146,7 +146,7 @@ def answer_zmq(port: Connection, pings: int) -> None:
 
 
 def ping_zmq(port: int, pings: int) -> Taken:
-    """Round trips in ns."""
+    """Return round trips in ns."""
     taken = np.empty(pings)
     here = pair()
     here.connect(f"tcp://127.0.0.1:{port}")
@@ -168,7 +168,7 @@ PEERS: dict[str, tuple[Callable[[Connection, int], None], Callable[[int, int], T
 
 
 def measured(name: str, pings: int) -> Taken:
-    """Round trips of a peer in Python, in ns."""
+    """Return the round trips of a Python peer in ns."""
     answer, client = PEERS[name]
     here, there = multiprocessing.Pipe()
     # Not forked: a copy of this process would share the peers' threads.
@@ -183,7 +183,7 @@ def measured(name: str, pings: int) -> Taken:
 
 
 def main() -> int:
-    """Measures, prints the table, and says whether the requirement is met."""
+    """Measure, print the table, and print if the requirement is met."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--turns", type=int, default=6, help="turns of each, 1 to 100; default 6")
     options.add_argument("--pings", type=int, default=5000, help="round trips of each turn, 100 to 20000; default 5000")

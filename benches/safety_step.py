@@ -43,7 +43,7 @@ REQUIRED_SAMPLES, REQUIRED_S, REQUIRED_REPEATS = 1_000_000, 0.1, 5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """What is timed, and peers that compute the same: velocity, rendered and grasp force in."""
+    """Timed function, and peers with the same result from velocity, rendered and grasp force."""
 
     name: str
     ours: Work
@@ -53,7 +53,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cost:
-    """ns per sample, least and median of the repeats; none where there is no such peer."""
+    """ns per sample, least and median of the repeats; None without such a peer."""
 
     name: str
     ns: float
@@ -66,7 +66,7 @@ class Cost:
 
 
 def numpy_windowed_energy(velocity: Array, rendered: Array, grasp: Array, window: int = WINDOW) -> Array:
-    """E_wso of Eq. 11 as a difference of cumulative sums."""
+    """Return E_wso of Eq. 11 as a difference of cumulative sums."""
     del rendered
     total = np.cumsum(grasp * velocity)
     total[window:] -= total[:-window].copy()
@@ -74,7 +74,7 @@ def numpy_windowed_energy(velocity: Array, rendered: Array, grasp: Array, window
 
 
 def numpy_safety_force(velocity: Array, rendered: Array, grasp: Array, *, hsc: bool, wsc: bool) -> Array:
-    """F_c of Eq. 13 and 14."""
+    """Return F_c of Eq. 13 and 14."""
     is_unsafe = np.zeros(len(velocity), dtype=bool)
     if hsc:
         push = np.abs(rendered)
@@ -85,7 +85,7 @@ def numpy_safety_force(velocity: Array, rendered: Array, grasp: Array, *, hsc: b
 
 
 def python_windowed_energy(velocity: Array, rendered: Array, grasp: Array, window: int = WINDOW) -> Array:
-    """E_wso with a running sum over a deque."""
+    """Return E_wso with a running sum over a deque."""
     del rendered
     past, total, energies = deque([0.0] * window), 0.0, []
     for v, f in zip(velocity.tolist(), grasp.tolist(), strict=True):
@@ -96,7 +96,7 @@ def python_windowed_energy(velocity: Array, rendered: Array, grasp: Array, windo
 
 
 def python_safety_force(velocity: Array, rendered: Array, grasp: Array, *, hsc: bool, wsc: bool) -> Array:
-    """F_c of Eq. 13 and 14, tick by tick."""
+    """Return F_c of Eq. 13 and 14, tick by tick."""
     past, total, forces = deque([0.0] * WINDOW), 0.0, []
     for v, f_v, f_h in zip(velocity.tolist(), rendered.tolist(), grasp.tolist(), strict=True):
         is_unsafe = False
@@ -111,7 +111,7 @@ def python_safety_force(velocity: Array, rendered: Array, grasp: Array, *, hsc: 
 
 
 def python_limiter(velocity: Array, rendered: Array, grasp: Array) -> Array:
-    """Cap, slew and power on one axis, without ramp."""
+    """Apply cap, slew and power limit on one axis, without ramp."""
     del grasp
     last, forces = 0.0, []
     for v, requested in zip(velocity.tolist(), rendered.tolist(), strict=True):
@@ -125,11 +125,11 @@ def python_limiter(velocity: Array, rendered: Array, grasp: Array) -> Array:
     return np.array(forces)
 
 
-# What is measured
+# Measurements
 
 
 def controlled(*names: Name) -> Work:
-    """F_c of those controllers over all samples."""
+    """Return F_c of those controllers over all samples."""
     device = DeviceModel(mass_kg=MASS_KG)
     controller = SafetyController(device, SafetySettings(names), period_s=PERIOD_S)
 
@@ -141,14 +141,14 @@ def controlled(*names: Name) -> Work:
 
 
 def limited(velocity: Array, rendered: Array, grasp: Array) -> Array:
-    """The limiter over all samples."""
+    """Run the limiter over all samples."""
     del grasp
     limiter = Limiter(LimiterSettings(ramp_in_s=0.0), period_s=PERIOD_S)
     return limiter.run(rendered, velocity)[0]
 
 
 def windowed(window: int) -> Work:
-    """WSO over all samples."""
+    """Run WSO over all samples."""
     device = DeviceModel(mass_kg=MASS_KG)
     observer = WindowedSafetyObserver(device, period_s=PERIOD_S, energy_ratio=RATIO, window=window)
 
@@ -160,7 +160,7 @@ def windowed(window: int) -> Work:
 
 
 def cases() -> list[Case]:
-    """Everything in the table."""
+    """Return all rows of the table."""
     found = [Case(name="VFC", ours=controlled("vfc"))]
     for hsc, wsc in ((True, False), (False, True), (True, True)):
         names: list[Name] = []
@@ -193,7 +193,7 @@ def cases() -> list[Case]:
 
 
 def signals(samples: int) -> tuple[Array, Array, Array]:
-    """A hand that sways, is pushed, and at times lets go: every branch is taken."""
+    """Return a hand that sways, is pushed, and at times lets go: every branch is taken."""
     t = np.arange(samples) * PERIOD_S
     velocity = 0.6 * np.sin(4.1 * t) + 0.3 * np.sin(17.3 * t)
     rendered = 5.0 * np.sin(1.7 * t) + 4.0 * np.sin(0.31 * t)
@@ -202,7 +202,7 @@ def signals(samples: int) -> tuple[Array, Array, Array]:
 
 
 def times_ns(work: Callable[[], object], repeats: int) -> list[int]:
-    """One time for each repeat."""
+    """Return one time per repeat."""
     times = []
     for _ in range(repeats):
         begun = time.perf_counter_ns()
@@ -212,7 +212,7 @@ def times_ns(work: Callable[[], object], repeats: int) -> list[int]:
 
 
 def measure(case: Case, inputs: tuple[Array, Array, Array], repeats: int) -> Cost:
-    """Compares on some samples, then times; the plain Python peer gets a tenth of them."""
+    """Compare on some samples, then time; the plain Python peer gets a tenth of them."""
     samples = len(inputs[0])
     few = tuple(signal[: max(samples // 10, 1)] for signal in inputs)
     for peer in (case.numpy, case.python):
@@ -233,7 +233,7 @@ def measure(case: Case, inputs: tuple[Array, Array, Array], repeats: int) -> Cos
 
 
 def main() -> int:
-    """Measures, prints, and checks the requirement."""
+    """Measure, print, and check the requirement."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--samples", type=int, default=500_000, help="default 500000")
     options.add_argument("--repeats", type=int, default=5, help="default 5")

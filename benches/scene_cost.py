@@ -32,7 +32,7 @@ EXAMPLE = """example:
 """
 SHORT_S, LONG_S = 1.0, 101.0
 MAX_FOR_OBJECTS = 1.5
-"""Cost of 1000 objects out of reach over that of none."""
+"""Cost of 1000 objects out of reach, relative to none."""
 MAX_TICK_NS = {"local, 1 axis": 60.0, "local, 3 axes": 350.0}
 """Required time of an exact tick with the safety layer; on three axes with friction along the motion."""
 MAX_FOR_HELP_S = 0.4
@@ -44,7 +44,7 @@ Tables = dict[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """A scene, and the row that it is compared with."""
+    """Scene, and the row for comparison."""
 
     name: str
     scene: Tables
@@ -53,7 +53,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cost:
-    """ns per tick, least of the repeats, and over the base's."""
+    """ns per tick, least of the repeats, and relative to the base."""
 
     name: str
     ns: float
@@ -63,14 +63,14 @@ class Cost:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Start:
-    """s of a fresh process, least of the repeats."""
+    """Times in s of a fresh process, least of the repeats."""
 
     name: str
     seconds: float
 
 
 def scene(axes: int = 1, *, arm: bool = False, depth: float = -0.02, **tables: Tables) -> Tables:
-    """A hand that trembles `depth` in m inside a wall, or, if it is negative, before it."""
+    """Return a hand that trembles at `depth` in m inside a wall; if negative, before it."""
     wall = {"shape": {"kind": "plane"}, "contact": {"stiffness": 200.0}}
     start = [-depth] + [0.0] * (axes - 1)
     common: Tables = {
@@ -84,7 +84,7 @@ def scene(axes: int = 1, *, arm: bool = False, depth: float = -0.02, **tables: T
 
 
 def far(count: int) -> Tables:
-    """So many balls that nothing reaches."""
+    """Return `count` balls out of reach."""
     ball = {"contact": {"stiffness": 500.0}}
     return {
         "objects": [
@@ -95,7 +95,7 @@ def far(count: int) -> Tables:
 
 
 def rows() -> Iterator[Row]:
-    """Everything in the table, each after its base."""
+    """Yield all rows of the table, each after its base."""
     yield Row(name="local, 1 axis", scene=scene())
     yield Row(name="local, 3 axes", scene=scene(3), base="local, 1 axis")
     joints = {"device": "phantom-desktop", "axes": 3, "friction": "axis"}
@@ -116,10 +116,13 @@ def rows() -> Iterator[Row]:
 
 
 def run_s(scene: Scene) -> float:
-    """Time of a run in s, of a scene that was checked before: of 1000 objects that takes longer than 10 000 ticks."""
+    """Return the time in s of a run.
+
+    The scene is checked first: the check of 1000 objects takes longer than 10 000 ticks.
+    """
     scene_json(scene)
     times = []
-    # The first one after another scene asks for the memory anew that the run before gave back.
+    # After another scene, the first run allocates again the memory that the previous run freed.
     for _ in range(2):
         begun = time.perf_counter()
         simulate(scene)
@@ -128,9 +131,9 @@ def run_s(scene: Scene) -> float:
 
 
 def ticks_ns(found: list[Row], repeats: int) -> Iterator[list[float]]:
-    """Time of one tick of each scene in ns, better from round to round.
+    """Yield the time of one tick of each scene in ns, refined from round to round.
 
-    All scenes take turns, so that a machine that is busy for a while does not spoil one of them.
+    All scenes take turns, so that a temporary load of the machine affects all of them.
     """
 
     def lasting(tables: Tables, duration_s: float) -> Scene:
@@ -145,7 +148,7 @@ def ticks_ns(found: list[Row], repeats: int) -> Iterator[list[float]]:
 
 
 def process_s(*command: str) -> float:
-    """Time of a process in s."""
+    """Return the time of a process in s."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, timeout=60)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -153,7 +156,7 @@ def process_s(*command: str) -> float:
 
 
 def starts() -> list[Start]:
-    """Import, and the help of every command."""
+    """Time the import, and the help of every command."""
     program = (sys.executable, "-m", "haptether")
     found = [
         ("python alone", (sys.executable, "-c", "pass")),
@@ -168,7 +171,7 @@ def starts() -> list[Start]:
 
 
 def loaded_needlessly() -> list[str]:
-    """Libraries that a run of a scene loads and does not use."""
+    """Return the libraries that a scene's run loads without using them."""
     program = f"""
 import sys
 from haptether.cli import main
@@ -180,7 +183,7 @@ print(*sorted(set({UNUSED!r}) & set(sys.modules)), file=sys.stderr)
 
 
 def main() -> int:
-    """Measures, prints, and checks."""
+    """Measure, print, and check."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--repeats", type=int, default=21, help="default 21")
     arguments = options.parse_args()

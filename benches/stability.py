@@ -34,37 +34,37 @@ EXAMPLE = "example: python benches/stability.py --only wall --json -"
 TOLERANCE = 0.01
 SEED = 7
 CLIP = 5.0
-"""Growth beyond e^5 says no more than its sign."""
+"""Growth beyond e^5 gives only its sign."""
 AMPLITUDE = 1e-6
-"""Of the free oscillation, in m: nothing saturates."""
+"""Amplitude in m of the free oscillation: nothing saturates."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Critical:
-    """Where a loop is on the edge of stability."""
+    """Edge of a loop's stability."""
 
     gain: float
     frequency: float
-    """In rad/s."""
+    """Frequency in rad/s."""
     slope: float
     """Growth of the oscillation in 1/s per unit of gain."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """A loop with a gain: its closed form, its sampled form, and its scene."""
+    """Loop with a gain: its closed form, its sampled form, and its scene."""
 
     name: str
     unit: str
     closed: Critical
     sampled: Critical
     printed: float | None
-    """The reference's rounded figure."""
+    """Rounded value of the reference."""
     scene: Callable[[float, float, int], dict[str, Any]]
-    """From gain, duration in s and ticks between samples."""
+    """Returns a scene from gain, duration in s and ticks between samples."""
     period_s: float
     begin_s: float
-    """When what set it off is over."""
+    """Time at which the excitation is over."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,7 +78,7 @@ class Row:
     sampled: float
     simulated: float
     error: float
-    """Of the simulated gain, relative to the closed form."""
+    """Relative error of the simulated gain against the closed form."""
     ticks: int
 
 
@@ -86,7 +86,7 @@ class Row:
 
 
 def first_crossing(curve: Curve, min_rad_s: float, max_rad_s: float) -> Critical:
-    """The least positive gain with a root on the edge, among frequencies from `min_rad_s` to `max_rad_s`."""
+    """Return the least positive gain with a root on the edge, among frequencies from `min_rad_s` to `max_rad_s`."""
     grid = np.geomspace(min_rad_s, max_rad_s, 40_000)
     imaginary = curve(grid).imag
     found: list[Critical] = []
@@ -103,7 +103,7 @@ def first_crossing(curve: Curve, min_rad_s: float, max_rad_s: float) -> Critical
 
 
 def device_response(mass_kg: float, viscous: float, period_s: float, z: Complex) -> tuple[Complex, Complex]:
-    """x(z) and V(z) of `1 / (m s² + b s)` behind a zero-order hold."""
+    """Return x(z) and V(z) of `1 / (m s² + b s)` behind a zero-order hold."""
     if viscous == 0.0:
         decay, glide = 1.0, period_s
         gains = (0.5 * period_s**2 / mass_kg, period_s / mass_kg)
@@ -117,7 +117,7 @@ def device_response(mass_kg: float, viscous: float, period_s: float, z: Complex)
 
 
 def wall(mass_kg: float, viscous: float, damping: float, period_s: float, late: int) -> Curve:
-    """A sampled wall of stiffness K, its damping by differences, `late` ticks late."""
+    """Return the curve of a sampled wall of stiffness K, damped by differences, `late` ticks late."""
 
     def curve(w: Array) -> Complex:
         z = np.exp(1j * w * period_s)
@@ -129,7 +129,7 @@ def wall(mass_kg: float, viscous: float, damping: float, period_s: float, late: 
 
 
 def delayed_spring(mass_kg: float, viscous: float, delay_s: float) -> Critical:
-    """`w tan(w tau) = b / m`, `K = b w / sin(w tau)`."""
+    """Solve `w tan(w tau) = b / m`, `K = b w / sin(w tau)`."""
     ratio = viscous / mass_kg
     w = float(
         scipy.optimize.brentq(
@@ -154,7 +154,7 @@ class Teleoperator:
     """K_e in N/m."""
 
     def continuous(self, round_trip_s: float) -> Curve:
-        """Of the gain lambda, with measured force."""
+        """Return the curve of the gain lambda, with measured force."""
 
         def curve(w: Array) -> Complex:
             s = 1j * w
@@ -166,7 +166,7 @@ class Teleoperator:
         return curve
 
     def sampled(self, period_s: float, late: int) -> Curve:
-        """The same with both ends sampled and held, and a round trip of `late` ticks."""
+        """Return the same with both ends sampled and held, and a round trip of `late` ticks."""
         per_kg = np.array([self.stiffness, self.damping]) / self.slave_kg
         generator = np.zeros((4, 4))
         generator[0, 1] = 1.0
@@ -185,9 +185,9 @@ class Teleoperator:
         return curve
 
     def critical(self, round_trip_s: float) -> Critical:
-        """Of the continuous loop."""
+        """Return the edge of the continuous loop."""
         if round_trip_s == 0.0 and self.master_viscous == 0.0:
-            # lambda = M_m / M_s, whatever the rest: here Im h vanishes at w = sqrt(K_e / M_s).
+            # lambda = M_m / M_s for any other values: here Im h vanishes at w = sqrt(K_e / M_s).
             w = float(np.sqrt(self.spring / self.slave_kg))
             return first_crossing(self.continuous(0.0), 0.5 * w, 2.0 * w)
         return first_crossing(self.continuous(round_trip_s), 1e-2, 1e5 if round_trip_s == 0.0 else 60.0 / round_trip_s)
@@ -197,7 +197,7 @@ class Teleoperator:
 
 
 def common(period_s: float, duration_s: float, every: int) -> dict[str, Any]:
-    """What all scenes here have: nobody holds, nobody watches, nothing bounds the force."""
+    """Return the common part of all scenes: nobody holds, no controller, no limit of the force."""
     return {
         "schema": 1,
         "run": {"duration_s": duration_s, "period_s": period_s},
@@ -209,7 +209,7 @@ def common(period_s: float, duration_s: float, every: int) -> dict[str, Any]:
 def wall_scene(
     mass_kg: float, viscous: float, damping: float, period_s: float, late: int
 ) -> Callable[[float, float, int], dict[str, Any]]:
-    """A device that is let go beside a spring that is rendered late."""
+    """Return scenes of a device that is released beside a spring with delay."""
 
     def scene(stiffness: float, duration_s: float, every: int) -> dict[str, Any]:
         spring = {"shape": {"kind": "spring"}, "contact": {"stiffness": stiffness, "damping": damping}}
@@ -227,7 +227,7 @@ PUSH_S = 0.02
 def teleoperator_scene(
     plant: Teleoperator, period_s: float, delays: tuple[int, int]
 ) -> Callable[[float, float, int], dict[str, Any]]:
-    """Both endpoints, `delays` in ticks apart, and a push on the arm once they have engaged and faded in."""
+    """Return scenes with both endpoints, `delays` in ticks apart; after engagement and fade-in the arm is pushed."""
     forward, backward = (round(ticks * period_s, 12) for ticks in delays)
 
     def scene(force_scale: float, duration_s: float, every: int) -> dict[str, Any]:
@@ -282,7 +282,7 @@ ROUND_TRIPS = (
 
 
 def wall_cases() -> Iterator[Case]:
-    """Section 4.1: the closed form is that of the sampled loop."""
+    """Yield section 4.1: the closed form is that of the sampled loop."""
     mass_kg, viscous = 0.1, 0.5
     for period_s, late, *printed in WALLS:
         for damping, figure in zip((0.0, 2.0), printed, strict=True):
@@ -301,11 +301,11 @@ def wall_cases() -> Iterator[Case]:
 
 
 SPRING_TICKS = 49
-"""By how many ticks the sampled spring is late; half a tick comes from the hold."""
+"""Delay of the sampled spring in ticks; the hold adds half a tick."""
 
 
 def spring_cases() -> Iterator[Case]:
-    """Section 4.2, with so short a period that the hold is half a period of delay and no more."""
+    """Yield section 4.2, with a period so short that the hold acts as half a period of delay."""
     for mass_kg, viscous, printed in SPRINGS:
         for delay_s, figure in zip(DELAYS_S, printed, strict=True):
             period_s = round(delay_s / (SPRING_TICKS + 0.5) * 1e9) * 1e-9
@@ -328,10 +328,10 @@ PERIODS_S = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
 def teleoperator_case(
     name: str, plant: Teleoperator, round_trip_s: float, printed: float | None, *, within: float = 2e-3
 ) -> Case:
-    """Sampled as coarsely as the closed form allows: its critical gain must be within a share of the continuous one.
+    """Return a case sampled as coarsely as keeps its critical gain within a share of the continuous one.
 
-    Both holds together are one period of delay. A wire without delay is another, for the master hears of a tick of
-    the slave at its next.
+    Both holds together are one period of delay. A wire without delay adds another: the master receives a tick of the
+    slave at its next tick.
     """
     closed = plant.critical(round_trip_s)
     for period_s in PERIODS_S:
@@ -356,7 +356,7 @@ def teleoperator_case(
 
 
 def teleoperator_cases(plants: int = 4, *, within: float = 2e-3) -> Iterator[Case]:
-    """Section 4.3; `within` as `teleoperator_case` has it."""
+    """Yield section 4.3; `within` as in `teleoperator_case`."""
     draw = np.random.default_rng(SEED)
     for number in range(plants):
         masses = np.exp(draw.uniform(np.log([0.05, 0.5]), np.log([1.0, 5.0])))
@@ -379,13 +379,13 @@ def teleoperator_cases(plants: int = 4, *, within: float = 2e-3) -> Iterator[Cas
 
 
 def damped_plant(viscous: float, spring: float) -> Teleoperator:
-    """The plant of the reference's tables."""
+    """Return the plant of the reference's tables."""
     return Teleoperator(
         master_kg=0.1, master_viscous=viscous, slave_kg=2.0, stiffness=800.0, damping=80.0, spring=spring
     )
 
 
-# What is measured
+# Measurements
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -398,7 +398,7 @@ class Windows:
 
     @classmethod
     def of(cls, case: Case) -> "Windows":
-        """Long enough apart that 1 % of gain changes the amplitude by 5 %."""
+        """Return windows so far apart that 1 % of gain changes the amplitude by 5 %."""
         period_s = 2.0 * np.pi / case.sampled.frequency
         rate = abs(case.sampled.slope) * 0.01 * case.sampled.gain
         periods = max(12, int(np.ceil(0.05 / (rate * period_s))))
@@ -406,12 +406,12 @@ class Windows:
 
     @property
     def end_s(self) -> float:
-        """When the second one ends."""
+        """Time at which the second window ends."""
         return self.first_s + self.apart_s + self.span_s
 
 
 def growth(case: Case, windows: Windows, gain: float) -> float:
-    """Ln of the ratio of the amplitudes in the two windows."""
+    """Return the logarithm of the amplitude ratio of the two windows."""
     every = max(1, int(2.0 * np.pi / case.sampled.frequency / case.period_s / 200.0))
     duration_s = windows.end_s + 2.0 * case.period_s * every
     run = simulate(msgspec.convert(case.scene(gain, duration_s, every), Scene))
@@ -430,7 +430,7 @@ def growth(case: Case, windows: Windows, gain: float) -> float:
 
 
 def measure(case: Case, tolerance: float = 5e-4) -> Row:
-    """Bisects the simulated edge of stability, to a relative `tolerance`."""
+    """Bisect the simulated edge of stability to a relative `tolerance`."""
     windows = Windows.of(case)
 
     def grows(gain: float) -> float:
@@ -462,7 +462,7 @@ CASES: dict[str, Callable[[], Iterator[Case]]] = {
 
 
 def main() -> int:
-    """Measures, prints, and checks every row."""
+    """Measure, print, and check every row."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--only", choices=CASES, help="one of the tables; default all")
     arguments = options.parse_args()

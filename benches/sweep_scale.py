@@ -92,7 +92,7 @@ print(json.dumps({"rows": rows, "stored_s": stored_s, "engine_rows_per_s": rows 
 
 
 def measured(rows: int | None, threads: int) -> dict[str, Any]:
-    """Times in s, rates in rows/s and peak memory in MiB, in a process of its own: of so many rows, or of the study."""
+    """Return times in s, rates in rows/s and peak memory in MiB, from its own process: of `rows` rows or the study."""
     with tempfile.TemporaryDirectory() as folder:
         child = [sys.executable, "-c", STUDY, str(threads), folder]
         if rows is not None:
@@ -113,7 +113,7 @@ def measured(rows: int | None, threads: int) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Measures, prints the table, and says whether the requirement is met."""
+    """Measure, print the table, and print if the requirement is met."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--rows", type=int, nargs="+", default=[1000, 10_000, 100_000], help="default %(default)s")
     options.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)), help="default %(default)s")

@@ -51,11 +51,11 @@ SETTINGS = (
     "safety.window=10",
     "safety.wsc_force_threshold_n=0.1",
 )
-"""WSC with the window and the gate of docs/thresholds.md; the other fields are the scene's."""
+"""WSC with the window and the gate of docs/thresholds.md; the scene sets the other fields."""
 
 
 class Pair(NamedTuple):
-    """A boundary of one set, and how often the other set exceeds it, against the prediction."""
+    """Boundary of one set, and its exceedances in the other set, against the prediction."""
 
     task: str
     field: str
@@ -68,7 +68,7 @@ class Pair(NamedTuple):
 
 
 def main() -> int:
-    """Simulates, tunes and counts; 1 where fewer held-out counts lie within their intervals than chance explains."""
+    """Simulate, tune and count; return 1 if fewer held-out counts are in their intervals than chance explains."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--task", nargs="+", default=["remote_push"], help="bundled scenes of two sides")
     options.add_argument("--pairs", type=int, default=40, help="pairs of sets, of each task")
@@ -103,7 +103,7 @@ def main() -> int:
 
 
 def _pairs(task: Task, chosen: argparse.Namespace) -> tuple[list[Pair], dict[str, tuple[Exceedances, float]]]:
-    """The pairs of a task; by field the events of all its recordings, with their hours."""
+    """Return the pairs of a task, and by field the events of all its recordings with their hours."""
     bounds, count = HandBounds(), chosen.recordings
     lasting = task.lasting(bounds)
     hands = task.hands(2 * count * chosen.pairs, chosen.seed, bounds)
@@ -129,7 +129,7 @@ def _pair(
     hands: dict[str, Array],
     chosen: argparse.Namespace,
 ) -> Pair | None:
-    """The boundary of the first set against the second, that of `hands`; none where none keeps the rate."""
+    """Return the boundary of the first set against the second, that of `hands`; None if no boundary keeps the rate."""
     tuned, held_out = sets
     boundary = _events(tuned, field).at_most(chosen.false_trips_per_h, chosen.confidence)
     if boundary is None:
@@ -148,7 +148,7 @@ def _pair(
 
 
 def _recordings(task: Task, hands: dict[str, Array], lasting: Scene, folder: Path) -> Iterator[Path]:
-    """One of each hand, with no controller that intervenes."""
+    """Yield one recording of each hand, without an intervening controller."""
     for number in range(len(hands["run.seed"])):
         changes = [
             f"{path}={int(values[number]) if path == 'run.seed' else float(values[number])!r}"
@@ -165,7 +165,7 @@ def _events(recorded: NormalOperation, field: str) -> Exceedances:
 
 
 def _joined(sets: list[NormalOperation], field: str, hours: float) -> Exceedances:
-    """All recordings as one series."""
+    """Join all recordings into one series."""
     scores = [each.scores[field] for each in sets]
     apart = 10**10
     joined = type(scores[0])(
@@ -177,7 +177,7 @@ def _joined(sets: list[NormalOperation], field: str, hours: float) -> Exceedance
 
 
 def _closed_loop(task: Task, hands: dict[str, Array], field: str, value: float) -> tuple[int, float]:
-    """False trips of hands while the controller watches with the threshold, and the hours that they held."""
+    """Return false trips of hands under a controller with the threshold, and the hours that they held."""
     lasting = task.lasting(HandBounds())
     about = TUNED_FIELDS[field]
     watched = task.with_controllers(lasting, about.controller, {field: about.sign * value})

@@ -30,7 +30,7 @@ MAX_TRIES = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """What was measured with some options."""
+    """Measurements with some options."""
 
     mode: str
     version: str
@@ -39,25 +39,28 @@ class Row:
     period_p50_s: float
     period_p99_s: float
     overshoot: float | None
-    """Of a step of the model of servoj."""
+    """Overshoot of a step in the model of servoj."""
 
 
 def overshoot(lookahead_s: float, gain: float) -> float:
-    """Of a step: `exp(-pi z / sqrt(1 - z^2))`, z = lookahead sqrt(gain) / 2; any text on second-order systems."""
+    """Return `exp(-pi z / sqrt(1 - z^2))` for a step, z = lookahead sqrt(gain) / 2.
+
+    Source: any text on second-order systems.
+    """
     damping = 0.5 * lookahead_s * math.sqrt(gain)
     return 0.0 if damping >= 1.0 else math.exp(-math.pi * damping / math.sqrt(1.0 - damping * damping))
 
 
 def measure(mode: str, version: str, options: dict[str, float], seconds: float) -> Row:
-    """Leads an emulated arm for a time in s."""
+    """Lead an emulated arm for a time in s."""
     command = [sys.executable, "-m", "haptether", "ur-emulator", "--host", HOST, "--version", version, "--control", "-"]
     emulator = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         assert emulator.stdout is not None
         emulator.stdout.readline()
-        # Until its first cycles are behind it.
+        # The first cycles have passed by then.
         time.sleep(1.0)
-        # A shared machine may stall for longer than the 100 ms of the default.
+        # A shared machine may stall for longer than the default's 100 ms.
         arm = UrSlave(host=HOST, mode=mode, watchdog_hz=5.0, **options)
         arm.open()
         try:
@@ -105,7 +108,7 @@ def _led(arm: UrSlave, seconds: float) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Measures all rows."""
+    """Measure all rows."""
     line = bench_options(__doc__, EXAMPLE)
     line.add_argument("--seconds", type=float, default=5.0, help="of motion for each row")
     arguments = line.parse_args()
@@ -122,7 +125,7 @@ def main() -> int:
                 rows.append(measure(mode, version, options, arguments.seconds))
                 break
             except RuntimeError as error:
-                # A machine that stalls for 100 ms has made the driver stop, as it should.
+                # On a machine that stalls for 100 ms the driver stops, as required.
                 print(f"{mode} {options}: {error}", file=sys.stderr)
                 if not left:
                     raise

@@ -52,7 +52,7 @@ EXACT = "exact"
 STEPS_S = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
 MASS_KG, VISCOUS, COULOMB_N = 0.157, -0.005, 0.038
 OTHER_STEP_S = 0.61e-3
-"""Longest step of the run of DOP853 that says how far the reference can be trusted."""
+"""Longest step of the DOP853 run that estimates the reference's accuracy."""
 REQUIRED = 1e-12
 CONTACTS = 10_000
 UNWATCHED = SafetyTable(signals="true", limiter=LimiterTable(enabled=False))
@@ -62,7 +62,7 @@ UNWATCHED = SafetyTable(signals="true", limiter=LimiterTable(enabled=False))
 
 
 def wall(stiffness: float, damping: float = 0.0) -> tuple[ObjectTable, ...]:
-    """A wall that fills x < 0."""
+    """Return a wall that fills x < 0."""
     return (ObjectTable(contact=ContactTable(stiffness=stiffness, damping=damping)),)
 
 
@@ -135,7 +135,7 @@ def held() -> Scene:
 
 
 def thrown(scene: Scene) -> Motion:
-    """The closed form of `throw`: `-D cos(w t)` for a quarter of a period, then `w D`."""
+    """Return the closed form of `throw`: `-D cos(w t)` for a quarter of a period, then `w D`."""
     depth, rate = 0.039, sqrt(200.0 / MASS_KG)
     leaves = 0.5 * pi / rate
     time_s = ticks_of(scene)
@@ -148,19 +148,19 @@ def thrown(scene: Scene) -> Motion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """What is run, what is held against it, and SciPy's way to compute the same."""
+    """Scene, its reference, and the equivalent in SciPy."""
 
     name: str
     scene: Scene
     reference: Callable[[Scene], Motion]
     scipy: Callable[[Scene], Motion] = integrate
     energy_j: float | None = None
-    """m V² / 2 at the end, where a closed form has it."""
+    """m V² / 2 at the end, if a closed form gives it."""
     note: str = ""
 
 
 def scenarios() -> list[Scenario]:
-    """Everything in the table."""
+    """Return all rows of the table."""
     other = partial(integrate, max_step_s=OTHER_STEP_S)
     return [
         Scenario(name="throw", scene=throw(), reference=thrown, energy_j=0.5 * 200.0 * 0.039**2),
@@ -178,12 +178,12 @@ def scenarios() -> list[Scenario]:
     ]
 
 
-# What is measured
+# Measurements
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """Time per simulated second, and errors: largest at any tick, of the peak, of the last break of a contact."""
+    """Time per simulated second, and errors: largest at any tick, of the peak, of the last contact's end."""
 
     method: str
     step_s: float | None
@@ -210,19 +210,19 @@ class Panel:
 
 
 def ran(scene: Scene, *, recorded: bool = True) -> Run:
-    """One run of the engine."""
+    """Run the engine once."""
     return simulate(replace(scene, record=RecordTable() if recorded else None))
 
 
 def seconds(scene: Scene, repeats: int) -> float:
-    """The call of the engine, without records: least of the repeats, less that of a scene of one tick."""
+    """Return the engine's time without records: least of the repeats, minus that of a scene of one tick."""
     one = replace(scene, run=replace(scene.run, duration_s=scene.run.period_s))
     whole, start = (min(ran(some, recorded=False).metrics.wall_time_s for _ in range(repeats)) for some in (scene, one))
     return whole - start
 
 
 def timed(compute: Callable[[], Done], repeats: int) -> tuple[Done, float]:
-    """What a call returns, and its time in s, least of the repeats."""
+    """Return a call's result, and its time in s, least of the repeats."""
     times = []
     for _ in range(repeats):
         begun = time.perf_counter()
@@ -233,7 +233,7 @@ def timed(compute: Callable[[], Done], repeats: int) -> tuple[Done, float]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Computed:
-    """A motion, when in s the wall was last left, and how long in s it took to compute."""
+    """Motion, last time in s that the wall was left, and computing time in s."""
 
     method: str
     step_s: float | None = None
@@ -244,7 +244,7 @@ class Computed:
 
 
 def by_engine(scene: Scene, repeats: int) -> Computed:
-    """The engine's."""
+    """Return the engine's motion."""
     run = ran(scene)
     return Computed(
         method=EXACT,
@@ -256,7 +256,7 @@ def by_engine(scene: Scene, repeats: int) -> Computed:
 
 
 def by_steps(scene: Scene, method: Method, step_s: float, repeats: int) -> Computed:
-    """That of a method with steps."""
+    """Return the motion of a fixed-step method."""
     done, took_s = timed(partial(step, scene, method, step_s, numba=True), repeats)
     return Computed(
         method=method, step_s=step_s, position=done.position, velocity=done.velocity, left_s=done.left_s, took_s=took_s
@@ -264,7 +264,7 @@ def by_steps(scene: Scene, method: Method, step_s: float, repeats: int) -> Compu
 
 
 def score(scenario: Scenario, truth: Motion, found: Computed, scipy_s: float) -> Score:
-    """A motion against the true one."""
+    """Compare a motion with the true one."""
     energy = None
     if scenario.energy_j is not None:
         energy = abs(0.5 * MASS_KG * float(found.velocity[-1]) ** 2 / scenario.energy_j - 1.0)
@@ -281,14 +281,14 @@ def score(scenario: Scenario, truth: Motion, found: Computed, scipy_s: float) ->
 
 
 def measure(scenario: Scenario, repeats: int, scipy_repeats: int) -> Panel:
-    """All methods of one scenario."""
+    """Measure all methods of one scenario."""
     truth, scene = scenario.reference(scenario.scene), scenario.scene
     peer, scipy_s = timed(partial(scenario.scipy, scene), scipy_repeats)
     floor = float(np.abs(peer.position - truth.position).max())
     found = [by_engine(scene, repeats)]
     found += [by_steps(scene, method, step_s, repeats) for method in METHODS for step_s in STEPS_S]
     ours, *peers = (score(scenario, truth, one, scipy_s) for one in found)
-    # Below what the reference itself is good for, no method is better than another.
+    # Below the accuracy of the reference no method is better than another.
     known = 0.0 if scenario.reference in (thrown, recursion) else floor
     dominated_by = [
         f"{one.method} at {one.step_s:g} s"
@@ -314,7 +314,7 @@ STRESSES = {
 
 
 def release_errors() -> dict[float, float]:
-    """Relative error of the velocity at which an undamped wall of K throws a bare mass from depth D: sqrt(K/m) D."""
+    """Return the relative velocity error when an undamped wall of K throws a bare mass from depth D: sqrt(K/m) D."""
     errors = {}
     for stiffness in np.logspace(1, 6, 21).tolist():
         depth = min(7.8 / stiffness, 0.05)
@@ -330,9 +330,9 @@ def release_errors() -> dict[float, float]:
 
 
 def bounce_error(contacts: int = CONTACTS) -> tuple[float, int]:
-    """Largest relative error of the energy of an undamped bounce, and how many contacts were made."""
+    """Return the largest relative energy error of an undamped bounce, and the number of contacts."""
     height, force, stiffness = 1e-3, 1.0, 1e5
-    # Up and down, and what the contact lasts: half a period, and the part that the force adds.
+    # Up and down, and the contact: half a period, and the part that the force adds.
     lasts = 2.0 * sqrt(2.0 * height * MASS_KG / force) + 1.1 * pi * sqrt(MASS_KG / stiffness)
     scene = Scene(
         schema=1,
@@ -350,16 +350,16 @@ def bounce_error(contacts: int = CONTACTS) -> tuple[float, int]:
     return float(np.abs(energy / (force * height) - 1.0).max()), made
 
 
-# What is shown
+# Output
 
 
 def figures(value: float | None, form: str = ".1e") -> str:
-    """A number of the table, or a dash."""
+    """Format a number of the table, or a dash."""
     return "-" if value is None else format(value, form)
 
 
 def report(panels: Iterable[Panel], out: TextIO) -> None:
-    """The tables."""
+    """Print the tables."""
     for panel in panels:
         print(f"{panel.scenario}: {panel.stresses}", file=out)
         if panel.note:
@@ -385,7 +385,7 @@ the error of DOP853 is against the closed form or the recursion, else against it
 
 
 def plot(panels: list[Panel], folder: Path) -> Path:
-    """A panel per scenario: run time on x, error on y."""
+    """Plot a panel per scenario: run time on x, error on y."""
     import matplotlib as mpl  # noqa: PLC0415 (only when asked for)
 
     mpl.use("Agg")
@@ -418,7 +418,7 @@ def plot(panels: list[Panel], folder: Path) -> Path:
 
 
 def main() -> int:
-    """Measures, prints, and checks the engine."""
+    """Measure, print, and check the engine."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--plot", metavar="DIR", type=Path, help="writes work_precision.png there")
     options.add_argument("--repeats", type=int, default=20, help="the least time counts (default 20)")

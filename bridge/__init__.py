@@ -1,4 +1,4 @@
-"""The bridge: both sides coupled, in virtual time and over UDP, and the scenes that say what is coupled."""
+"""Bridge: couple both sides in virtual time and over UDP, from a scene."""
 
 from haptether._core import (
     LinkStatistics,

@@ -1,4 +1,4 @@
-"""What codes and bits of signals mean, as the registries of controllers and ladder states have it."""
+"""Names and meanings of codes and bits in signals, from the registries of controllers and ladder states."""
 
 from typing import NamedTuple
 
@@ -6,13 +6,13 @@ from haptether import _core
 
 
 class ObservedSignal(NamedTuple):
-    """What a controller observes."""
+    """Signal that a controller observes."""
 
     signal: str
     """Its name in traces, recordings and telemetry."""
     symbol: str
     unit: str
-    """Empty where it has none."""
+    """Empty if the signal has no unit."""
 
     @property
     def label(self) -> str:
@@ -26,11 +26,11 @@ def _observed(signal: str, label: str) -> ObservedSignal:
 
 
 TRIP_BITS = dict(_core.TRIP_BITS)
-"""The bit of each controller in `tripped`, in the order of the registry, and of "held" behind them."""
+"""Bit of each controller in `tripped`, in registry order; "held" comes last."""
 OBSERVED_SIGNALS = {name: _observed(signal, label) for name, signal, label in _core.OBSERVED}
-"""What each controller observes, in the order of the registry."""
+"""Signal that each controller observes, in registry order."""
 LADDER_STATES = _core.LADDER_STATES
-"""States of the ladder; the place of each is its code."""
+"""Ladder states; the index of a state is its code."""
 
 
 def tripped_names(bits: int) -> tuple[str, ...]:

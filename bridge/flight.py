@@ -1,4 +1,4 @@
-"""Why two sides are not coupled, as a side states it, and the file of its flight recorder."""
+"""Flight recorder files, and the causes a side states for not being coupled."""
 
 from pathlib import Path
 
@@ -8,15 +8,15 @@ from haptether.input_file import read_text
 
 SCHEMA = 1
 MAX_BYTES = 1 << 24
-"""Largest file; a flight recorder writes some 100 kB."""
+"""Largest accepted file; a flight recorder writes about 100 kB."""
 
 
 def read_flight(path: Path) -> "Flight":
-    """Reads what a flight recorder wrote.
+    """Read a flight recorder file.
 
     Raises:
-        ValueError: The file is none, or of another version.
-        OSError: It cannot be read.
+        ValueError: The file is invalid or has another schema version.
+        OSError: The file cannot be read.
     """
     try:
         flight = msgspec.json.decode(read_text(path, MAX_BYTES), type=Flight)
@@ -30,7 +30,7 @@ def read_flight(path: Path) -> "Flight":
 
 
 class Step(msgspec.Struct, frozen=True, kw_only=True):
-    """Something to be done before two sides couple again."""
+    """Step required before two sides couple again."""
 
     at: str
     """"master", "slave" or "link"."""
@@ -40,29 +40,29 @@ class Step(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Cause(msgspec.Struct, frozen=True, kw_only=True):
-    """Why two sides are not coupled, as one of them knows it.
+    """Reason why two sides are not coupled, as one side knows it.
 
-    A subclass adds the time, which is not keyword-only: so it comes first where it is encoded.
+    A subclass adds the time, which is not keyword-only, so that it is encoded first.
     """
 
     state: str
-    """Of the ladder of the side that knows it."""
+    """Ladder state of the side that reports the cause."""
     at: str
-    """Where it happened: "master", "slave" or "link"."""
+    """Origin: "master", "slave" or "link"."""
     text: str
-    """What, in the driver's own words where there are any."""
+    """Description, in the driver's words if it gave any."""
     steps: list[Step]
-    """What to do, in this order."""
+    """Steps to take, in order."""
 
 
 class FlightCause(Cause, frozen=True):
-    """Why two sides were not coupled at a time of a flight."""
+    """Cause with the time at which it held."""
 
     time_s: float
 
 
 class Transition(msgspec.Struct, frozen=True, kw_only=True):
-    """A step of the ladder."""
+    """Ladder transition."""
 
     time_s: float
     from_: str = msgspec.field(name="from")
@@ -71,7 +71,7 @@ class Transition(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Trip(msgspec.Struct, frozen=True, kw_only=True):
-    """A controller that intervened, and what its observer saw when it tripped."""
+    """Controller that intervened, and the observed value when it tripped."""
 
     controller: str
     observer: str
@@ -86,12 +86,12 @@ class Trip(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Intervention(msgspec.Struct, frozen=True, kw_only=True):
-    """Ticks that lie together at which controllers acted."""
+    """Group of consecutive ticks at which controllers acted."""
 
     time_s: float
     until_s: float
     layer: str = "translation"
-    """"translation", "rotation" or "trigger": each has observers and thresholds of its own."""
+    """"translation", "rotation" or "trigger"; each layer has its own observers and thresholds."""
     trips: list[Trip]
 
     def __str__(self) -> str:
@@ -101,7 +101,7 @@ class Intervention(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Tick(msgspec.Struct, frozen=True, kw_only=True):
-    """A tick of a side; null stands for what is no finite number."""
+    """One tick of a side; null stands for a value that is not finite."""
 
     time_s: float
     state: str
@@ -109,7 +109,7 @@ class Tick(msgspec.Struct, frozen=True, kw_only=True):
     age_s: float | None
     clutch: bool
     gain: float | None
-    """The ladder's share; none of a recorded slave, which does not keep it."""
+    """Gain of the ladder; None in a recorded slave, which does not store it."""
     tripped: list[str] = []
     position: list[float | None]
     command: list[float | None]
@@ -117,7 +117,7 @@ class Tick(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Flight(msgspec.Struct, frozen=True, kw_only=True):
-    """What a flight recorder wrote."""
+    """Content of a flight recorder file."""
 
     schema: int
     side: str

@@ -1,4 +1,4 @@
-"""Python's interpreter as the loop of a driver needs it."""
+"""Settings of the Python interpreter for driver loops."""
 
 import contextlib
 import gc
@@ -8,32 +8,32 @@ import threading
 from dataclasses import dataclass, field
 
 SWITCH_S = 2e-4
-"""How long another thread may keep the interpreter while a loop waits for it; Python's own 5 ms are five ticks."""
+"""Longest time another thread may hold the interpreter while a loop waits; Python's default of 5 ms is five ticks."""
 HOLDER_PRIORITY = 1
-"""Under SCHED_FIFO, of threads that may hold the interpreter beside a loop in real time; below all such loops."""
+"""SCHED_FIFO priority of threads that may hold the interpreter beside a real-time loop; below every such loop."""
 
 
 @dataclass
 class Quiet:
-    """No garbage collection in a tick, and other threads switched out early, from the first loop to the last.
+    """Disable garbage collection and shorten the thread switch interval while any loop runs.
 
-    Loops of one process share it: who ends first must not bring back what another still has to be without.
+    The loops of a process share one instance: the first to end must not restore settings that another still needs.
     """
 
     loops: int = 0
-    """How many run."""
+    """Number of running loops."""
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _switch_s: float = 0.0
     _collects: bool = False
     _raised: set[int] = field(default_factory=set)
-    """System's numbers of the threads whose priority is to be given back."""
+    """Native identifiers of threads whose priority must be restored."""
 
     def begin(self) -> None:
-        """One loop more."""
+        """Register a loop."""
         with self._lock:
             self.loops += 1
             if self.loops > 1:
-                # To collect all now would hold up the loop that runs.
+                # A collection now would delay the loop that already runs.
                 return
             self._switch_s, self._collects = sys.getswitchinterval(), gc.isenabled()
             gc.collect()
@@ -42,10 +42,11 @@ class Quiet:
             sys.setswitchinterval(SWITCH_S)
 
     def settle(self) -> None:
-        """Takes what a device made while it opened out of every later collection; nothing where no loop has begun.
+        """Exclude objects made while a device opened from later collections; no effect if no loop runs.
 
-        Modules of kinematics and of a vendor are 10^5 objects that are young at first: a collection of the young would
-        keep the interpreter for 6 ms and more, just when somebody engages.
+        Kinematics and vendor modules create 10^5 young objects. A collection of the young generation would hold the
+        interpreter
+        for 6 ms or more, possibly during engagement.
         """
         with self._lock:
             if self.loops == 1:
@@ -54,10 +55,10 @@ class Quiet:
                 gc.freeze()
 
     def prioritise(self) -> None:
-        """Raises the other threads of Python above ordinary processes, where the calling loop has real time.
+        """Raise the other Python threads above ordinary processes if the calling loop has real-time priority.
 
-        A thread that holds the interpreter and waits for a processor holds up the loop that waits for the interpreter,
-        whatever the loop's priority: the interpreter's lock passes no priority on (priority inversion).
+        A thread that holds the interpreter lock while it waits for a processor delays the loop that waits for the lock.
+        The loop's priority does not help, because the lock has no priority inheritance (priority inversion).
         """
         with self._lock, contextlib.suppress(OSError, AttributeError):
             if not self.loops or os.sched_getscheduler(0) != os.SCHED_FIFO:
@@ -69,14 +70,14 @@ class Quiet:
                     self._raised.add(number)
 
     def end(self) -> None:
-        """One loop less; after the last, all is as before the first."""
+        """Unregister a loop; after the last one, restore the initial settings."""
         with self._lock:
             self.loops -= 1
             if self.loops > 0:
                 return
             sys.setswitchinterval(self._switch_s)
             gc.unfreeze()
-            # The number of one that has ended may be another process's by now.
+            # The identifier of an ended thread may already belong to another process.
             for number in self._raised.intersection(thread.native_id or 0 for thread in threading.enumerate()):
                 with contextlib.suppress(OSError):
                     os.sched_setscheduler(number, os.SCHED_OTHER, os.sched_param(0))
@@ -86,4 +87,4 @@ class Quiet:
 
 
 QUIET = Quiet()
-"""Of this process."""
+"""Instance of this process."""

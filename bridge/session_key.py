@@ -1,4 +1,4 @@
-"""The key that both sides of a session share, as a file: two lines of text, for its owner's eyes only."""
+"""File with the key that both sides of a session share: two lines of text, readable by the owner only."""
 
 import base64
 import binascii
@@ -15,21 +15,21 @@ KEY_BYTES = 32
 HEADER = "haptether session key 1"
 LONGEST_FILE = 4096
 MIN_DISTINCT = 8
-"""Different byte values in a key: fewer are none that was drawn at random."""
+"""Smallest number of distinct byte values in a key; fewer cannot be random."""
 _ENCODED = 44
 _SEXTETS = {code: n for n, code in enumerate(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/")}
 
 
 def write_key(path: Path, *, replace: bool = False) -> None:
-    """Makes a key of 32 random bytes and writes it to `path`, which nobody but its owner may read or write.
+    """Create a key of 32 random bytes and write it to `path` with mode 0600.
 
     Args:
-        path: Where to; the folder must exist.
-        replace: Whether a file that is there gives way. The key in it is lost.
+        path: Target file; its folder must exist.
+        replace: True to replace an existing file; its key is lost.
 
     Raises:
-        FileExistsError: There is a file, and `replace` is not set.
-        FileNotFoundError: The folder is not there.
+        FileExistsError: The file exists, and `replace` is not set.
+        FileNotFoundError: The folder does not exist.
         OSError: The file cannot be written.
     """
     if not path.parent.is_dir():
@@ -49,7 +49,7 @@ def write_key(path: Path, *, replace: bool = False) -> None:
     if not path.is_symlink() and path.exists() and not path.is_file():
         message = f"{path}: is no plain file: give another"
         raise OSError(message)
-    # Whole or not at all, and never for a moment with the mode of the file before.
+    # Write atomically, and never with the mode of the previous file.
     beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
         _write_new(beside, text)
@@ -63,7 +63,7 @@ def _write_new(path: Path, text: str) -> None:
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW
     descriptor = os.open(path, flags, 0o600)
     with os.fdopen(descriptor, "w", encoding="ascii") as file:
-        # The umask may have taken the owner's own rights.
+        # The umask may have removed permissions of the owner.
         os.fchmod(file.fileno(), 0o600)
         file.write(text)
         file.flush()
@@ -71,14 +71,14 @@ def _write_new(path: Path, text: str) -> None:
 
 
 def read_key(path: Path) -> bytearray:
-    """The 32 bytes of a key file that :func:`write_key` made, and no other copy: to be wiped by :func:`wipe_key`.
+    """Read the 32 bytes of a key file from :func:`write_key` without further copies; :func:`wipe_key` erases them.
 
     Raises:
-        ValueError: It is no plain file, others may read or write it, or it holds no key, or a weak one.
-        OSError: It cannot be read.
+        ValueError: Not a plain file, accessible to others, or without a strong key.
+        OSError: The file cannot be read.
     """
     try:
-        # Not blocked by a pipe, and not led elsewhere by a link.
+        # Do not block on a pipe, and do not follow a link.
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
     except OSError as error:
         if error.errno == errno.ELOOP:
@@ -86,7 +86,7 @@ def read_key(path: Path) -> bytearray:
             raise ValueError(message) from error
         raise
     try:
-        # Read from the open file: what the path leads to may change in between.
+        # Use the open file, because the target of the path may change in between.
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
             message = f"{path}: is no plain file, must be a key file"
@@ -115,12 +115,12 @@ def read_key(path: Path) -> bytearray:
 
 
 def wipe_key(key: bytearray) -> None:
-    """Overwrites a key in place with zeros."""
+    """Overwrite a key in place with zeros."""
     key[:] = bytes(len(key))
 
 
 def _decoded(content: bytearray, length: int) -> bytearray | None:
-    """The key of a key file's content, decoded in place: `base64` would leave copies that nobody can wipe."""
+    """Decode the key of a file in place; `base64` would leave copies that cannot be wiped."""
     start = content.find(b"\n", 0, length) + 1
     if length > LONGEST_FILE or bytes(content[:start]).removeprefix(BOM).strip() != HEADER.encode():
         return None
@@ -137,7 +137,7 @@ def _decoded(content: bytearray, length: int) -> bytearray | None:
             wipe_key(key)
             return None
         at, shift = divmod(6 * n, 8)
-        # The sextet's bits from bit `shift` of byte `at` on; the last has two bits that are none of the key's.
+        # Place the sextet from bit `shift` of byte `at` on; the last one has two unused bits.
         bits = sextet << 10 - shift
         key[at] |= bits >> 8
         if at + 1 < KEY_BYTES:
@@ -146,7 +146,7 @@ def _decoded(content: bytearray, length: int) -> bytearray | None:
 
 
 def _refuse(path: Path, content: bytes) -> NoReturn:
-    """Says why the content of a key file is no key.
+    """Raise an error that says why the content is not a key.
 
     Raises:
         ValueError: Always.

@@ -1,4 +1,4 @@
-"""Reading what a live loop sends of itself while it runs."""
+"""Reader of the telemetry that a live loop sends."""
 
 import contextlib
 import os
@@ -15,70 +15,71 @@ from haptether.bridge.flight import Cause
 
 SCHEMA = 1
 MAX_LINE = 1 << 20
-"""Bytes of the longest line that is read."""
+"""Longest accepted line in bytes."""
 LARGEST = 1e300
-"""Numbers of a sample are below it."""
+"""Upper bound of numbers in a sample."""
 
 
 class TelemetrySignal(msgspec.Struct, frozen=True, kw_only=True):
-    """A signal of the samples."""
+    """Description of a signal in the samples."""
 
     name: str
     kind: str
     """"axes", "number", "bits", "count", "name" or "flag"."""
     size: int
-    """Number of axes; 1 of all else."""
+    """Number of axes; 1 for other kinds."""
     meaning: str
-    """What it is, with its unit."""
+    """Meaning and unit."""
 
 
 class TelemetryHello(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="hello"):
-    """Whose samples these are."""
+    """Description of the sender."""
 
     schema: int
     side: str
     """"master" or "slave"."""
     security: str
-    """"insecure" if frames are in plain sight."""
+    """"insecure" if frames are not encrypted."""
     version: str = ""
-    """Of the Haptether that sends."""
+    """Haptether version of the sender."""
     process: int = 0
-    """Number of its process, for the signals that press the clutch and acknowledge."""
+    """Process number of the sender, for the signals that press the clutch and acknowledge."""
     scene: dict[str, Any] | None = None
-    """What was set, table by table, defaults and presets filled in; none where it is longer than 256 KiB."""
+    """Settings by table, with defaults and presets filled in; None above 256 KiB."""
     signals: list[TelemetrySignal]
 
 
 class TelemetryLink(msgspec.Struct, frozen=True, kw_only=True):
-    """Frames of the link, since the run began; of one tick each, not all of the same."""
+    """Frame counts of the link since the run began; the counts may come from different ticks."""
 
     sent: int = 0
     fresh: int = 0
-    """That were newer than all before when they arrived."""
+    """Frames newer than all before on arrival."""
     late: int = 0
-    """That arrived after a newer one, or so late that they were not looked at."""
+    """Frames that arrived after a newer one, or too late to be read."""
     missing: int = 0
-    """Of the peer's that have not arrived up to the newest one."""
+    """Frames of the peer that have not arrived, up to the newest one."""
 
 
 class TelemetrySample(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="sample"):
-    """The ticks of 1/60 s; what was no finite number is None."""
+    """Ticks of 1/60 s; None stands for a number that was not finite."""
 
     time_ns: int
-    """Of the last tick, since the run began."""
+    """Time of the last tick since the run began."""
     ticks: int
     dropped: int
-    """Records that did not reach the sender's thread, since the run began."""
+    """Records that did not reach the sender's thread since the run began."""
     unsent_changes: int
-    """Changes beyond 256 in one sample, since the run began."""
+    """Changes beyond 256 per sample since the run began."""
     link: TelemetryLink = TelemetryLink()
     signals: dict[str, Any]
-    """`[min, max, last]` of a number, one such list for each axis of "axes", `[those of any tick, those of the last]`
-    of "bits", the last one of all else."""
+    """`[min, max, last]` for a number, one such list per axis for "axes", `[any tick, last tick]` for "bits", the last
+    value for other kinds.
+    """
 
 
 class TelemetryChange(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="change"):
-    """A name, a flag or a set of bits that is another than at the tick before."""
+    """Change of a name, a flag or a bit set between two ticks."""
 
     time_ns: int
     signal: str
@@ -87,38 +88,38 @@ class TelemetryChange(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind
 
 
 class TelemetryCause(Cause, frozen=True, kw_only=True, tag_field="kind", tag="cause"):
-    """Why the two sides are not coupled, from `time_ns` on."""
+    """Cause of not being coupled, from `time_ns` on."""
 
     time_ns: int
 
 
 class TelemetryCleared(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="cleared"):
-    """The cause that was sent last is over."""
+    """End of the latest cause."""
 
     time_ns: int
 
 
 class TelemetryLost(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="lost"):
-    """This reader was too slow for samples of so many ticks."""
+    """Number of ticks lost because this reader was too slow."""
 
     ticks: int
 
 
 class TelemetryInvalid(msgspec.Struct, frozen=True, kw_only=True):
-    """The reader has left out what is no valid telemetry; no loop sends this."""
+    """Invalid telemetry that the reader skipped; no loop sends this."""
 
     text: str
-    """The part that was left out, and why."""
+    """Skipped part and reason."""
 
 
 class TelemetryEnd(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="end"):
-    """The loop has ended in good order; without it, it failed or was killed, or this reader was too slow."""
+    """Normal end of the loop; absent if the loop failed or was killed, or this reader was too slow."""
 
     time_ns: int
 
 
 class _Refused(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="refused"):
-    """Why this reader gets nothing."""
+    """Reason why this reader is refused."""
 
     text: str
 
@@ -137,22 +138,22 @@ TelemetryMessage = _Message | TelemetryInvalid
 _CHANGED: dict[str, type] = {"bits": int, "name": str, "flag": bool}
 """Kinds of signals whose changes are sent, and the type of their values."""
 _OWNERS = frozenset({0, os.geteuid()})
-"""Users whose telemetry is read: this one, and root."""
+"""Users whose telemetry is accepted: this user and root."""
 
 
 class TelemetryReader:
-    """What a loop sends, line by line: iterates over messages until the loop or the connection ends.
+    """Iterator over the messages of a loop, line by line, until the loop or the connection ends.
 
-    A line, or a signal of a sample, that is not valid is left out, and a `TelemetryInvalid` says so.
+    An invalid line or signal is skipped and reported by a `TelemetryInvalid`.
 
     Args:
-        path: The socket of `--telemetry` or `telemetry=`.
-        timeout_s: How long to wait for each message, in s; a loop sends 60 samples a second.
+        path: Socket of `--telemetry` or `telemetry=`.
+        timeout_s: Timeout of each message in s; a loop sends 60 samples per second.
 
     Raises:
-        OSError: Nobody sends there; as `TimeoutError`, no whole message came in time; as `ConnectionError`, 16 programs
-            read already, or the run was over before it began to send; as `PermissionError`, another user sends there.
-        ValueError: What is sent is no telemetry, or of another version.
+        OSError: No sender. `TimeoutError`: no complete message in time. `ConnectionError`: 16 readers are connected, or
+            the run ended before it sent. `PermissionError`: the sender is another user.
+        ValueError: The data is not telemetry, or has another version.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, timeout_s: float = 5.0) -> None:
@@ -201,7 +202,7 @@ class TelemetryReader:
             yield message
 
     def _invalid(self, message: TelemetryMessage) -> dict[str, Any]:
-        """Signals of a sample or a change that are not as the hello describes them; a missing one as None."""
+        """Return the signals of a sample or a change that contradict the hello; a missing one as None."""
         match message:
             case TelemetrySample(signals=values):
                 names = dict.fromkeys((*self._signals, *values))
@@ -223,7 +224,7 @@ class TelemetryReader:
         return _VALID[signal.kind](value)
 
     def close(self) -> None:
-        """Ends the connection, of a thread that waits for a message, too; the loop does not notice."""
+        """Close the connection, also for a thread that waits for a message; the loop is not affected."""
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
@@ -237,7 +238,7 @@ class TelemetryReader:
         self.close()
 
     def _line(self) -> bytes | None:
-        """The next line; none at the end, where half a line counts for nothing."""
+        """Return the next line, or None at the end; an incomplete line is dropped."""
         begin = 0
         until_s = time.monotonic() + self._timeout_s
         while (end := self._received.find(b"\n", begin)) < 0:
@@ -271,7 +272,7 @@ class TelemetryReader:
 
 
 def _is_range(value: object) -> bool:
-    """True for `[min, max, last]` of numbers, each None where it was not finite."""
+    """Return True for `[min, max, last]` of numbers, each None if it was not finite."""
     return (
         isinstance(value, list)
         and len(value) == 3
@@ -291,16 +292,16 @@ _VALID: dict[str, Callable[[object], bool]] = {
     "name": lambda value: isinstance(value, str),
     "flag": lambda value: isinstance(value, bool),
 }
-"""Check of a value of each kind; of each item for the kinds in `_LISTED`."""
+"""Check of a value of each kind; of each item for kinds in `_LISTED`."""
 _LISTED = {"axes": 0, "bits": 2}
 """Kinds whose values are lists, and their length; 0 for the size of the signal."""
 
 
 def _check_owner(connected: socket.socket, path: str) -> None:
-    """Refuses a socket of another user, who may have put it where a side of this user is expected.
+    """Refuse a socket of another user, who may have placed it where a side of this user is expected.
 
     Raises:
-        PermissionError: With the user who listens there.
+        PermissionError: Names the user who listens there.
     """
     _, owner, _ = struct.unpack("3i", connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
     if owner not in _OWNERS:

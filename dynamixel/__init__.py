@@ -1,4 +1,4 @@
-"""The bus of Dynamixel servos, for leader arms and follower arms: protocol, control tables, models, an emulator."""
+"""Bus of Dynamixel servos for leader and follower arms: protocol, control tables, models, emulator."""
 
 from haptether._core import DynamixelBus, SyncRead
 from haptether.dynamixel.control_table import ControlTable, Item

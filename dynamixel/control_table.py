@@ -1,4 +1,4 @@
-"""The control tables of the X series: what stands at which address of a servo, with units and ranges.
+"""Control tables of the X series: servo registers by address, with units and ranges.
 
 Source: ROBOTIS e-Manual, "Control Table" of each model that `haptether.dynamixel.models` names; addresses and sizes
 also in the `.model` files of dynamixel-sdk 4.1.0, which the tests compare.
@@ -9,48 +9,48 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 RAM: Final = 64
-"""First address that is writable while torque is on, and forgotten at power-off."""
+"""First address that is writable while torque is on, and lost at power-off."""
 TICKS_PER_TURN: Final = 4096
 CENTRE: Final = 2048
 """Position at the mechanical centre, without a homing offset."""
 RAD_PER_TICK: Final = 2.0 * math.pi / TICKS_PER_TURN
 RAD_S_PER_UNIT: Final = 0.229 * 2.0 * math.pi / 60.0
-"""Velocity in the tables is in 0.229 rev/min."""
+"""Velocity unit of the tables, 0.229 rev/min."""
 MAX_MULTI_TURN: Final = 256 * TICKS_PER_TURN - 1
-"""Goal positions of the multi-turn modes, either way."""
+"""Largest goal position of the multi-turn modes, in either direction."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Item:
-    """One entry: integer n at an address, of which n * scale is in `unit`."""
+    """Table entry: integer n at an address; n * scale is in `unit`."""
 
     name: str
-    """As the e-Manual has it."""
+    """Name in the e-Manual."""
     address: int
     size: int
-    """1, 2 or 4 bytes, little-endian."""
+    """Size of 1, 2 or 4 bytes, little-endian."""
     signed: bool = False
-    """Two's complement."""
+    """True for two's complement."""
     writable: bool = True
     minimum: int = 0
     maximum: int | None = None
-    """Of what may be written; none where all that the bytes hold may be."""
+    """Range of writable values; None allows all that fit the size."""
     limit: str | None = None
-    """The entry whose value bounds this one, either way."""
+    """Entry whose value limits the magnitude of this one."""
     unit: str = ""
     scale: float = 1.0
     default: int = 0
 
     @property
     def is_eeprom(self) -> bool:
-        """Whether it is kept at power-off and locked while torque is on."""
+        """True if kept at power-off and locked while torque is on."""
         return self.address < RAM
 
     def encoded(self, value: int) -> bytes:
-        """The bytes of a value.
+        """Encode a value.
 
         Raises:
-            ValueError: A value that they cannot hold.
+            ValueError: The value does not fit.
         """
         try:
             return value.to_bytes(self.size, "little", signed=self.signed)
@@ -61,10 +61,10 @@ class Item:
             raise ValueError(message) from None
 
     def decoded(self, encoded: bytes) -> int:
-        """The value of its bytes.
+        """Decode a value.
 
         Raises:
-            ValueError: Another number of bytes.
+            ValueError: The number of bytes differs.
         """
         if len(encoded) != self.size:
             message = f"{self.name}: {len(encoded)} bytes: must be {self.size}"
@@ -73,20 +73,20 @@ class Item:
 
 
 class ControlTable:
-    """The entries of a model.
+    """Entries of a model.
 
     Args:
-        items: None that overlap.
+        items: Entries without overlap.
 
     Raises:
-        ValueError: Two entries at one address.
+        ValueError: Two entries overlap.
     """
 
     def __init__(self, items: tuple[Item, ...]) -> None:
         self.items = tuple(sorted(items, key=lambda item: item.address))
         self._by_name = {item.name: item for item in self.items}
         self.by_address: dict[int, Item] = {}
-        """The entry that each byte belongs to."""
+        """Entry of each byte."""
         for item in self.items:
             for address in range(item.address, item.address + item.size):
                 if address in self.by_address:
@@ -94,13 +94,13 @@ class ControlTable:
                     raise ValueError(message)
                 self.by_address[address] = item
         self.size = max(self.by_address) + 1
-        """Bytes up to the end of the last entry."""
+        """Size in bytes up to the end of the last entry."""
 
     def __getitem__(self, name: str) -> Item:
-        """The entry of a name.
+        """Return an entry by name.
 
         Raises:
-            KeyError: The model has none of that name.
+            KeyError: The model has no such entry.
         """
         return self._by_name[name]
 
@@ -108,7 +108,7 @@ class ControlTable:
         return name in self._by_name
 
     def changed(self, changes: dict[str, dict[str, int | float]], without: tuple[str, ...] = ()) -> "ControlTable":
-        """The same table with other fields of some entries, and without some."""
+        """Return a copy with changed fields of some entries, and without others."""
         return ControlTable(
             tuple(
                 replace(item, **changes.get(item.name, {}))  # type: ignore[arg-type]
@@ -118,12 +118,12 @@ class ControlTable:
         )
 
     def extended(self, *items: Item) -> "ControlTable":
-        """The same table with further entries."""
+        """Return a copy with additional entries."""
         return ControlTable((*self.items, *items))
 
 
 def _indirect(address: int, to: int, count: int, last: int, first: int = 1) -> tuple[Item, ...]:
-    """Indirect addresses and what is read and written through them; each is its own target at first."""
+    """Return indirect addresses and their data; initially each targets itself."""
     return tuple(
         item
         for index in range(count)
@@ -150,7 +150,7 @@ _COMMON: Final = ControlTable(
         Item(name="Return Delay Time", address=9, size=1, maximum=254, default=250, unit="s", scale=2e-6),
         Item(name="Drive Mode", address=10, size=1, maximum=13),
         Item(name="Operating Mode", address=11, size=1, maximum=16, default=3),
-        # Of 253 and more it is off.
+        # 253 and above disables it.
         Item(name="Secondary(Shadow) ID", address=12, size=1, maximum=255, default=255),
         Item(name="Protocol Type", address=13, size=1, minimum=1, maximum=2, default=2),
         Item(
@@ -181,7 +181,7 @@ _COMMON: Final = ControlTable(
         Item(name="Position P Gain", address=84, size=2, maximum=MAX_GAIN, default=800),
         Item(name="Feedforward 2nd Gain", address=88, size=2, maximum=MAX_GAIN),
         Item(name="Feedforward 1st Gain", address=90, size=2, maximum=MAX_GAIN),
-        # -1 once it has fired.
+        # -1 after it has tripped.
         Item(name="Bus Watchdog", address=98, size=1, signed=True, maximum=127, unit="s", scale=0.02),
         Item(name="Goal PWM", address=100, size=2, signed=True, limit="PWM Limit", unit="%", scale=0.113),
         Item(name="Goal Current", address=102, size=2, signed=True, limit="Current Limit", unit="A", scale=2.69e-3),
@@ -189,7 +189,7 @@ _COMMON: Final = ControlTable(
             name="Goal Velocity", address=104, size=4, signed=True, limit="Velocity Limit", unit="rad/s",
             scale=RAD_S_PER_UNIT,
         ),
-        # rev/min^2 as rad/s^2.
+        # rev/min^2 in rad/s^2.
         Item(
             name="Profile Acceleration", address=108, size=4, maximum=MAX_PROFILE, unit="rad/s2",
             scale=214.577 * 2.0 * math.pi / 3600.0,
@@ -197,7 +197,7 @@ _COMMON: Final = ControlTable(
         Item(
             name="Profile Velocity", address=112, size=4, maximum=MAX_PROFILE, unit="rad/s", scale=RAD_S_PER_UNIT
         ),
-        # In the multi-turn modes; in mode 3 the position limits bound it.
+        # Multi-turn modes; in mode 3 the position limits apply.
         Item(
             name="Goal Position", address=116, size=4, signed=True, minimum=-MAX_MULTI_TURN, maximum=MAX_MULTI_TURN,
             unit="rad", scale=RAD_PER_TICK,
@@ -227,7 +227,7 @@ _COMMON: Final = ControlTable(
     )
 )  # fmt: skip
 
-# Of every model; the present current is a load in servos without current control.
+# Same for every model; the present current is a load in servos without current control.
 HOMING_OFFSET: Final = _COMMON["Homing Offset"].address
 TORQUE_ENABLE: Final = _COMMON["Torque Enable"].address
 HARDWARE_STATUS: Final = _COMMON["Hardware Error Status"].address
@@ -243,17 +243,17 @@ PRESENT_POSITION: Final = _COMMON["Present Position"].address
 PRESENT_TEMPERATURE: Final = _COMMON["Present Temperature"].address
 
 _STARTUP: Final = Item(name="Startup Configuration", address=60, size=1, maximum=3)
-"""Firmware that does not know it refuses to read it."""
+"""Older firmware refuses to read it."""
 _BACKUP: Final = Item(name="Backup Ready", address=147, size=1, writable=False)
 _LARGE_INDIRECT: Final = (*_indirect(168, 224, 28, 661), *_indirect(578, 634, 28, 661, first=29))
 
 XM430_TABLE: Final = _COMMON.extended(_STARTUP, *_LARGE_INDIRECT)
-"""XM430: with current control, in 2.69 mA."""
+"""XM430: current control in 2.69 mA."""
 XM540_TABLE: Final = XM430_TABLE.extended(
     *(Item(name=f"External Port Mode {n}", address=55 + n, size=1, maximum=3, default=3) for n in (1, 2, 3)),
     *(Item(name=f"External Port Data {n}", address=150 + 2 * n, size=2) for n in (1, 2, 3)),
 )
-"""XM540: the same and three pins."""
+"""XM540: XM430 with three pins."""
 XC430_TABLE: Final = (
     _COMMON.changed({}, without=("Current Limit", "Goal Current", "Present Current"))
     .extended(
@@ -262,9 +262,9 @@ XC430_TABLE: Final = (
         *_LARGE_INDIRECT,
     )
 )  # fmt: skip
-"""XC430: no current control; a load, which the servo infers, in place of the current."""
+"""XC430: no current control; an inferred load replaces the current."""
 XL430_TABLE: Final = XC430_TABLE.extended(_BACKUP)
-"""XL430: the same with the registers of newer firmware."""
+"""XL430: XC430 with the registers of newer firmware."""
 X330_TABLE: Final = _COMMON.changed(
     {
         "Baud Rate": {"maximum": 6},
@@ -281,4 +281,4 @@ X330_TABLE: Final = _COMMON.changed(
     _BACKUP,
     *_indirect(168, 208, 20, 227),
 )
-"""XL330 and XC330: current control in 1 mA, 20 indirect addresses (of firmware 52; older firmware has others)."""
+"""XL330 and XC330: current control in 1 mA, 20 indirect addresses (firmware 52; older firmware differs)."""

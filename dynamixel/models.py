@@ -1,6 +1,6 @@
-"""The servos: model numbers, what their tables start with, and what their motors can do.
+"""Servo models: model numbers, table defaults and motor data.
 
-Source: ROBOTIS e-Manual, the page of each model; what comes from elsewhere has its source beside it.
+Source: ROBOTIS e-Manual, the page of each model; other sources are named beside the value.
 """
 
 import math
@@ -19,7 +19,7 @@ from haptether.dynamixel.control_table import (
 
 
 class OperatingMode(IntEnum):
-    """What a servo controls, address 11."""
+    """Controlled quantity, address 11."""
 
     CURRENT = 0
     VELOCITY = 1
@@ -30,15 +30,15 @@ class OperatingMode(IntEnum):
 
 
 CURRENT_MODES: Final = frozenset({OperatingMode.CURRENT, OperatingMode.CURRENT_BASED_POSITION})
-"""What needs current control."""
+"""Modes that require current control."""
 
 BAUD_RATES: Final = (9600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
-"""In bit/s, by the code at address 8; the last not of 330 models."""
+"""Rates in bit/s by the code at address 8; the last is not available on 330 models."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stall:
-    """The greatest torque, standing still, at one supply voltage. It is no rating for continuous operation."""
+    """Stall torque at one supply voltage; not a continuous rating."""
 
     voltage_v: float
     torque_nm: float
@@ -47,7 +47,7 @@ class Stall:
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """A torque constant that somebody has published."""
+    """Published torque constant."""
 
     nm_per_a: float
     source: str
@@ -55,46 +55,46 @@ class Published:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoModel:
-    """A servo as its maker describes it."""
+    """Servo data from its maker."""
 
     name: str
     number: int
-    """Address 0, and in the answer to a ping."""
+    """Value of address 0 and of a ping answer."""
     table: ControlTable
     stall: tuple[Stall, ...]
-    """At rising voltages; the middle one is that which is recommended."""
+    """Stalls at increasing voltages; the middle one is recommended."""
     no_load_rpm: float
-    """At the recommended voltage."""
+    """No-load speed at the recommended voltage."""
     torque_constant_nm_per_a: float | None = None
-    """Torque at the output per ampere of `Present Current`; none where the maker states none."""
+    """Output torque per ampere of `Present Current`; None if the maker states none."""
     other_constants: tuple[Published, ...] = ()
-    """What others than that and the stalls state."""
+    """Torque constants from other sources."""
     fast_read_firmware: int = 45
-    """First firmware that knows fast sync read and fast bulk read. Source: e-Manual, Protocol 2.0."""
+    """First firmware with fast sync read and fast bulk read. Source: e-Manual, Protocol 2.0."""
 
     @property
     def has_current_control(self) -> bool:
-        """Whether modes 0 and 5 are there."""
+        """True if modes 0 and 5 exist."""
         return "Goal Current" in self.table
 
     @property
     def operating_modes(self) -> frozenset[OperatingMode]:
-        """The modes that it has."""
+        """Available modes."""
         return frozenset(OperatingMode) - (frozenset() if self.has_current_control else CURRENT_MODES)
 
     @property
     def recommended(self) -> Stall:
-        """Its stall at the recommended voltage."""
+        """Stall at the recommended voltage."""
         return self.stall[len(self.stall) // 2]
 
     @property
     def current_unit_a(self) -> float | None:
-        """Ampere per unit of current; none without current control."""
+        """Ampere per unit of current; None without current control."""
         return self.table["Goal Current"].scale if self.has_current_control else None
 
     @property
     def max_current_a(self) -> float | None:
-        """The greatest goal current in A; none without current control."""
+        """Largest goal current in A; None without current control."""
         if not self.has_current_control:
             return None
         limit = self.table["Current Limit"]
@@ -102,20 +102,20 @@ class ServoModel:
 
     @property
     def stall_ratio_nm_per_a(self) -> float:
-        """Stall torque over stall current at the recommended voltage.
+        """Stall torque divided by stall current at the recommended voltage.
 
-        Only near a stall is it torque per current: gear friction takes most of small currents.
+        Valid as torque per current only near stall, because gear friction dominates small currents.
         """
         return self.recommended.torque_nm / self.recommended.current_a
 
     @property
     def nominal_nm_per_a(self) -> float:
-        """K_t that is taken for the likely one: the maker's, else torque over current at the stall."""
+        """Likely K_t: the maker's, otherwise the stall ratio."""
         return self.torque_constant_nm_per_a or self.stall_ratio_nm_per_a
 
     @property
     def published(self) -> tuple[Published, ...]:
-        """Every K_t that is published of it, be it as torque and current of a stall."""
+        """All published K_t, including the stall ratio."""
         maker = self.torque_constant_nm_per_a
         return (
             *(() if maker is None else (Published(maker, "the maker"),)),
@@ -125,27 +125,27 @@ class ServoModel:
 
     @property
     def largest_nm_per_a(self) -> float:
-        """The largest K_t that is published: with i = tau / K_t no servo exerts more than tau by any of them."""
+        """Largest published K_t: with i = tau / K_t the torque does not exceed tau for any of them."""
         return max(one.nm_per_a for one in self.published)
 
     @property
     def no_load_rad_s(self) -> float:
-        """In rad/s, at the recommended voltage."""
+        """No-load speed in rad/s at the recommended voltage."""
         return self.no_load_rpm * 2.0 * math.pi / 60.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Start:
-    """What the table of one model starts with where it is not what the family has."""
+    """Table defaults of one model that differ from the family."""
 
     velocity: int
     voltage: tuple[int, int]
-    """Limits in 0.1 V, lowest and highest."""
+    """Lowest and highest limit in 0.1 V."""
     lowest: int | None = None
-    """Of both limits, where it is not the default of the lower."""
+    """Lower bound of both limits, if it is not the default lower limit."""
     current: int | None = None
     gains: tuple[int, int, int, int, int] = (1920, 100, 0, 0, 800)
-    """Velocity I, velocity P, position D, position I, position P."""
+    """Gains: velocity I, velocity P, position D, position I, position P."""
     other: dict[str, int] = field(default_factory=dict)
 
     def table(self, family: ControlTable) -> ControlTable:
@@ -190,7 +190,7 @@ SERVO_MODELS: Final = {
             ).table(X330_TABLE),
             stall=(Stall(3.7, 0.42, 1.11), Stall(5.0, 0.52, 1.47), Stall(6.0, 0.60, 1.74)),
             no_load_rpm=103,
-            # At 5 V and the stall; 0.378 at 3.7 V, 0.345 at 6 V.
+            # At 5 V and stall; 0.378 at 3.7 V, 0.345 at 6 V.
             torque_constant_nm_per_a=0.354,
             fast_read_firmware=46,
         ),
@@ -202,7 +202,7 @@ SERVO_MODELS: Final = {
             ).table(X330_TABLE),
             stall=(Stall(9.0, 0.65, 0.61), Stall(11.1, 0.76, 0.80), Stall(12.0, 0.80, 0.88)),
             no_load_rpm=104,
-            # dynamixel-sdk 4.1.0, xc330_t181.model: 0.00067095 N m a unit.
+            # dynamixel-sdk 4.1.0, xc330_t181.model: 0.00067095 N m per unit.
             torque_constant_nm_per_a=0.6709470296,
             fast_read_firmware=46,
         ),
@@ -214,7 +214,7 @@ SERVO_MODELS: Final = {
             ).table(X330_TABLE),
             stall=(Stall(9.0, 0.76, 0.61), Stall(11.1, 0.92, 0.80), Stall(12.0, 1.00, 0.88)),
             no_load_rpm=65,
-            # dynamixel-sdk 4.1.0, xc330_t288.model: 0.00096748 N m a unit.
+            # dynamixel-sdk 4.1.0, xc330_t288.model: 0.00096748 N m per unit.
             torque_constant_nm_per_a=0.9674796740,
             other_constants=(Published(1e3 / 1158.73, "FACTR and GELLO, 1158.73 mA per N m"),),
             fast_read_firmware=46,
@@ -225,8 +225,8 @@ SERVO_MODELS: Final = {
             table=_Start(
                 velocity=545, voltage=(35, 70), lowest=31, current=2352, gains=(1400, 100, 500, 0, 1200)
             ).table(X330_TABLE),
-            # The overview of the e-Manual prints the stall of the XL330-M077 for it; this is the only other figure
-            # found, from a public list of servos that refers to the page of the model.
+            # The e-Manual overview prints the stall of the XL330-M077 here. The only other figure found is from a
+            # public servo list that refers to the model's page.
             stall=(Stall(5.0, 0.60, 1.80),),
             no_load_rpm=129,
             fast_read_firmware=46,
@@ -239,7 +239,7 @@ SERVO_MODELS: Final = {
             ).table(X330_TABLE),
             stall=(Stall(3.7, 0.69, 1.34), Stall(5.0, 0.93, 1.80), Stall(6.0, 1.10, 2.15)),
             no_load_rpm=81,
-            # At 5 V and the stall; 0.515 at 3.7 V, 0.512 at 6 V.
+            # At 5 V and stall; 0.515 at 3.7 V, 0.512 at 6 V.
             torque_constant_nm_per_a=0.517,
             fast_read_firmware=46,
         ),
@@ -283,7 +283,8 @@ SERVO_MODELS: Final = {
             table=_Start(velocity=330, voltage=(95, 160), current=1193).table(XM430_TABLE),
             stall=(Stall(11.1, 2.7, 2.1), Stall(12.0, 3.0, 2.3), Stall(14.8, 3.7, 2.7)),
             no_load_rpm=77,
-            # In FACTR's 1000 / 2.69 a unit may be 1 mA, as its comment says, or 2.69 mA, as of this servo: that is 1.
+            # A unit in FACTR's 1000 / 2.69 may be 1 mA, as its comment states, or 2.69 mA, as on this servo, which
+            # gives 1.
             other_constants=(WORKBENCH, Published(2.69, "FACTR and GELLO, 1000 / 2.69 mA per N m")),
         ),
         ServoModel(
@@ -296,14 +297,14 @@ SERVO_MODELS: Final = {
         ServoModel(
             name="XM540-W150",
             number=1130,
-            # Velocity limit: of the page of 2018; those of other models were changed later.
+            # Velocity limit from the page of 2018; other models' limits were changed later.
             table=_Start(velocity=380, voltage=(95, 160), current=2047).table(XM540_TABLE),
             stall=(Stall(11.1, 6.9, 4.2), Stall(12.0, 7.3, 4.4), Stall(14.8, 8.9, 5.5)),
             no_load_rpm=53,
         ),
     )
 }  # fmt: skip
-"""By name, as the e-Manual writes it without the letter of the connector."""
+"""Models by e-Manual name without the connector letter."""
 
 SERVO_MODELS_BY_NUMBER: Final = {model.number: model for model in SERVO_MODELS.values()}
-"""By what a ping answers."""
+"""Models by the number in a ping answer."""

@@ -1,4 +1,4 @@
-"""The side of the hand: haptic device and human-hand models, and what a driver of a device has."""
+"""Operator's side: models of haptic device and hand, and the interface of a device driver."""
 
 from haptether._core import Hand, HapticDevice
 from haptether.master.device import MasterDevice, MasterSample

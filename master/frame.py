@@ -1,4 +1,4 @@
-"""The frame of a device, turned into ours: right-handed, z up."""
+"""Rotation from a device frame to the scene frame: right-handed, z up."""
 
 import math
 from collections.abc import Sequence
@@ -8,24 +8,24 @@ Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
 
 REST: Final = (0.0, 0.0, 0.0)
-"""No force, no torque, no velocity."""
+"""Zero force, torque or velocity."""
 AXES: Final = ("x", "y", "z")
 UNIT_WITHIN: Final = 0.02
-"""How far the norm of an orientation may be from 1: that of one which a device sends in 14 bits is within 1e-3."""
+"""Allowed deviation of an orientation's norm from 1; 14-bit orientations are within 1e-3."""
 
 
 class DeviceFrame:
-    """Which axis of a device is which of ours.
+    """Map from device axes to scene axes.
 
-    A vector v of the device is C v in ours; an orientation R of its handle is C R C^T, so that a handle which is turned
-    as the device's base is turned as ours.
+    A device vector v becomes C v. A handle orientation R becomes C R C^T, so that a handle aligned with the device base
+    is aligned with the scene base.
 
     Args:
-        axes: For each of our axes x, y, z that the scene has, the axis of the device: `x`, `y`, `z`, or with a minus.
-        origin: Where our origin is, in m in the device's frame.
+        axes: Device axis for each scene axis: `x`, `y`, `z`, optionally with a minus.
+        origin: Scene origin in m in the device frame.
 
     Raises:
-        ValueError: Other names, an axis twice, or three that are left-handed.
+        ValueError: Invalid names, a duplicate axis, or a left-handed set.
     """
 
     def __init__(self, axes: Sequence[str], origin: Vector = (0.0, 0.0, 0.0)) -> None:
@@ -47,25 +47,25 @@ class DeviceFrame:
                 raise ValueError(message)
 
     def position(self, point: Sequence[float]) -> tuple[float, ...]:
-        """A point of the device in ours."""
+        """Convert a device point to the scene frame."""
         return tuple(s * (point[i] - self.origin[i]) for i, s in zip(self._index, self._sign, strict=True))
 
     def vector(self, vector: Sequence[float]) -> tuple[float, ...]:
-        """A velocity, force or rotation of the device in ours."""
+        """Convert a device velocity, force or rotation vector to the scene frame."""
         return tuple(s * vector[i] for i, s in zip(self._index, self._sign, strict=True))
 
     def to_device(self, vector: Sequence[float]) -> Vector:
-        """One of ours in the device's frame; axes that ours has not are 0."""
+        """Convert a scene vector to the device frame; missing axes are 0."""
         turned = [0.0, 0.0, 0.0]
         for value, i, s in zip(vector, self._index, self._sign, strict=True):
             turned[i] = s * value
         return turned[0], turned[1], turned[2]
 
     def orientation(self, quat_wxyz: Sequence[float]) -> Quaternion:
-        """An orientation of the device's handle in ours, of norm 1.
+        """Convert a handle orientation to the scene frame, with norm 1.
 
         Raises:
-            ValueError: Its norm is not 1, or it is not finite.
+            ValueError: The norm is not 1, or the orientation is not finite.
         """
         norm = math.sqrt(sum(part * part for part in quat_wxyz))
         if not abs(norm - 1.0) <= UNIT_WITHIN:
@@ -76,12 +76,12 @@ class DeviceFrame:
 
 
 def quaternion(matrix: Sequence[Sequence[float]]) -> Quaternion:
-    """The unit quaternion w, x, y, z of a rotation matrix.
+    """Return the unit quaternion w, x, y, z of a rotation matrix.
 
     Source: Shepperd 1978, Quaternion from rotation matrix, Journal of Guidance and Control 1(3).
 
     Raises:
-        ValueError: No rotation: rows that are not of norm 1, or a reflection.
+        ValueError: Not a rotation: row norms differ from 1, or it is a reflection.
     """
     (a, b, c), (d, e, f), (g, h, i) = matrix
     determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
@@ -103,7 +103,7 @@ def quaternion(matrix: Sequence[Sequence[float]]) -> Quaternion:
 
 
 def clipped(vector: Sequence[float], limit: float) -> tuple[float, ...]:
-    """The vector, shortened to a norm of `limit`; none of it where it is not finite."""
+    """Return the vector shortened to a norm of `limit`; zero if it is not finite."""
     norm = math.sqrt(sum(part * part for part in vector))
     if not math.isfinite(norm):
         return (0.0,) * len(vector)

@@ -1,9 +1,8 @@
-"""Haptic devices that a scene can name: their numbers, each with its source.
+"""Haptic devices that a scene can name, each value with its source.
 
-"Data sheet" is that of SensAble, later 3D Systems, for the device. The sheets themselves were not at hand: their
-numbers stand here as they are commonly quoted, and a second source that was read is named beside them. What no source
-gives is said to be chosen, and how. Resistance to back-driving is taken as Coulomb friction; viscous friction is in no
-data sheet and taken as none.
+"Data sheet" is the sheet of SensAble, later 3D Systems, for the device. The sheets were not available: values are as
+commonly quoted, with a second source if one was read. Values without a source are marked as chosen, with the method.
+Back-drive resistance is taken as Coulomb friction. No data sheet gives viscous friction, so it is taken as zero.
 """
 
 from collections.abc import Mapping
@@ -15,9 +14,9 @@ import msgspec
 
 
 class DevicePreset(msgspec.Struct, frozen=True, kw_only=True):
-    """What is known of one model of haptic device, on each of its axes.
+    """Known values of a haptic device model, equal on each axis.
 
-    Of a device with joints, m is in kg m², forces are in N m and positions in rad.
+    For a device with joints, m is in kg m², forces are in N m and positions in rad.
     """
 
     title: str
@@ -29,15 +28,15 @@ class DevicePreset(msgspec.Struct, frozen=True, kw_only=True):
     coulomb: float
     """c in N."""
     friction: Literal["vector", "axis"] = "vector"
-    """Whether friction acts along the motion of a stylus or on each joint by itself."""
+    """Friction along the motion of a stylus, or on each joint separately."""
     encoder_quantum: float
-    """Resolution of the position in m."""
+    """Position resolution in m."""
     max_force_n: float
-    """Largest force in N, for a short time."""
+    """Largest short-time force in N."""
     continuous_force_n: float
-    """Force in N that it can exert without end; for information, a simulated device does not grow hot."""
+    """Continuous force in N; for information, because a simulated device does not heat up."""
     speed_bound: float
-    """Speed in m/s that it cannot exceed: a step of its position that is faster, and stays, is a fault."""
+    """Speed limit in m/s; a faster, persistent step of the position is a fault."""
     workspace: tuple[float, ...]
     """Width, height and depth of the workspace in m; for information, `stops` of a scene bound it."""
 
@@ -45,8 +44,8 @@ class DevicePreset(msgspec.Struct, frozen=True, kw_only=True):
 DEVICE_PRESETS: Mapping[str, DevicePreset] = MappingProxyType({
     "phantom-desktop": DevicePreset(
         title="SensAble PHANTOM Desktop",
-        # m, b, c: paper section 4.1, identified on the paper's own device. The data sheet says 45 g and 0.06 N;
-        # the paper's m holds the stylus as it was held and thrown.
+        # m, b, c: paper section 4.1, identified on the paper's own device. The data sheet gives 45 g and 0.06 N; the
+        # paper's m includes the stylus as it was held and thrown.
         mass_kg=0.157,
         viscous=-0.005,
         coulomb=0.038,
@@ -69,7 +68,7 @@ DEVICE_PRESETS: Mapping[str, DevicePreset] = MappingProxyType({
     ),
     "touch": DevicePreset(
         title="3D Systems Touch",
-        # Successor of the Omni with the same mechanism; taken to have the Omni's numbers.
+        # Successor of the Omni with the same mechanism; assumed to have the Omni's values.
         mass_kg=0.045,
         viscous=0.0,
         coulomb=0.26,
@@ -92,9 +91,9 @@ DEVICE_PRESETS: Mapping[str, DevicePreset] = MappingProxyType({
     ),
     "inverse3": DevicePreset(
         title="Haply Inverse3",
-        # No number of this preset has a source: the maker's documentation that was at hand has none. Chosen as the
-        # identified PHANTOM Desktop, the only desktop device here whose m, b, c somebody measured, and with its bound
-        # on the force: it is a stand-in to be replaced by numbers of your own device.
+        # No value of this preset has a source, because the available documentation gives none. Chosen as the identified
+        # PHANTOM Desktop, the only desktop device here with measured m, b, c, including its force bound. Replace it by
+        # values of your own device.
         mass_kg=0.157,
         viscous=0.0,
         coulomb=0.038,
@@ -107,8 +106,8 @@ DEVICE_PRESETS: Mapping[str, DevicePreset] = MappingProxyType({
     "dynamixel-leader": DevicePreset(
         title="Joint of a leader arm: ROBOTIS DYNAMIXEL XL330-M288-T at 5 V",
         # m, b, c: identified by Duclusaud et al. 2024 (github.com/Rhoban/bam, bam/params/xl330/m1.json at 11bb7ec:
-        # armature, friction_viscous, friction_base), of the servo alone: add what the joint carries. Other fits there
-        # differ. That it is the M288 follows from its kt of 0.37 N m/A: the e-manual's 0.52 N m at 1.47 A is 0.354.
+        # armature, friction_viscous, friction_base), for the servo without load: add the load of the joint. Other fits
+        # there differ. Its kt of 0.37 N m/A identifies the M288: the e-manual's 0.52 N m at 1.47 A is 0.354.
         mass_kg=0.00199,  # kg m²
         viscous=0.0059,  # N m s/rad
         coulomb=0.0182,  # N m
@@ -120,4 +119,4 @@ DEVICE_PRESETS: Mapping[str, DevicePreset] = MappingProxyType({
         workspace=(2.0 * pi,),  # rad; e-manual: position control over 0 to 360 degrees
     ),
 })  # fmt: skip
-"""The presets by the name that `[master] device` has."""
+"""Presets by name, as in `[master] device`."""

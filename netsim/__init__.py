@@ -1,4 +1,4 @@
-"""Network impairment, decided once for virtual time and for live sockets."""
+"""Network impairment with one decision rule for virtual time and live sockets."""
 
 from haptether._core import DirectionStatistics, Echo, ProxyStatistics, Recording, record
 from haptether.netsim.figures import LinkFigures, asked, burst_lengths, realised, repeats_every_s

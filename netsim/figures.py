@@ -1,4 +1,4 @@
-"""What a link did to packets, in numbers."""
+"""Statistics of a link's effect on packets."""
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +10,7 @@ from haptether.netsim.verdicts import Verdicts
 
 
 class LinkFigures(Struct, frozen=True, kw_only=True):
-    """Figures of a link, as requested or as realised; `None` for what is not known. Delays in s."""
+    """Figures of a link, as requested or as realised; None if unknown. Delays in s."""
 
     mean_s: float | None = None
     """Mean delay."""
@@ -21,37 +21,37 @@ class LinkFigures(Struct, frozen=True, kw_only=True):
     p99_s: float | None = None
     """Delay that 1 % of the packets exceed."""
     loss: float | None = None
-    """Share of packets that never arrive, whatever the cause."""
+    """Fraction of packets that never arrive, for any cause."""
     mean_burst: float | None = None
-    """Mean number of packets lost in a row."""
+    """Mean number of consecutive losses."""
     reordered: float | None = None
-    """Share of arrived packets that come after one that was sent later (RFC 4737)."""
+    """Fraction of arrived packets that follow a later-sent one (RFC 4737)."""
     duplicates: float | None = None
-    """Copies by the network per packet sent."""
+    """Copies made by the network per packet sent."""
     damaged: float | None = None
-    """Share of packets that arrive with flipped bits or cut short."""
+    """Fraction of packets that arrive with flipped bits or truncated."""
 
 
 def repeats_every_s(settings: LinkSettings, direction: Direction) -> float | None:
-    """After how many s what a link replays begins anew; none if it replays nothing, or only once.
+    """Return the period in s after which a replayed recording repeats; None if nothing repeats.
 
     Args:
-        settings: Of one direction, its files read.
-        direction: Which one.
+        settings: Settings of one direction, with its files read.
+        direction: Direction of the link.
 
     Raises:
-        LinkError: As `link_spec`.
+        LinkError: Same as for `link_spec`.
     """
     spec = link_spec(settings, direction)
     trace, opportunities = spec["trace"], spec["opportunities"]
     if trace and trace["repeat"] and len(trace["time_s"]) > 1:
-        # After its last time the last spacing passes once more.
+        # The last spacing applies once more after the last time.
         return float(2.0 * trace["time_s"][-1] - trace["time_s"][-2])
     return float(opportunities["time_ms"][-1]) * 1e-3 if opportunities else None
 
 
 def realised(verdicts: Verdicts) -> LinkFigures:
-    """What became of packets.
+    """Return the figures of judged packets.
 
     Source: RFC 4737 (reordering).
     """
@@ -75,7 +75,7 @@ def realised(verdicts: Verdicts) -> LinkFigures:
 
 
 def burst_lengths(packets: Verdicts) -> npt.NDArray[np.int64]:
-    """How many packets were lost in a row, each time that some were."""
+    """Return the length of each run of consecutive losses."""
     lost = np.concatenate([[False], packets.t_out_ns < 0, [False]]).astype(np.int8)
     edges = np.diff(lost)
     return np.flatnonzero(edges == -1) - np.flatnonzero(edges == 1)
@@ -90,10 +90,10 @@ def _reordered(packets: Verdicts) -> int:
 
 
 def asked(settings: LinkSettings, direction: Direction) -> LinkFigures:
-    """What settings request, as far as they state it by themselves.
+    """Return the figures that settings state directly.
 
     Raises:
-        LinkError: Settings that describe no link.
+        LinkError: The settings are invalid.
     """
     spec = link_spec(settings, direction)
     delayed_otherwise = ("rate_bps", "opportunities", "slots", "trace", "netem")
@@ -115,7 +115,7 @@ def asked(settings: LinkSettings, direction: Direction) -> LinkFigures:
         sigma_s=spec["jitter_s"] if is_simple else None,
         loss=loss if known_loss else None,
         mean_burst=burst if known_loss else None,
-        # A packet that jumps over several makes each of them late.
+        # A packet that overtakes several makes each of them late.
         reordered=spec["reorder"] if spec["keep_order"] and spec["netem"] is None and is_single else None,
         duplicates=spec["duplicate"] if spec["netem"] is None else None,
         damaged=None if spec["netem"] else 1.0 - (1.0 - spec["corrupt"]) * (1.0 - spec["truncate"]),

@@ -1,4 +1,4 @@
-"""What `tc netem` makes of its arguments, beside what was requested and what netsim makes of it."""
+"""Comparison of `tc netem` arguments as requested, as netem applies them, and as netsim does."""
 
 from collections.abc import Iterator
 from math import sqrt
@@ -16,13 +16,13 @@ from haptether.netsim.link.settings import FourState, GilbertElliott, LinkSettin
 from haptether.netsim.verdicts import Times, Verdicts, judge_all
 
 _P99_NORMAL = 2.3263478740408408
-"""Quantile of the standard normal law."""
+"""99 % quantile of the standard normal distribution."""
 _DOUBT = 4.0
-"""Standard errors beyond which a difference is not chance."""
+"""Number of standard errors above which a difference is significant."""
 
 
 class Correlations(Struct, frozen=True, kw_only=True):
-    """What arguments of netem request beside settings of a link: correlations from packet to packet, and a limit."""
+    """Netem arguments without a link setting: correlations between packets, and a queue limit."""
 
     delay: float
     loss: float
@@ -33,27 +33,27 @@ class Correlations(Struct, frozen=True, kw_only=True):
 
 
 class NetemComparison(Struct, frozen=True, kw_only=True):
-    """Arguments of `tc netem`: what they request, what netem does, what netsim does."""
+    """Result of `tc netem` arguments: requested, in netem, and in netsim."""
 
     settings: LinkSettings
-    """Settings of a link that do what was requested."""
+    """Link settings equivalent to the request."""
     asked: LinkFigures
-    """What the arguments say; `None` for what they do not say by themselves."""
+    """Requested figures; None if not stated."""
     netem: LinkFigures
-    """What becomes of packets in netem."""
+    """Figures of packets in netem."""
     ours: LinkFigures
-    """What becomes of them under `settings`; `None` throughout if no link can do what was requested."""
+    """Figures of packets under `settings`; all None if no link can satisfy the request."""
     refused: str | None
-    """Why no link can, if that is so."""
+    """Reason why no link can satisfy the request, or None."""
     quirks: tuple[str, ...]
-    """Where netem does something else than was requested, a line each."""
+    """Deviations of netem from the request, one line each."""
 
 
 def translate_netem(text: str) -> LinkSettings:
-    """Settings of a link that do what arguments of `tc netem` request, where netem does something else.
+    """Translate `tc netem` arguments to link settings that satisfy the request, even where netem does not.
 
     Raises:
-        LinkError: Text that netem refuses, with its column, or what a link has no settings for.
+        LinkError: netem refuses the text (gives the column), or no link setting exists.
     """
     return _translated(text)[0]
 
@@ -71,16 +71,16 @@ def _translated(text: str) -> tuple[LinkSettings, Correlations]:
 
 
 def compare_netem(text: str, sent_ns: Times, *, seed: int = 0, size: int = 92) -> NetemComparison:
-    """Sends packets through netem and through a link that does what was requested of it.
+    """Send packets through netem and through a link that satisfies the same request.
 
     Args:
-        text: Arguments of `tc netem`, as in `delay 50ms 10ms 25% loss 1%`.
-        sent_ns: When each packet is sent, in ns, shape `(n_packets,)`.
-        seed: Key of all draws.
+        text: Arguments of `tc netem`, such as `delay 50ms 10ms 25% loss 1%`.
+        sent_ns: Sending time of each packet in ns, shape `(n_packets,)`.
+        seed: Seed of all draws.
         size: Payload of a packet in bytes.
 
     Raises:
-        LinkError: Text that netem refuses, with its column, or what a link has no settings for.
+        LinkError: netem refuses the text (gives the column), or no link setting exists.
     """
     settings, correlations = _translated(text)
     verdicts = judge_all(LinkSettings(netem=text), sent_ns, seed=seed, sizes=size)
@@ -101,21 +101,21 @@ def compare_netem(text: str, sent_ns: Times, *, seed: int = 0, size: int = 92) -
 
 
 def _requested(settings: LinkSettings) -> LinkFigures:
-    """What the text says by itself: with a rate, delays depend on the traffic."""
-    # Jitter that no link can have, as of 10 ms around 10 ms, was requested all the same.
+    """Return the figures that the text states; with a rate, delays depend on the traffic."""
+    # Jitter that no link can have, such as 10 ms around 10 ms, still counts as requested.
     without = dict.fromkeys(("jitter_s", "distribution", "distribution_shape", "jitter_correlation_s"))
     figures = asked(replace(settings, **without), "forward")
     mean_s, sigma_s = figures.mean_s, None if figures.mean_s is None else settings.jitter_s
     figures = replace(figures, sigma_s=sigma_s)
     if mean_s is not None and sigma_s is not None and settings.distribution in {"normal", "uniform"}:
-        # Of a uniform law, whose half-width is sqrt(3) sigma, 0.98 half-widths above its mean.
+        # Uniform law with half-width sqrt(3) sigma: 0.98 half-widths above the mean.
         above = _P99_NORMAL if settings.distribution == "normal" else 0.98 * sqrt(3.0)
         figures = replace(figures, p50_s=mean_s, p99_s=mean_s + above * sigma_s)
     return replace(figures, **_chain_figures(settings.gilbert_elliott, settings.four_state))
 
 
 def _chain_figures(two: GilbertElliott | None, four: FourState | None) -> dict[str, float | None]:
-    """Share and mean run of the losses of a chain in its stationary state.
+    """Return loss fraction and mean loss run of a chain in its stationary state.
 
     A run of losses begins with a loss after an arrival: mean run = P(lost) / P(arrived, then lost).
 
@@ -125,7 +125,7 @@ def _chain_figures(two: GilbertElliott | None, four: FourState | None) -> dict[s
         move = np.array([[1.0 - two.to_bad, two.to_bad], [two.to_good, 1.0 - two.to_good]])
         losing = np.array([two.loss_good, two.loss_bad])
     elif four is not None:
-        # In netem's own numbering: 1 arrives, 2 arrives within a burst, 3 lost in a burst, 4 lost alone.
+        # Numbering of netem: 1 arrives, 2 arrives within a burst, 3 lost in a burst, 4 isolated loss.
         move = np.array(
             [
                 [1.0 - four.p13 - four.p14, 0.0, four.p13, four.p14],
@@ -146,10 +146,10 @@ def _chain_figures(two: GilbertElliott | None, four: FourState | None) -> dict[s
 
 
 def _stationary(move: npt.NDArray[np.float64], begin: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Where a chain is found in the long run, from where it begins; of a periodic one the mean over its period."""
+    """Return the stationary distribution from an initial one; for a periodic chain the mean over its period."""
     long = 0.5 * (move + np.eye(len(move)))
     for _ in range(64):
-        # The error of the sum of a row would double each time.
+        # Normalise, because the error of a row sum would double each time.
         long = long @ long
         long /= long.sum(axis=1, keepdims=True)
     where: npt.NDArray[np.float64] = begin @ long
@@ -170,7 +170,7 @@ def _quirks(
             f"what is reordered is sent without delay and overtakes all that is under way: {_share(at_once)} of the "
             f"packets leave at once, {_share(netem.reordered or 0.0)} come late"
         )
-    # Nothing else sends packets at once.
+    # Only these send packets immediately.
     reordered = None if settings.jitter_s or settings.rate_bps is not None else at_once
     yield from _of_draws(correlations, wanted, replace(netem, reordered=reordered), len(packets))
     overflow = float(np.mean(packets.causes_of("queue")))
@@ -200,7 +200,7 @@ def _of_delay(
     if mean_s > 0.0 and not settings.reorder and settings.rate_bps is None and at_once > 0.0:
         yield f"a delay below zero is none: {_share(at_once)} of the packets leave at once, which raises the mean"
     longest = float(np.mean(delays == delays.max()))
-    # Each of the 4096 places of a table that is not cut has a share of 1 / 4096.
+    # Each of the 4096 entries of an uncut table has a share of 1 / 4096.
     if settings.distribution != "uniform" and settings.rate_bps is None and longest > 1e-3:
         yield (
             f"the table ends at four sigma: {_share(longest)} of the packets have exactly the longest delay, "
@@ -236,7 +236,7 @@ def _of_draws(correlations: Correlations, wanted: LinkFigures, netem: LinkFigure
 
 
 def _lag_1(packets: Verdicts) -> float:
-    """Correlation of the delays of packets that follow each other, 0 for none."""
+    """Return the delay correlation of consecutive packets; 0 if undefined."""
     delays = (packets.t_out_ns - packets.t_in_ns).astype(np.float64)
     both = (packets.t_out_ns[:-1] >= 0) & (packets.t_out_ns[1:] >= 0)
     first, second = delays[:-1][both], delays[1:][both]

@@ -1,9 +1,9 @@
-"""Networks that were measured, as settings of a link each way.
+"""Measured networks as link settings for both directions.
 
-Published figures are rarely those of a model: a comment with each preset says what was taken over and what was assumed.
-Where only round trips are known, a direction has half of their median, and half of their variance: the two directions
-are independent. The forward direction leads from the master to the slave; of a cellular network or a satellite the
-slave has the terminal, so that forward is its downlink.
+Published figures rarely match a model, so a comment with each preset states what is taken over and what is assumed. If
+only round trips are known, each direction has half of their median and half of their variance, because the two
+directions are independent. Forward leads from master to slave. For cellular and satellite networks the slave has the
+terminal, so forward is its downlink.
 """
 
 from math import exp
@@ -21,25 +21,24 @@ Quantity: TypeAlias = Literal[
 
 
 class Figure(Struct, frozen=True, kw_only=True):
-    """A figure that a preset reproduces."""
+    """Figure that a preset reproduces."""
 
     quantity: Quantity
-    """What; "gaps" and "one-way" are of the forward direction, "loss" is of a round trip."""
+    """Quantity; "gaps" and "one-way" refer to the forward direction, "loss" to a round trip."""
     value: float
-    """Times in s."""
+    """Value; times in s."""
     within: float
-    """By how much of `value` a sample of a million packets may miss it."""
+    """Relative tolerance for a sample of a million packets."""
 
 
 class Preset(Struct, frozen=True, kw_only=True):
-    """A network that was measured."""
+    """Measured network."""
 
     title: str
-    """What it is."""
     source: str
-    """Where its figures come from, and what is assumed beside them."""
+    """Source of the figures, and assumptions."""
     figures: tuple[Figure, ...]
-    """What it reproduces."""
+    """Reproduced figures."""
     forward: LinkSettings
     """From master to slave."""
     backward: LinkSettings
@@ -54,10 +53,11 @@ def _figures(**values: tuple[float, float]) -> tuple[Figure, ...]:
 
 
 def _gaps(per_minute: float, mean_s: float, delay_s: float) -> Outage:
-    """Times at which a radio link holds everything: scheduling, handover, retransmission.
+    """Return outages of a radio link that holds all packets: scheduling, handover, retransmission.
 
-    `per_minute` gaps between arrivals, exponentially distributed. The delay passes while a packet is held, so that only
-    outages longer than it are seen, a share exp(-delay / mean); what they exceed it by has the same distribution.
+    `per_minute` counts exponentially distributed gaps between arrivals. The delay passes while a packet is held, so
+    only longer outages are visible, a fraction exp(-delay / mean). Their excess over the delay has the same
+    distribution.
     """
     # Rounded, so that the preset does not depend on the last bit of a platform's exp.
     mean_up_s = round(60.0 / (per_minute * exp(delay_s / mean_s)) - mean_s, 4)
@@ -65,7 +65,10 @@ def _gaps(per_minute: float, mean_s: float, delay_s: float) -> Outage:
 
 
 def _cellular(delay_s: float, jitter_s: float, loss: float, gaps: tuple[float, float]) -> LinkSettings:
-    """One direction of a cellular network: half of the median round trip, and gaps per minute of a mean length in s."""
+    """Return one direction of a cellular network.
+
+    `delay_s` is half of the median round trip; `gaps` are gaps per minute and their mean length in s.
+    """
     return LinkSettings(
         delay_s=delay_s,
         jitter_s=jitter_s,
@@ -79,27 +82,27 @@ def _cellular(delay_s: float, jitter_s: float, loss: float, gaps: tuple[float, f
 
 _WIRED = LinkSettings(delay_s=2e-4, jitter_s=2e-5, distribution="gamma")
 
-# Loss and its single packets are published; the delay of an idle hop is our assumption.
+# Loss and its isolation are published; the delay of an idle hop is assumed.
 _HOME = LinkSettings(delay_s=0.002, jitter_s=0.0005, distribution="gamma", loss=7.5e-6)
 
-# Lognormal through both published quantiles of a hop: median 20 ms and ln(100 / 20) / 1.2816 = 1.2558 give the mean
+# Lognormal law through both published quantiles of a hop: median 20 ms and ln(100 / 20) / 1.2816 = 1.2558 give the mean
 # 20 exp(1.2558^2 / 2) = 44.0 ms and the deviation 44.0 sqrt(exp(1.2558^2) - 1) = 86.2 ms.
 _LOADED = LinkSettings(
     delay_s=0.0440, jitter_s=0.0862, distribution="lognormal", jitter_correlation_s=0.1, loss=0.005, mean_burst=2.0
 )
 
-# Only the bursts are published: mean 4.9 packets, 47 % of 4 or more (geometric: 50 %). Delay and share are assumed.
+# Only the bursts are published: mean 4.9 packets, 47 % of 4 or more (geometric: 50 %). Delay and loss are assumed.
 _VPN = LinkSettings(delay_s=0.02, jitter_s=0.002, distribution="exponential", loss=0.0025, mean_burst=4.9)
 
-# The round trips of experimental.dat have the mean 189.6 ms, the deviation 13.0 ms and the autocorrelation 0.48 from
-# one to the next, a second apart as ping sends them. Two exponential directions of 13.0 / sqrt(2) ms meet p1 to p90
-# within 2 %, and p99 within 6 % (232 for 221 ms).
+# The round trips of experimental.dat have mean 189.6 ms, deviation 13.0 ms and autocorrelation 0.48 between consecutive
+# pings, one second apart. Two exponential directions of 13.0 / sqrt(2) ms match p1 to p90 within 2 %, and p99 within 6
+# % (232 for 221 ms).
 _FAR = LinkSettings(
     delay_s=0.0948, jitter_s=0.00919, distribution="exponential", jitter_correlation_s=1.36, loss=0.0005
 )
 
-# 25.7 ms median and less than 1 % above 55 ms; slots of 15 s with spikes of 140 and 75 ms are published, their height
-# and the loss in them (up to half of the packets in 2022) are chosen to meet the 1 %.
+# Published: 25.7 ms median, less than 1 % above 55 ms, and slots of 15 s with spikes of 140 and 75 ms. Spike height and
+# loss (up to half of the packets in 2022) are chosen to meet the 1 %.
 _STARLINK = LinkSettings(
     delay_s=0.0129,
     jitter_s=0.0025,
@@ -115,7 +118,7 @@ _STARLINK = LinkSettings(
     ),
 )
 
-# Only the least round trip is exact; the rest is assumed.
+# Only the smallest round trip is exact; the rest is assumed.
 _GEO = LinkSettings(
     delay_s=0.3, jitter_s=0.01, distribution="exponential", jitter_correlation_s=0.2, loss=0.0025, mean_burst=3.0
 )
@@ -151,8 +154,8 @@ PRESETS: MappingProxyType[str, Preset] = MappingProxyType({
         forward=_VPN,
         backward=_VPN,
     ),
-    # Of the largest round trip in a window of a few probes, the median window is the bulk and the 95th percentile about
-    # the 99th of single probes: assumed, because the windows are not published probe by probe.
+    # Windows of a few probes publish their largest round trip only. Assumed: the median window is the bulk, and the
+    # 95th percentile is about the 99th of single probes.
     "5g-static": Preset(
         title="5G NSA, at rest",
         source=f"{_UCC}: windows from 66 to 73 ms, largest of a window p95 114 ms, loss 0.37 %",
@@ -174,8 +177,8 @@ PRESETS: MappingProxyType[str, Preset] = MappingProxyType({
         forward=_cellular(0.04175, 0.004, 0.00185, (10.6, 0.06)),
         backward=_cellular(0.04175, 0.004, 0.00185, (10.6, 0.06)),
     ),
-    # Gaps longer than x ms are n exp(-x / d) a minute: 30 over 50 ms and 10 over 100 ms give d = 45.5 ms and n = 90
-    # downlink; uplink, 8 over 50 ms with the same d give n = 24.
+    # Gaps longer than x ms occur n exp(-x / d) times per minute. Downlink: 30 over 50 ms and 10 over 100 ms give d =
+    # 45.5 ms and n = 90. Uplink: 8 over 50 ms with the same d give n = 24.
     "lte-driving": Preset(
         title="LTE, in a moving car",
         source=f"{_UCC}: median 84 ms, loss 1.16 %; gaps of mahimahi's AT&T downlink and T-Mobile uplink, recomputed",
@@ -226,4 +229,3 @@ PRESETS: MappingProxyType[str, Preset] = MappingProxyType({
         backward=_GEO,
     ),
 })  # fmt: skip
-"""The presets by name."""

@@ -1,4 +1,4 @@
-"""What becomes of each packet of one direction."""
+"""Verdict on each packet of one direction."""
 
 from typing import TypeAlias
 
@@ -12,49 +12,49 @@ from haptether.netsim.link.settings import Direction, LinkSettings
 Times: TypeAlias = npt.NDArray[np.int64]
 
 VERDICT_CAUSES: tuple[str, ...] = tuple(_core.verdict_causes())
-"""Causes by their code: the first, "", is of a packet that arrives as it was sent."""
+"""Causes by code; the first, "", means that a packet arrives unchanged."""
 _BESIDE = VERDICT_CAUSES.index("duplicate")
 
 
 class Verdicts:
-    """What becomes of packets, a row each; what arrives beside a packet has rows directly after it."""
+    """Verdicts on packets, one row each; additional arrivals follow directly after their packet."""
 
     def __init__(self, index: Times, t_in_ns: Times, t_out_ns: Times, cause_code: npt.NDArray[np.uint8]) -> None:
         self.index = index
-        """Which packet, counted from 0."""
+        """Index of the packet, from 0."""
         self.t_in_ns = t_in_ns
-        """When it was sent, in ns."""
+        """Sending time in ns."""
         self.t_out_ns = t_out_ns
-        """When it arrives, in ns; -1 for never."""
+        """Arrival time in ns; -1 for a loss."""
         self.cause_code = cause_code
-        """Why it does not arrive, how it is damaged, or what it is beside the packet: place in `VERDICT_CAUSES`."""
+        """Index into `VERDICT_CAUSES`: cause of loss, kind of damage, or kind of additional arrival."""
 
     def __len__(self) -> int:
         return len(self.index)
 
     @property
     def causes(self) -> list[str]:
-        """The causes by name; "" for a packet that arrives as it was sent."""
+        """Cause names; "" for a packet that arrives unchanged."""
         return [VERDICT_CAUSES[code] for code in self.cause_code.tolist()]
 
     def causes_of(self, cause: str) -> npt.NDArray[np.bool_]:
-        """Which rows have a cause, by its name.
+        """Return the mask of rows with a cause, given by name.
 
         Raises:
-            ValueError: No such cause.
+            ValueError: The cause does not exist.
         """
         has_cause: npt.NDArray[np.bool_] = self.cause_code == VERDICT_CAUSES.index(cause)
         return has_cause
 
     @property
     def is_packet(self) -> npt.NDArray[np.bool_]:
-        """Which rows are the packets themselves, not what arrives beside them."""
+        """Mask of rows that are packets, not additional arrivals."""
         is_packet: npt.NDArray[np.bool_] = self.cause_code < _BESIDE
         return is_packet
 
     @property
     def packets(self) -> "Verdicts":
-        """Only the packets themselves, one row for each."""
+        """Rows of the packets only, one each."""
         kept = self.is_packet
         return Verdicts(self.index[kept], self.t_in_ns[kept], self.t_out_ns[kept], self.cause_code[kept])
 
@@ -67,21 +67,21 @@ def judge_all(
     seed: int = 0,
     sizes: Times | int = 0,
 ) -> Verdicts:
-    """Decides what becomes of each packet of one direction: the core that every driver of netsim uses.
+    """Decide the verdict on each packet of one direction, by the core that all drivers of netsim use.
 
-    A pure function of settings, seed, direction, and the packets up to each one, on every platform: one impairment
-    shifts no draw of another.
+    A pure function of settings, seed, direction and the preceding packets, equal on every platform. No impairment
+    shifts the draws of another.
 
     Args:
-        settings: The network.
-        sent_ns: When each packet was sent, in ns, 0 or more, not decreasing, shape `(n_packets,)`.
-        direction: Forward and backward have their own draws.
-        seed: Key of all draws, 0 to 2⁶⁴ - 1.
+        settings: Settings of the link.
+        sent_ns: Sending times in ns, 0 or more, not decreasing, shape `(n_packets,)`.
+        direction: Direction; each has its own draws.
+        seed: Seed of all draws, 0 to 2⁶⁴ - 1.
         sizes: Payload in bytes, one for all packets or one per packet, shape `(n_packets,)`.
 
     Raises:
-        LinkError: Settings that describe no link.
-        ValueError: A time or size below 0, with its index, times that decrease, or no such `direction`.
+        LinkError: The settings are invalid.
+        ValueError: A time or size is negative (gives its index), times decrease, or the `direction` does not exist.
 
     Source: Salmon et al. 2011 (counter-based draws).
     """
@@ -101,21 +101,21 @@ def judge(
     seed: int = 0,
     sizes: Times | int = 0,
 ) -> Times:
-    """When each packet of one direction arrives, in ns, -1 for one that does not, shape `(n_packets,)`.
+    """Return the arrival time of each packet of one direction in ns, -1 for a loss, shape `(n_packets,)`.
 
-    As `judge_all`, without causes and without what arrives beside the packets.
+    Same as `judge_all`, without causes and additional arrivals.
 
     Raises:
-        LinkError: Settings that describe no link.
-        ValueError: A time or size below 0, with its index, times that decrease, or no such `direction`.
+        LinkError: The settings are invalid.
+        ValueError: A time or size is negative (gives its index), times decrease, or the `direction` does not exist.
     """
     return judge_all(settings, sent_ns, direction=direction, seed=seed, sizes=sizes).packets.t_out_ns
 
 
 def link_bounds(settings: LinkSettings, direction: Direction = "forward") -> tuple[float, float]:
-    """Longest time in s that a packet is under way, and time in s of the last scheduled change; infinite for none.
+    """Return the longest delay of a packet in s, and the time in s of the last scheduled change; infinite if unbounded.
 
     Raises:
-        LinkError: Settings that describe no link.
+        LinkError: The settings are invalid.
     """
     return _core.link_bounds(link_json(settings, direction))

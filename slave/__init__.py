@@ -1,4 +1,4 @@
-"""The side of the robot: arm and environment models, what drivers of arms and grippers have, the UR arm, Robotiq."""
+"""Robot's side: models of arm and environment, interfaces of arm and gripper drivers, the UR arm, Robotiq."""
 
 from typing import TYPE_CHECKING
 
@@ -60,8 +60,8 @@ __all__ = [
     "ur_model",
 ]
 
-if not TYPE_CHECKING:  # else any name would do
-    # Whoever has no UR arm does not wait for NumPy.
+if not TYPE_CHECKING:  # otherwise a type checker would accept any name
+    # Without a UR arm NumPy is not loaded.
     __getattr__, __dir__ = lazy_names(
         __name__,
         {

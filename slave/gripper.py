@@ -1,32 +1,32 @@
-"""What a gripper is to Haptether: one coordinate, from 0 (open) to 1 (closed), and five methods that a driver has."""
+"""Interface of a gripper driver: one coordinate, 0 (open) to 1 (closed), and five methods."""
 
 import math
 from dataclasses import dataclass
 from typing import Final, Protocol, runtime_checkable
 
 MAX_SPEED: Final = 100.0
-"""1/s: no gripper opens within 10 ms, and a faster one was meant in mm/s."""
+"""Largest speed in 1/s: no gripper opens within 10 ms, so a larger value was meant in mm/s."""
 MAX_FORCE_N: Final = 10_000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripperSample:
-    """What a gripper has measured.
+    """Measurements of a gripper.
 
     Raises:
-        ValueError: A number that is not finite or out of its range.
+        ValueError: A value is not finite or out of range.
     """
 
     position: float
     """0 (open) to 1 (closed)."""
     velocity: float
-    """In 1/s; positive closes."""
+    """Velocity in 1/s; positive closes."""
     force_n: float
-    """Between the jaws, 0 or more; what it is set to where it has no sensor."""
+    """Force between the jaws, 0 or more; the set force without a sensor."""
     holds_object: bool
-    """Whether something stops the jaws, from inside or outside."""
+    """True if an object blocks the jaws, from inside or outside."""
     fault: str | None = None
-    """What the gripper says is wrong with it: it takes no command until the operator at this side acknowledges it."""
+    """Fault of the gripper, or None. It accepts no command until the operator at this side acknowledges it."""
 
     def __post_init__(self) -> None:
         _check("GripperSample: position", self.position, 0.0, 1.0, "0 (open) to 1 (closed)")
@@ -36,18 +36,18 @@ class GripperSample:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripperCommand:
-    """Where a gripper is to go. What it cannot do of speed and force it does as nearly as it can.
+    """Target of a gripper. Speed and force outside its range are saturated.
 
     Raises:
-        ValueError: A number that is not finite or out of its range.
+        ValueError: A value is not finite or out of range.
     """
 
     position: float
     """0 (open) to 1 (closed)."""
     speed: float
-    """In 1/s, above 0, either way."""
+    """Speed in 1/s, above 0, in either direction."""
     force_n: float
-    """With which it closes on what is in between, 0 or more; the least that it has may be far above 0."""
+    """Closing force in N, 0 or more; the gripper's minimum may be far above 0."""
 
     def __post_init__(self) -> None:
         _check("GripperCommand: position", self.position, 0.0, 1.0, "0 (open) to 1 (closed)")
@@ -62,28 +62,28 @@ class GripperCommand:
 
 @runtime_checkable
 class Gripper(Protocol):
-    """A gripper: it moves by itself, at its own pace, and no call waits for it but `open` and `close`.
+    """Gripper that moves at its own pace; only `open` and `close` may block.
 
-    Loaded by the name of an entry point of the group `haptether.grippers`, which is called with the options of the
-    scene as keywords. A driver may have `acknowledge()`, called when the operator at this side says that a fault is
-    mended; it does not move the jaws. One on the bus of its arm may have `attach(arm)`, called with the arm's driver
-    before `open`; the arm is opened then, and closed first.
+    Loaded by an entry point of the group `haptether.grippers`, with the options of the scene as keyword arguments. An
+    optional `acknowledge()` is called when the operator at this side acknowledges a fixed fault; it does not move the
+    jaws. A gripper on the bus of its arm may have `attach(arm)`, called with the arm's driver before `open`; the arm is
+    open by then, and is closed first.
     """
 
     def open(self) -> None:
-        """Connects; called once, before anything else. The jaws move only where the options allow an activation."""
+        """Connect; called once, before any other method. The jaws move only if the options allow an activation."""
 
     def read(self) -> GripperSample:
-        """The newest sample, at once."""
+        """Return the latest sample without blocking."""
 
     def write(self, command: GripperCommand) -> None:
-        """Takes the newest command, at once; one that was not sent on yet is forgotten."""
+        """Take the latest command without blocking; it replaces an unsent one."""
 
     def hold(self) -> None:
-        """Stops the jaws, at once, and keeps the force on what they hold, until the next `write`."""
+        """Stop the jaws without blocking, and keep the force on a held object, until the next `write`."""
 
     def close(self) -> None:
-        """Disconnects within a bounded time; called once, also after an exception. It keeps its grip."""
+        """Disconnect within a bounded time; called once, also after an exception. The gripper keeps its grip."""
 
 
 def _check(key: str, value: float, low: float, high: float, allowed: str) -> None:

@@ -1,1 +1,1 @@
-"""What the benches of the UR kinematics compare with: arms in pinocchio, other solvers, other formulas."""
+"""Peers of the UR kinematics benches: arms in pinocchio, other solvers, other formulas."""

@@ -1,4 +1,4 @@
-"""What tests and the bench of UR kinematics share: real calibrations, and the same arms in pinocchio."""
+"""Shared by tests and bench of UR kinematics: real calibrations, and the same arms in pinocchio."""
 
 from typing import Any
 
@@ -10,8 +10,8 @@ from haptether.slave import UrCalibration, UrModel, ur_model
 
 Array = npt.NDArray[np.float64]
 
-# Of four arms, as their controllers had them: from ur_modern_driver's issue 179 (UR5), and from the
-# tests of the vendor's ROS driver, ur_calibration/test/calibration_test.cpp (UR10).
+# Calibrations of four arms, as stored in their controllers: from ur_modern_driver's issue 179 (UR5), and from the tests
+# of the vendor's ROS driver, ur_calibration/test/calibration_test.cpp (UR10).
 CALIBRATIONS: dict[str, tuple[UrModel, UrCalibration]] = {
     "ur5": (
         ur_model("ur5"),
@@ -174,7 +174,7 @@ TOOL = np.array(
 
 
 class PinocchioArm:
-    """An arm of six revolute joints from its Denavit-Hartenberg rows, in pinocchio."""
+    """Arm of six revolute joints from its Denavit-Hartenberg rows, in pinocchio."""
 
     def __init__(self, model: UrModel, calibration: UrCalibration | None, tool: Array) -> None:
         zeros = (0.0,) * 6
@@ -199,13 +199,13 @@ class PinocchioArm:
         assert self.model.nq == len(zeros)
 
     def forward_and_jacobian(self, q: Array) -> tuple[Array, Array]:
-        """Pose of the tool, (4, 4), m, and its Jacobian, (6, 6), in the base frame, at joint angles in rad, (6,)."""
+        """Return the tool pose, (4, 4), m, and its Jacobian, (6, 6), in the base frame, for joint angles in rad."""
         frame = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
         jacobian = pinocchio.computeFrameJacobian(self.model, self.data, q, self.frame, frame)
         return self.data.oMf[self.frame].homogeneous, jacobian
 
     def jacobian_dot(self, q: Array, qd: Array) -> Array:
-        """The Jacobian's rate of change, (6, 6), at joint angles in rad and velocities in rad/s, (6,) each."""
+        """Return the Jacobian's time derivative, (6, 6), at joint angles in rad and velocities in rad/s, (6,) each."""
         frame = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
         pinocchio.computeJointJacobiansTimeVariation(self.model, self.data, q, qd)
         pinocchio.updateFramePlacements(self.model, self.data)

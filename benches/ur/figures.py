@@ -1,4 +1,4 @@
-"""Paths of poses that a UR arm is led along, for the bench of its poses and the tests of its modes."""
+"""Paths of poses for a UR arm: for the bench of its poses and the tests of its modes."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -13,11 +13,11 @@ from haptether.slave.ur.kinematics.pose import (
 )
 
 APART_S = 1e-6
-"""Of the two poses whose difference is the twist: right to 1e-9."""
+"""Time between the two poses whose difference is the twist: accurate to 1e-9."""
 
 
 class Pose(NamedTuple):
-    """A pose and its twist, in the frame of the base, in m, m/s and rad/s; `quat_wxyz`."""
+    """Pose and its twist, in the base frame, in m, m/s and rad/s; `quat_wxyz`."""
 
     position: Vector
     velocity: Vector
@@ -26,14 +26,14 @@ class Pose(NamedTuple):
 
 
 Path = Callable[[float], Pose]
-"""The pose at a time in s."""
+"""Returns the pose at a time in s."""
 
 
 def figure(home: Sequence[float], *, amplitude_m: float, angle: float, period_s: float) -> Path:
-    """A figure of three sines in space around a pose of the controller, x y z rx ry rz, that turns to and fro.
+    """Return a figure of three sines in space around a controller pose, x y z rx ry rz, that turns back and forth.
 
-    Along x, y and z by sines of 1, 2 and 3 times the frequency; `exp(a s_1 e_z) exp(a s_2 e_x / 2)` before the
-    orientation of the begin. Amplitudes rise within 1 s.
+    Along x, y and z by sines of 1, 2 and 3 times the frequency; `exp(a s_1 e_z) exp(a s_2 e_x / 2)` before the initial
+    orientation. Amplitudes rise within 1 s.
     """
     begin = quat_wxyz_from_rotvec(home[3:])
 
@@ -50,7 +50,10 @@ def figure(home: Sequence[float], *, amplitude_m: float, angle: float, period_s:
 
 
 def turn(home: Sequence[float], *, axis: Sequence[float], angle: float, speed: float) -> Path:
-    """A turn about one axis of the base, of length 1, by an angle in rad at rad/s at most; the tool's point rests."""
+    """Return a turn about a unit axis of the base by an angle in rad, at most at `speed` in rad/s.
+
+    The tool's point rests.
+    """
     begin = quat_wxyz_from_rotvec(home[3:])
     # The fastest of (1 - cos)/2 is pi/2 times its mean.
     duration_s = 0.5 * math.pi * angle / speed
@@ -64,7 +67,7 @@ def turn(home: Sequence[float], *, axis: Sequence[float], angle: float, speed: f
 
 
 def apart(pose: Sequence[float], wanted: Pose) -> tuple[float, float]:
-    """How far a pose of the controller is from another, in m and rad."""
+    """Return the distance of a controller pose from another, in m and rad."""
     tool = quat_wxyz_from_rotvec(pose[3:])
     return math.dist(pose[:3], wanted.position), math.hypot(*turn_between(tool, wanted.orientation))
 

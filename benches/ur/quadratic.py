@@ -19,12 +19,12 @@ ABSENT = 1e30
 
 
 def infinite(bounds: Array) -> Array:
-    """Bounds that are none as infinite ones."""
+    """Return the bounds, with absent ones as infinite."""
     return np.where(np.abs(bounds) >= ABSENT, np.sign(bounds) * np.inf, bounds)
 
 
 def one_sided(program: QuadraticProgram) -> tuple[Array, Array]:
-    """All bounds that there are as `G x >= h`."""
+    """Return all existing bounds as `G x >= h`."""
     constraints = np.vstack((np.eye(6), program.rows))
     low, high = program.lower > -ABSENT, program.upper < ABSENT
     return (
@@ -34,7 +34,7 @@ def one_sided(program: QuadraticProgram) -> tuple[Array, Array]:
 
 
 def ours(_: list[QuadraticProgram]) -> Solve:
-    """`QuadraticSolver`: daqp, begun where the last program ended."""
+    """`QuadraticSolver`: daqp, started at the last program's solution."""
     return QuadraticSolver().solve
 
 
@@ -52,7 +52,7 @@ def daqp_as_it_is(_: list[QuadraticProgram]) -> Solve:
 
 
 def solve_then_clip(_: list[QuadraticProgram]) -> Solve:
-    """The minimum without bounds, with each joint clipped to its own."""
+    """Minimum without bounds, with each joint clipped to its own."""
 
     def solve(program: QuadraticProgram) -> Array:
         free = np.linalg.solve(program.hessian, -program.linear)
@@ -84,7 +84,7 @@ def qrqp(programs: list[QuadraticProgram]) -> Solve:
 
 
 def proxqp(eps_abs: float | None) -> Callable[[list[QuadraticProgram]], Solve]:
-    """ProxQP's dense solver, begun where the last program ended; none for its own tolerance."""
+    """ProxQP's dense solver, started at the last program's solution; None for its own tolerance."""
 
     def prepare(programs: list[QuadraticProgram]) -> Solve:
         proxsuite: Any = importlib.import_module("proxsuite")
@@ -123,7 +123,7 @@ def quadprog(_: list[QuadraticProgram]) -> Solve:
 
 
 def solvers() -> dict[str, Callable[[list[QuadraticProgram]], Solve]]:
-    """All that are installed, by name."""
+    """Return all installed solvers, by name."""
     found: dict[str, Callable[[list[QuadraticProgram]], Solve]] = {
         "ours (daqp, warm)": ours,
         "daqp.solve": daqp_as_it_is,

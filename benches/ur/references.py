@@ -1,4 +1,4 @@
-"""References for the bench of UR kinematics: the chain in extended precision, and minima held to their conditions."""
+"""References for the bench of UR kinematics: the chain in extended precision, and minima with verified conditions."""
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ ABSENT = 1e30
 
 
 def extended_chain(rows: DhRows, q: Array) -> tuple[Extended, Extended]:
-    """base_from_flange (n, 4, 4) and geometric Jacobian (n, 6, 6) of n postures in 80 bits, from one matrix a joint."""
+    """Return base_from_flange (n, 4, 4) and geometric Jacobian (n, 6, 6) of n postures in 80 bits, joint by joint."""
     count = len(q)
     base_from_link = np.broadcast_to(np.eye(4, dtype=np.longdouble), (count, 4, 4)).copy()
     axes, origins = [], []
@@ -41,14 +41,14 @@ def extended_chain(rows: DhRows, q: Array) -> tuple[Extended, Extended]:
 
 
 def apart(one: Extended, other: Extended) -> tuple[Array, Array]:
-    """How far poses (n, 4, 4) are apart, in m and rad: `|R1 - R2| = 2 sqrt(2) sin(t/2)` in Frobenius' norm."""
+    """Return the distances of poses (n, 4, 4) in m and rad: `|R1 - R2| = 2 sqrt(2) sin(t/2)` in Frobenius' norm."""
     metres = np.linalg.norm((one[:, :3, 3] - other[:, :3, 3]).astype(np.float64), axis=-1)
     turned = np.linalg.norm((one[:, :3, :3] - other[:, :3, :3]).astype(np.float64), axis=(1, 2))
     return metres, 2 * np.arcsin(np.minimum(turned / np.sqrt(8), 1.0))
 
 
 def residual(program: QuadraticProgram, x: Array, multipliers: Array) -> float:
-    """Largest residual of the conditions of Karush, Kuhn and Tucker.
+    """Return the largest residual of the conditions of Karush, Kuhn and Tucker.
 
     Source: S. Boyd, L. Vandenberghe, "Convex Optimization", 2004, section 5.5.3.
     """
@@ -61,9 +61,9 @@ def residual(program: QuadraticProgram, x: Array, multipliers: Array) -> float:
 
 
 def minimum(program: QuadraticProgram, multipliers: Array) -> Array:
-    """The minimum on the bounds that multipliers name, refined in 80 bits, and proven to be the minimum of all.
+    """Return the minimum on the bounds that multipliers name, refined in 80 bits, and proven to be the global minimum.
 
-    A strictly convex program has one point that satisfies the conditions: whoever named the bounds, it is that.
+    A strictly convex program has one point that satisfies the conditions, from any source of the bounds.
     """
     constraints = np.vstack((np.eye(6), program.rows))
     active = np.abs(multipliers) > TIGHT

@@ -1,1 +1,1 @@
-"""Drivers of devices in Python: found, opened, and led by a loop."""
+"""Device drivers in Python: discovery, opening and the loop that steps them."""

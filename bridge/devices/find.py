@@ -1,4 +1,4 @@
-"""Drivers of devices and controllers in Python, found by the entry points that packages declare."""
+"""Discovery of Python device drivers and controllers by package entry points."""
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping
@@ -29,7 +29,7 @@ _KEYS = {
     GRIPPERS: "[slave.gripper] device",
     RESEARCH_CONTROLLERS: "[safety.research] controller",
 }
-"""What names it in a scene."""
+"""Scene key that names a driver of each group."""
 _METHODS = {
     MASTERS: ("open", "read", "write", "close"),
     SLAVES: ("open", "read", "write", "stop", "close"),
@@ -37,18 +37,18 @@ _METHODS = {
     RESEARCH_CONTROLLERS: ("step",),
 }
 _PACED = {MASTERS, SLAVES}
-"""What may have a pace of its own, and says whether."""
+"""Groups whose drivers declare whether they pace the loop."""
 
 
 def device_names(group: str) -> tuple[str, ...]:
-    """Names that installed packages have in a group."""
+    """Return the names that installed packages declare in a group."""
     return tuple(sorted(entry_points(group=group).names))
 
 
 def load_problems(group: str) -> dict[str, str]:
-    """Why drivers of a group that are installed cannot be loaded, by name; of those that can there is nothing.
+    """Return, by name, why installed drivers of a group cannot be loaded; loadable drivers are omitted.
 
-    Their packages are imported, and nothing is called.
+    The packages are imported; nothing is called.
     """
     problems = {}
     for name in device_names(group):
@@ -60,30 +60,30 @@ def load_problems(group: str) -> dict[str, str]:
 
 
 def load_master(name: str, options: Mapping[str, Any]) -> "MasterDevice":
-    """The driver of a haptic device, called with `options` as keywords.
+    """Create the driver of a haptic device with `options` as keyword arguments.
 
     Raises:
-        ValueError: No such driver, options that it does not have, or something that is none.
+        ValueError: The driver does not exist, rejects an option, or is not a driver.
     """
     device: MasterDevice = _load(MASTERS, name, options)
     return device
 
 
 def load_slave(name: str, options: Mapping[str, Any]) -> "SlaveDevice":
-    """The driver of an arm, called with `options` as keywords.
+    """Create the driver of an arm with `options` as keyword arguments.
 
     Raises:
-        ValueError: No such driver, options that it does not have, or something that is none.
+        ValueError: The driver does not exist, rejects an option, or is not a driver.
     """
     device: SlaveDevice = _load(SLAVES, name, options)
     return device
 
 
 def load_gripper(name: str, options: Mapping[str, Any]) -> "Gripper":
-    """The driver of a gripper, called with `options` as keywords.
+    """Create the driver of a gripper with `options` as keyword arguments.
 
     Raises:
-        ValueError: No such driver, options that it does not have, or something that is none.
+        ValueError: The driver does not exist, rejects an option, or is not a driver.
     """
     gripper: Gripper = _load(GRIPPERS, name, options)
     return gripper
@@ -96,22 +96,22 @@ def load_controller(
     offered: Mapping[str, Any],
     registered: Mapping[str, Callable[..., Any]],
 ) -> "ResearchController":
-    """A controller in Python, called with `options` as keywords, and with those of `offered` that it takes.
+    """Create a Python controller with `options`, and with those of `offered` that it accepts, as keyword arguments.
 
-    One that was registered in this process goes before one of a package.
+    A controller registered in this process takes precedence over one of a package.
 
     Raises:
-        ValueError: No such controller, options that it does not have, or something that is none.
+        ValueError: The controller does not exist, rejects an option, or is not a controller.
     """
     controller: ResearchController = _load(RESEARCH_CONTROLLERS, name, options, offered, registered)
     return controller
 
 
 def load_maker(group: str, name: str) -> Callable[..., Any]:
-    """What an entry point of a group names, which nobody has called.
+    """Return the object that an entry point names, without calling it.
 
     Raises:
-        ValueError: There is none, or none that can be loaded.
+        ValueError: It does not exist or cannot be loaded.
     """
     return _maker(group, name)[1]
 
@@ -133,7 +133,7 @@ def _load(
     try:
         signature = inspect.signature(make)
     except ValueError:
-        # What C has made may say nothing of its arguments: the call itself will.
+        # Extension types may have no signature; the call itself then checks the arguments.
         signature = inspect.Signature([inspect.Parameter("options", inspect.Parameter.VAR_KEYWORD)])
     takes_any = any(one.kind is one.VAR_KEYWORD for one in signature.parameters.values())
     options = {**{key: offered[key] for key in offered if takes_any or key in signature.parameters}, **options}
@@ -145,7 +145,7 @@ def _load(
     try:
         device = make(**options)
     except (ValueError, DeviceError):
-        # Of options that cannot be, in the driver's own words.
+        # Invalid options; the driver's own text says why.
         raise
     except (Exception, SystemExit) as error:
         raise failure(make, error) from error
@@ -159,15 +159,15 @@ def _load(
 
 
 def _maker(group: str, name: str, others: Iterable[str] = ()) -> tuple[EntryPoint, Callable[..., Any]]:
-    """The entry point of a driver, and what makes it.
+    """Return the entry point of a driver and its factory.
 
     Raises:
-        ValueError: There is none, or none that can be loaded.
+        ValueError: It does not exist or cannot be loaded.
     """
     named = _KEYS[group]
     found = entry_points(group=group, name=name)
     if not found:
-        # A model of an arm has a name; that of a haptic device is what a scene without a driver has.
+        # The modelled arm has a name; the modelled haptic device is selected by omitting the driver.
         names = (*(("simulated",) if group == SLAVES else ()), *device_names(group), *others)
         near = get_close_matches(name, names, 1)
         there = f"there is {', '.join(names)}" if names else "none is installed"
@@ -185,7 +185,7 @@ def _maker(group: str, name: str, others: Iterable[str] = ()) -> tuple[EntryPoin
     try:
         make = point.load()
     except (Exception, SystemExit) as error:
-        # Another package's own code runs here, and whatever it raises is why there is no such driver.
+        # The import runs code of another package, which may raise any exception.
         why = str(error) if isinstance(error, ImportError | AttributeError) else f"{type(error).__name__}: {error}"
         message = f"{named} = {name}: {point.value} of {_origin(point)} cannot be loaded: {why}"
         raise ValueError(message) from error

@@ -1,4 +1,4 @@
-"""The loop of a side whose driver is in Python: `read -> tick -> write -> wait`, one extension call a tick."""
+"""Loop of a side with a Python driver: `read -> tick -> write -> wait`, one extension call per tick."""
 
 import atexit
 import contextlib
@@ -33,32 +33,32 @@ else:
     _LiveSide = object
 
 JOIN_S = 10.0
-"""How long the end of a run waits for a driver, such as one that lets an arm down."""
+"""Time in s that the end of a run waits for a driver, for example to let an arm down."""
 LOOK_S = 0.05
-"""Between two looks whether the driver is in a call that does not return."""
+"""Interval in s of the check for a blocked driver call."""
 PROMPT_S = 0.25
-"""Longest age of an acknowledgement when the loop reads it."""
+"""Longest valid age in s of an acknowledgement when the loop reads it."""
 NO_WRENCH = ((0.0,) * 3,) * 2
 GIVE_UP_S = 1.0
-"""How long a driver may still take to open its device once nobody waits for it any more."""
+"""Time in s that a driver may still take to open its device after the run is given up."""
 
 
 def drive_master(
     device: "MasterDevice", loop: MasterLoop, notes: DeviceNotes | None = None, *, period_s: float | None = None
 ) -> None:
-    """Runs the loop of a master with its device to its end.
+    """Run the loop of a master with its device to the end.
 
-    The device is opened here, exerts no force at the end, and is closed.
+    Opens the device here. At the end the device exerts no force and is closed.
 
     Args:
-        device: What is driven.
-        loop: What leads it.
+        device: Driver of the haptic device.
+        loop: Loop in the extension.
         notes: Faults of the device, and acknowledgements by the operator beside it.
-        period_s: Of the loop in s, as the scene has it: a device that paces it by another is refused once it is open.
+        period_s: Period of the scene's loop in s; an open device with another period is refused.
 
     Raises:
-        DeviceError: The device has another period, or the driver raised an exception: no force, and the slave was
-            notified.
+        DeviceError: The device has another period, or the driver raised an exception. The force was removed and the
+            slave notified.
         OSError: Real time is required and refused.
     """
     notes = notes or DeviceNotes()
@@ -106,14 +106,14 @@ def drive_slave(
     period_s: float | None = None,
     gripper: "Gripper | None" = None,
 ) -> None:
-    """Runs the loop of a slave with its arm to its end; arguments as with `drive_master`, and the arm's `gripper`.
+    """Run the loop of a slave with its arm to the end; arguments as for `drive_master`, plus the arm's `gripper`.
 
-    Both are opened here and closed at the end; the arm is stopped then, and the gripper keeps its grip. A fault of the
-    gripper is one of this side.
+    Opens both here and closes both at the end. The arm is then stopped and the gripper keeps its grip. A gripper fault
+    is a fault of this side.
 
     Raises:
-        DeviceError: The device has another period, or the driver raised an exception: the arm was stopped, and the
-            master was notified.
+        DeviceError: The device has another period, or the driver raised an exception. The arm was stopped and the
+            master notified.
         OSError: Real time is required and refused.
     """
     notes = notes or DeviceNotes()
@@ -144,7 +144,7 @@ def drive_slave(
         elif kind == "stop" and before == "move":
             device.stop()
         before = kind
-        # The arm first: whatever the gripper's driver does, it has stopped.
+        # Write the arm first, so that it has stopped whatever the gripper driver does.
         if jaws is not None:
             jaws.write(loop.gripper_command)
         return True
@@ -153,26 +153,26 @@ def drive_slave(
         try:
             device.stop()
         finally:
-            # One that does not hold keeps its grip all the same, and is closed next.
+            # A gripper that fails to hold still keeps its grip, and is closed next.
             if gripper is not None:
                 with contextlib.suppress(Exception):
                     gripper.hold()
 
     notes.come_to_rest = come_to_rest
-    # The arm is closed first: a gripper's driver may take its time.
+    # Close the arm first, because a gripper driver may be slow.
     with opened_gripper(gripper, device), opened(device, notes, "[slave] period_s", period_s):
         _drive(device, loop, notes, step, gripper=gripper)
 
 
 class LedJaws:
-    """A gripper beside an arm, as the loop reads and leads it."""
+    """Gripper of an arm, as the loop reads and commands it."""
 
     def __init__(self, gripper: "Gripper") -> None:
         self._gripper = gripper
         self._moves = False
 
     def read(self) -> tuple[tuple[float, float, float, bool], str | None]:
-        """Position, velocity in 1/s, force in N, whether it holds something; and its fault."""
+        """Return position, velocity in 1/s, force in N and the object flag, and the gripper's fault."""
         try:
             sample = self._gripper.read()
         except Exception as error:
@@ -181,7 +181,7 @@ class LedJaws:
         return (sample.position, sample.velocity, sample.force_n, sample.holds_object), fault
 
     def write(self, command: tuple[float, float, float] | None) -> None:
-        """Leads it to a position at a speed in 1/s with a force in N; once it is none, it keeps its grip."""
+        """Command position, speed in 1/s and force in N; with None the gripper keeps its grip."""
         try:
             if command is not None:
                 position, speed, force_n = command
@@ -201,7 +201,7 @@ def _drive(
     *,
     gripper: "Gripper | None" = None,
 ) -> None:
-    """Steps an open device until `step` says that the run is over; whatever ends it, the device comes to rest."""
+    """Step an open device until `step` reports the end; bring the device to rest in every case."""
     name = type(device).__name__
     realtime = loop.begin(name if gripper is None else f"{name} or {type(gripper).__name__}")
     QUIET.prioritise()
@@ -210,7 +210,7 @@ def _drive(
     try:
         while True:
             if loop.take_acknowledgement():
-                # By the control socket.
+                # Acknowledged through the control socket.
                 notes.acknowledged_s = time.monotonic()
             if notes.acknowledged_s is not None:
                 _acknowledge(device, loop, notes, notes.acknowledged_s, gripper)
@@ -222,7 +222,7 @@ def _drive(
         notes.is_at_rest = True
         loop.announce_end()
     except BaseException as error:
-        # Also where somebody presses Ctrl-C: first the device, then the peer.
+        # Applies to Ctrl-C too: first the device, then the peer.
         rests = notes.rest()
         if not isinstance(error, Exception):
             loop.fail(f"{type(device).__name__}: {'' if rests else KEEPS}{type(error).__name__}")
@@ -230,7 +230,7 @@ def _drive(
                 error.add_note(KEEPS)
             raise
         if isinstance(error, DeviceError) and rests:
-            # Of the gripper, which it names.
+            # Error of the gripper, which the message names.
             loop.fail(encodable(str(error)))
             raise
         failed = failure(device, error, rests=rests)
@@ -252,13 +252,13 @@ def _acknowledge(
     for mended in (device, gripper):
         if (mend := getattr(mended, "acknowledge", None)) is not None:
             mend()
-    # A loop that has ended meanwhile has nothing to acknowledge.
+    # A loop that has ended has nothing to acknowledge.
     with contextlib.suppress(RuntimeError):
         loop.acknowledge()
 
 
 class DeviceRun(_LiveSide):
-    """A loop and its device on a thread of their own; what is seen of it is as with `LiveMaster` and `LiveSlave`."""
+    """Loop and device on a separate thread, with the interface of `LiveMaster` and `LiveSlave`."""
 
     _FROM_LOOP: ClassVar = frozenset(
         {
@@ -275,7 +275,7 @@ class DeviceRun(_LiveSide):
             "ticks",
         }
     )
-    """What the loop answers as it does to whoever has `LiveMaster` or `LiveSlave`."""
+    """Attributes forwarded to the loop for users of `LiveMaster` or `LiveSlave`."""
 
     def __init__(
         self,
@@ -285,20 +285,21 @@ class DeviceRun(_LiveSide):
     ) -> None:
         self.notes = DeviceNotes()
         self.error: Exception | None = None
-        """What ended the loop, if anything did."""
+        """Exception that ended the loop, or None."""
         self._device = device
         self._loop = loop
         self._drive = drive
         self._thread = threading.Thread(target=self._run, name="haptether-loop", daemon=True)
-        # The collector runs wherever memory is allocated, the loop included: `poll` collects what is young instead.
+        # Garbage collection would run on any thread that allocates, including the loop; `poll` collects the young
+        # generation instead.
         QUIET.begin()
         self._quieted = threading.Lock()
-        # Whatever ends this process, the device is left at rest before its thread is.
+        # At process exit, bring the device to rest before its thread is killed.
         atexit.register(self._leave)
         self._thread.start()
 
     def _leave(self) -> None:
-        """Ends the loop; a device whose driver does not return is brought to rest and closed by other threads."""
+        """End the loop; if the driver blocks, other threads bring the device to rest and close it."""
         self._loop.stop()
         end_s = time.monotonic() + JOIN_S
         while self._thread.is_alive() and time.monotonic() < end_s and not self._loop.is_blocked:
@@ -309,15 +310,15 @@ class DeviceRun(_LiveSide):
     def _run(self) -> None:
         try:
             self._drive(self.notes)
-        except Exception as error:  # raised by whoever reads it at the end of the run
+        except Exception as error:  # raised by the reader at the end of the run
             self.error = error
-        except BaseException as error:  # a driver's own KeyboardInterrupt or SystemExit, which nobody else sees
+        except BaseException as error:  # a driver's own KeyboardInterrupt or SystemExit, which nothing else catches
             self.error = failure(self._device, error, rests=KEEPS not in getattr(error, "__notes__", ()))
         finally:
             self._loop.stop()
             self._unquiet()
 
-    if not TYPE_CHECKING:  # else any name would do
+    if not TYPE_CHECKING:  # otherwise a type checker would accept any name
 
         def __getattr__(self, name: str) -> object:
             if name in self._FROM_LOOP:
@@ -326,34 +327,34 @@ class DeviceRun(_LiveSide):
             raise AttributeError(message, name=name, obj=self)
 
     def ready(self) -> bool:
-        """Whether the device is open and its loop runs, or it has ended."""
+        """True if the device is open and its loop runs, or the loop has ended."""
         return bool(self.notes.realtime) or self.finished
 
     def poll(self) -> int:
-        """Collects what is young, and returns how many ticks the trace holds by now."""
+        """Collect the young generation and return the number of ticks in the trace."""
         gc.collect(0)
         return self._loop.poll()
 
     @property
     def finished(self) -> bool:
-        """Whether the loop has ended, be it that its driver has not returned."""
+        """True if the loop has ended, even if its driver has not returned."""
         return not self._thread.is_alive() or (self._loop.finished and self._loop.is_blocked)
 
     @property
     def realtime(self) -> str:
-        """What the loop's thread got of the system; empty until the device is open."""
+        """Real-time settings that the system granted to the loop thread; empty until the device is open."""
         return self.notes.realtime
 
     def acknowledge(self) -> None:
-        """Says that its fault is mended: the clutch must then be released and pressed. Void after 0.25 s."""
+        """Acknowledge that the fault is fixed; release and press the clutch next. Expires after 0.25 s."""
         self.notes.acknowledged_s = time.monotonic()
 
     def stop(self) -> None:
-        """Requests the loop to end after its current tick."""
+        """Request the loop to end after its current tick."""
         self._loop.stop()
 
     def give_up(self) -> None:
-        """Ends a run whose device does not open; where `open` does not return within 1 s, the device is closed here."""
+        """End a run whose device does not open; if `open` does not return within 1 s, close the device here."""
         self._loop.stop()
         self._thread.join(GIVE_UP_S)
         atexit.unregister(self._leave)
@@ -362,7 +363,7 @@ class DeviceRun(_LiveSide):
         self._unquiet()
 
     def _unquiet(self) -> None:
-        # Once: by its own end, or by who waits for it no longer.
+        # Executed once: at the end of the run, or when the run is given up.
         if self._quieted.acquire(blocking=False):
             QUIET.end()
 
@@ -376,28 +377,28 @@ class DeviceRun(_LiveSide):
 
 
 class MasterRun(DeviceRun):
-    """A master with its device on a thread of its own; `period_s` as with `drive_master`."""
+    """Master and its device on a separate thread; `period_s` as for `drive_master`."""
 
     def __init__(self, device: "MasterDevice", loop: MasterLoop, *, period_s: float | None = None) -> None:
         super().__init__(device, loop, lambda notes: drive_master(device, loop, notes, period_s=period_s))
         self._master = loop
 
     def press_clutch(self) -> None:
-        """Lets go of the clutch for 0.1 s and presses it again: an operator's command, void where it is read late."""
+        """Release the clutch for 0.1 s and press it again at the operator's command; void if read late."""
         self._master.press_clutch()
 
     def finish(self) -> tuple[MasterTrace, LoopReport]:
-        """Ends the loop and returns all its ticks and how it went; `error` says what ended it, if anything did.
+        """End the loop and return all ticks and its report; `error` holds the exception that ended it, if any.
 
         Raises:
-            RuntimeError: The run was finished before.
+            RuntimeError: The run was already finished.
         """
         self._end()
         return self._master.finish()
 
 
 class SlaveRun(DeviceRun):
-    """A slave with its arm on a thread of its own; `period_s` and `gripper` as with `drive_slave`."""
+    """Slave and its arm on a separate thread; `period_s` and `gripper` as for `drive_slave`."""
 
     def __init__(
         self,
@@ -407,7 +408,7 @@ class SlaveRun(DeviceRun):
         period_s: float | None = None,
         gripper: "Gripper | None" = None,
     ) -> None:
-        # Before the loop begins on its thread.
+        # Set before the loop starts on its thread.
         self._gripper = gripper
         super().__init__(
             device, loop, lambda notes: drive_slave(device, loop, notes, period_s=period_s, gripper=gripper)
@@ -415,21 +416,21 @@ class SlaveRun(DeviceRun):
         self._slave = loop
 
     def give_up(self) -> None:
-        """As of any device; a gripper that opens is closed first, which ends an activation."""
+        """Give up as for any device; close a gripper first while it opens, which ends an activation."""
         if self._gripper is not None:
             with contextlib.suppress(Exception):
                 self._gripper.close()
         super().give_up()
 
     def allow_takeover(self) -> None:
-        """Lets another master begin, if the one before has been silent for 2 s: a command of the slave's operator."""
+        """Allow another master to begin after 2 s of silence of the previous one, at the slave operator's command."""
         self._slave.allow_takeover()
 
     def finish(self) -> tuple[SlaveTrace, LoopReport]:
-        """Ends the loop and returns all its ticks and how it went; `error` says what ended it, if anything did.
+        """End the loop and return all ticks and its report; `error` holds the exception that ended it, if any.
 
         Raises:
-            RuntimeError: The run was finished before.
+            RuntimeError: The run was already finished.
         """
         self._end()
         return self._slave.finish()

@@ -1,4 +1,4 @@
-"""How the device of a loop is opened, held against its loop, and closed once."""
+"""Opening, checking and closing the device of a loop."""
 
 import contextlib
 import os
@@ -18,42 +18,42 @@ if TYPE_CHECKING:
     from haptether.slave import Gripper, SlaveDevice
 
 PERIOD_SHARE = 0.01
-"""How far the period of a device may be from that of its loop; no clock of one is off by as much."""
+"""Allowed relative difference between the period of a device and of its loop; larger than any clock error."""
 
 KEEPS = "KEEPS ITS LAST COMMAND, switch it off: "
-"""Of a device that was not brought to rest."""
+"""Message prefix for a device that was not brought to rest."""
 
 REST_ATTEMPTS = 5
-"""How often a device whose driver has failed is brought to rest, where that fails."""
+"""Number of attempts to bring a device to rest after its driver failed."""
 REST_EVERY_S = 2e-3
 LEAVE_S = 1.0
-"""How long rest and close of a driver may take that another thread blocks."""
+"""Time in s that rest and close may take if another thread blocks the driver."""
 
 BRIDGE = Path(__file__).parents[1]
-"""Whose lines led to an exception of a driver, and say nothing about what is wrong with the driver."""
+"""Source folder whose lines are skipped when a driver exception is located."""
 
 
 class DeviceError(RuntimeError):
-    """A driver raised an exception, which is its cause, or paces its loop by another period."""
+    """Exception of a driver, stored as the cause, or a loop period that does not match the device."""
 
     place = ""
-    """File, line and function of the exception; they end the text."""
+    """File, line and function of the exception; the text ends with them."""
 
     @property
     def brief(self) -> str:
-        """The text without the place."""
+        """Text without the location."""
         return str(self).removesuffix(f" ({self.place})")
 
 
 POINT_KINDS = ("linear", "joints")
-"""Kinds of scenes that a driver can be in which does not say."""
+"""Default kinds of scenes for a driver that declares none."""
 
 
 def check_kind(device: object, kind: str) -> None:
-    """Refuses a driver that cannot be in a scene of this kind.
+    """Refuse a driver that does not support this kind of scene.
 
     Raises:
-        DeviceError: It cannot.
+        DeviceError: The driver does not support the kind.
     """
     kinds: tuple[str, ...] = getattr(device, "kinds", POINT_KINDS)
     if kind not in kinds:
@@ -65,10 +65,10 @@ def check_kind(device: object, kind: str) -> None:
 
 
 def check_trigger(device: object, *, is_felt: bool) -> Callable[[float], None] | None:
-    """What exerts the force at the trigger, in a scene where the finger feels it.
+    """Return the method that exerts the trigger force, if the finger feels it in this scene.
 
     Raises:
-        DeviceError: The driver has nothing that does.
+        DeviceError: The driver has no such method.
     """
     if not is_felt:
         return None
@@ -87,24 +87,24 @@ class DeviceNotes:
     """Faults of a device, and acknowledgements by the operator beside it."""
 
     fault: str | None = None
-    """The last one that the device reported."""
+    """Latest fault that the device reported."""
     acknowledged_s: float | None = None
-    """When the operator acknowledged it, by `time.monotonic`; none once the loop has passed that on to the device."""
+    """Time of the operator's acknowledgement by `time.monotonic`; None after the loop has passed it to the device."""
     realtime: str = ""
-    """What the loop's thread got of the system, once it has begun."""
+    """Real-time settings granted to the loop thread, once it has begun."""
     closing: threading.Lock = field(default_factory=threading.Lock)
-    """Whoever gets it closes the device, and nobody else does."""
+    """Lock taken by the one thread that closes the device."""
     come_to_rest: Callable[[], None] = lambda: None
-    """Writes zero force, or stops an arm."""
+    """Write zero force, or stop an arm."""
     is_at_rest: bool = True
-    """Whether the device took that last; false from `open` on."""
+    """True if the device accepted the last rest command; False from `open` on."""
 
     def rest(self) -> bool:
-        """Brings the device to rest, again where that fails; returns whether it took it."""
+        """Bring the device to rest, with retries; return True on success."""
         for _ in range(REST_ATTEMPTS):
             try:
                 self.come_to_rest()
-            except BaseException:  # Ctrl-C and a driver's own exit, too: whoever leaves does so without force
+            except BaseException:  # Ctrl-C and a driver's own exit must also remove the force
                 time.sleep(REST_EVERY_S)
             else:
                 self.is_at_rest = True
@@ -116,25 +116,25 @@ class DeviceNotes:
 def opened(
     device: "MasterDevice | SlaveDevice", notes: DeviceNotes, key: str, period_s: float | None
 ) -> Iterator[None]:
-    """Within it the device is open; its thread has the scheduling of before again after it.
+    """Keep the device open inside the context; afterwards restore the scheduling of the thread.
 
     Args:
-        device: What is driven.
-        notes: Of its loop.
-        key: Of the scene, that has the period.
-        period_s: Of the loop in s; none where it is not known.
+        device: Driver to open.
+        notes: Notes of its loop.
+        key: Scene key of the period.
+        period_s: Loop period in s, or None if unknown.
 
     Raises:
-        DeviceError: It could not be opened, paces the loop by another period, or cannot keep this one.
+        DeviceError: The device did not open, paces the loop by another period, or cannot keep this period.
     """
     try:
         try:
             device.open()
         finally:
-            # Whatever it did by then: what leaves it from here on brings it to rest first.
+            # `open` may have failed halfway; from here on every exit brings the device to rest first.
             notes.is_at_rest = False
         if notes.closing.locked():
-            # It was closed while it was not open yet.
+            # Another thread closed the device before it was open.
             notes.rest()
             with contextlib.suppress(Exception):
                 device.close()
@@ -143,7 +143,7 @@ def opened(
         check_period(device, key, period_s)
         QUIET.settle()
     except BaseException as error:
-        # What it had opened by then, nobody else closes.
+        # Close here the parts that a failed `open` had opened.
         close_once(device, notes)
         if isinstance(error, DeviceError) or not isinstance(error, Exception):
             raise
@@ -152,7 +152,7 @@ def opened(
     try:
         yield
     finally:
-        # The loop has requested real time for this thread, which is the caller's.
+        # The loop requested real time for this thread, which belongs to the caller.
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, *before)
         close_once(device, notes)
@@ -174,14 +174,14 @@ def attach_gripper(gripper: "Gripper", device: "SlaveDevice") -> None:
 
 @contextlib.contextmanager
 def opened_gripper(gripper: "Gripper | None", device: "SlaveDevice") -> Iterator[None]:
-    """Within it the gripper is open, if there is one; whatever ends it, the gripper keeps its grip.
+    """Keep the gripper, if any, open inside the context; it keeps its grip however the context ends.
 
     Args:
-        gripper: What is opened.
-        device: The arm that it is at, on whose bus it may be.
+        gripper: Gripper to open, or None.
+        device: Arm of the gripper; both may share a bus.
 
     Raises:
-        DeviceError: It could not be opened, or cannot be at this arm.
+        DeviceError: The gripper did not open, or does not fit this arm.
     """
     if gripper is None:
         yield
@@ -190,7 +190,7 @@ def opened_gripper(gripper: "Gripper | None", device: "SlaveDevice") -> Iterator
     try:
         gripper.open()
     except Exception as error:
-        # What it had opened by then, nobody else closes.
+        # Close here the parts that a failed `open` had opened.
         with contextlib.suppress(Exception):
             gripper.close()
         raise failure(gripper, error) from error
@@ -208,7 +208,7 @@ def check_period(device: "MasterDevice | SlaveDevice", key: str, period_s: float
     passes.
 
     Raises:
-        DeviceError: With both periods and the remedy.
+        DeviceError: Gives both periods and the remedy.
     """
     cycle_s: float | None = getattr(device, "cycle_s", None)
     if period_s is not None and cycle_s is not None and cycle_s > period_s:
@@ -229,19 +229,19 @@ def check_period(device: "MasterDevice | SlaveDevice", key: str, period_s: float
 
 
 def close_once(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None:
-    """Brings it to rest, unless it is, and closes it, unless somebody does already."""
+    """Bring the device to rest if needed, and close it unless another thread does."""
     if notes.closing.acquire(blocking=False):
         if not notes.is_at_rest:
             notes.rest()
         try:
             device.close()
-        except Exception as error:  # nobody is left to whom it could be raised
+        except Exception as error:  # no caller is left to handle it
             text = error.brief if isinstance(error, DeviceError) else f"{type(device).__name__}: {error}"
             print(f"not closed: {text}", file=sys.stderr, flush=True)
 
 
 def leave_blocked(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None:
-    """Leaves a driver one of whose methods does not return: rest and close, each on a thread of its own, for 1 s."""
+    """Leave a driver with a blocked method: rest and close run on separate threads for 1 s."""
     calls: tuple[Callable[[], object], ...] = (notes.rest, lambda: close_once(device, notes))
     for call in calls if not notes.is_at_rest else calls[1:]:
         beside = threading.Thread(target=call, name="haptether-leave", daemon=True)
@@ -250,17 +250,17 @@ def leave_blocked(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> N
 
 
 def failure(device: object, error: BaseException, *, rests: bool = True) -> DeviceError:
-    """An exception of a driver, with the driver's name and the line of it that led there.
+    """Return an exception of a driver with the driver's name and the source line.
 
     Args:
-        device: What is driven; where its making failed, what was to make it.
-        error: What the driver raised.
-        rests: Whether the device was brought to rest nevertheless.
+        device: Driver, or its factory if construction failed.
+        error: Exception that the driver raised.
+        rests: True if the device was brought to rest nevertheless.
     """
     name, kind = getattr(device, "__name__", type(device).__name__), type(error).__name__
     try:
         text = str(error)
-    except Exception:  # a driver's own class: the other side must learn of it all the same
+    except Exception:  # a driver's own class may fail to format; the peer must still be notified
         text = ""
     place = _place(device, error)
     failed = DeviceError(
@@ -271,7 +271,7 @@ def failure(device: object, error: BaseException, *, rests: bool = True) -> Devi
 
 
 def fault_text(fault: object) -> str:
-    """What a device says is wrong with it, as the loop can take it."""
+    """Return the fault text of a device in the form that the loop accepts."""
     if not isinstance(fault, str):
         message = f"fault = {fault!r}: must be a text, or None"
         raise TypeError(message)
@@ -279,12 +279,12 @@ def fault_text(fault: object) -> str:
 
 
 def encodable(text: str) -> str:
-    """The text without what UTF-8 has not, as in names of files that are none."""
+    """Replace characters that UTF-8 cannot encode, for example in invalid file names."""
     return text.encode("utf-8", "backslashreplace").decode()
 
 
 def _place(device: object, error: BaseException) -> str:
-    """File, line and function of an exception: the innermost of the driver's own file, else of whatever it called."""
+    """Return file, line and function of an exception: innermost in the driver's own file, else in the code it calls."""
     module = getattr(device, "__module__", type(device).__module__)
     own = getattr(sys.modules.get(module), "__file__", None)
     steps = [(frame.f_code, line) for frame, line in traceback.walk_tb(error.__traceback__)]
@@ -292,7 +292,7 @@ def _place(device: object, error: BaseException) -> str:
     if steps:
         code, line = next((step for step in reversed(steps) if step[0].co_filename == own), steps[-1])
     elif (read := getattr(getattr(type(device), "read", None), "__code__", None)) is not None:
-        # The loop refused what `read` returned: this is where it was made.
+        # The loop rejected the return value of `read`, so point to `read`.
         code, line = read, read.co_firstlineno
     else:
         return ""

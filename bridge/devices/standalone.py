@@ -1,4 +1,4 @@
-"""A driver run by itself, to look at it: no other side, no coupling, and the times of all its calls kept."""
+"""Driver run without a peer or a coupling, with the times of all calls recorded."""
 
 import atexit
 import contextlib
@@ -18,79 +18,79 @@ from haptether.bridge.devices.open import (
 from haptether.bridge.interpreter import QUIET
 
 Written = tuple[tuple[float, ...], ...]
-"""What `write` of a driver is called with: force, of a pose force and torque."""
+"""Arguments of a driver's `write`: force, and torque for a pose."""
 LEAVE_S = 5.0
-"""How long the end waits for a driver that blocks, and a driver may take to close."""
+"""Time in s that the end waits for a blocked driver, and the limit for close."""
 PRIORITY = 80
-"""Under SCHED_FIFO, where the system gives it, as of the loops of both sides."""
+"""SCHED_FIFO priority, if the system grants it; same as the loops of both sides."""
 SHORTEST_S = 1e-4
-"""No device has a period so short."""
+"""Lower bound in s on the period of any device."""
 STAGES = ("open", "read", "write", "write_trigger", "stop", "hold", "close")
 RestBy = Literal["stop", "hold"]
 
 
 class Tick(NamedTuple):
-    """One turn of the loop, with times of `time.monotonic`."""
+    """One cycle of the loop; times by `time.monotonic`."""
 
     asked_s: float
-    """When `read` was called."""
+    """Time at which `read` was called."""
     read_s: float
-    """When it returned."""
+    """Time at which `read` returned."""
     written_s: float
-    """When `write` returned; where nothing was written, when it was decided."""
+    """Time at which `write` returned, or at which the lead decided not to write."""
     sample: object
-    """What `read` returned."""
+    """Return value of `read`."""
     force: Written | None
-    """What was written."""
+    """Written force, or None."""
 
 
 class Lead(Protocol):
-    """What decides, sample by sample, what a device is to exert."""
+    """Strategy that decides the output of a device for each sample."""
 
     def step(self, sample: object, at_s: float) -> Written | None:
-        """What to write after a sample that was read at a time in s; none for nothing.
+        """Return the output for a sample that was read at a time in s; None writes nothing.
 
         Raises:
-            EndOfRunError: It is over.
+            EndOfRunError: The run is over.
         """
 
 
 class EndOfRunError(Exception):
-    """Raised by a lead: the device comes to rest and is closed."""
+    """Raised by a lead to bring the device to rest and close it."""
 
 
 class WatchedDevice:
-    """A driver, and for how long and how each of its methods was called; their exceptions name it and the line."""
+    """Driver wrapper that records duration and outcome of each method; exceptions name the driver and the line."""
 
     def __init__(self, device: object) -> None:
         self.device = device
         self.failed: dict[str, DeviceError] = {}
-        """The first exception of each method."""
+        """First exception of each method."""
         self.took_s: dict[str, float] = {}
-        """How long the last call of each method took."""
+        """Duration of the last call of each method in s."""
         self.stage: str | None = None
-        """The method that has not returned yet."""
+        """Method that has not returned yet."""
         self.since_s = 0.0
 
     @property
     def paces(self) -> bool:
-        """Whether `read` waits for the next sample."""
+        """True if `read` waits for the next sample."""
         return bool(getattr(self.device, "paces", False))
 
     @property
     def cycle_s(self) -> float | None:
-        """Least time in s of a cycle on its bus; none where the driver does not know it."""
+        """Shortest bus cycle in s, or None if the driver does not know it."""
         return getattr(self.device, "cycle_s", None)
 
     def has(self, method: str) -> bool:
-        """Whether the driver has a method that it need not have."""
+        """True if the driver has an optional method."""
         return callable(getattr(self.device, method, None))
 
     def call(self, method: str, *arguments: object) -> object:
-        """What the driver's method returns.
+        """Call a method of the driver and return its result.
 
         Raises:
-            DeviceError: It raised an exception, whatever it was.
+            DeviceError: The method raised an exception of any type.
         """
         self.since_s = time.monotonic()
         self.stage = method
@@ -104,42 +104,41 @@ class WatchedDevice:
             self.took_s[method] = time.monotonic() - self.since_s
             self.stage = None
 
-    # What `opened` calls.
+    # Methods that `opened` calls.
 
     def open(self) -> None:
-        """Opens it."""
+        """Open the device."""
         self.call("open")
 
     def read(self) -> object:
-        """Reads it."""
+        """Read a sample."""
         return self.call("read")
 
     def write(self, *force: tuple[float, ...]) -> None:
-        """Writes to it."""
+        """Write a force."""
         self.call("write", *force)
 
     def stop(self) -> None:
-        """Stops it, where it is an arm."""
+        """Stop an arm."""
         self.call("stop")
 
     def close(self) -> None:
-        """Closes it."""
+        """Close the device."""
         self.call("close")
 
 
 class StandaloneRun:
-    """A driver that is opened, led, brought to rest and closed on a thread of its own, which nothing else holds up.
+    """Driver opened, stepped, brought to rest and closed on a separate thread that nothing else delays.
 
-    It begins when it is made, and ends where its lead says so, by an exception of the driver, by `stop`, or with the
-    process. Whatever ended it, a device whose driver was written to is then written zero, an arm stopped, a gripper
-    held.
+    Starts on construction. Ends by its lead, by a driver exception, by `stop` or with the process. At the end a device
+    that was written to gets zero; an arm is stopped, a gripper held.
 
     Args:
-        device: What is run.
-        lead: What decides what is written.
-        period_s: Of the loop in s, where the device does not pace it.
-        rest_by: The method that brings it to rest, `stop` of an arm, `hold` of a gripper; none where zero is written.
-        stopped: Ends it, too, in the tick that runs.
+        device: Driver to run.
+        lead: Strategy that decides the output.
+        period_s: Loop period in s, if the device does not pace the loop.
+        rest_by: Method that brings the device to rest: `stop` of an arm, `hold` of a gripper; None writes zero.
+        stopped: Additional condition that ends the run in the current tick.
     """
 
     def __init__(
@@ -154,16 +153,16 @@ class StandaloneRun:
         self.watched = WatchedDevice(device)
         self.notes = DeviceNotes(come_to_rest=self._come_to_rest)
         self.error: DeviceError | None = None
-        """What ended it, if anything did."""
+        """Exception that ended the run, or None."""
         self.failed_at: str | None = None
-        """The driver's method that ended it; none of one that did not, and of an error of the lead."""
+        """Driver method that ended the run; None without one, or if the lead failed."""
         self.is_open = False
         self.has_real_time = False
         self.rests: bool | None = None
-        """Whether it took zero, or its stop, at the end; none where it was never open or never written to."""
+        """True if the device accepted zero or stop at the end; None if it was never open or never written to."""
         self.ticks: list[Tick] = []
         self.period_s: float | None = None
-        """What the driver says of itself, once it is open."""
+        """Period that the driver declares, once it is open."""
         self._lead = lead
         self._loop_period_s = period_s
         self._rest_by = rest_by
@@ -173,28 +172,28 @@ class StandaloneRun:
         self._quieted = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="haptether-standalone", daemon=True)
         QUIET.begin()
-        # Whatever ends this process, the device is left at rest before its thread is.
+        # At process exit, bring the device to rest before its thread is killed.
         atexit.register(self._leave)
         self._thread.start()
 
     @property
     def finished(self) -> bool:
-        """Whether it has ended, its device closed."""
+        """True if the run has ended and its device is closed."""
         return not self._thread.is_alive()
 
     def stop(self) -> None:
-        """Requests its end: zero is written in the tick that runs."""
+        """Request the end: the current tick writes zero."""
         self._stopping.set()
 
     def blocked_in(self, longer_than_s: float) -> str | None:
-        """The driver's method that has not returned for that long."""
+        """Return the driver method that has not returned for longer than the given time."""
         stage, since_s = self.watched.stage, self.watched.since_s
         return stage if stage is not None and time.monotonic() - since_s > longer_than_s else None
 
     def end(self) -> bool:
-        """Ends it and returns whether it did; where a call of the driver does not return, its device is closed here.
+        """End the run and return True on success; if a driver call blocks, close the device here.
 
-        Whatever such a device was last told to exert, it may go on exerting.
+        A blocked device may continue to exert its last force.
         """
         self._leave()
         atexit.unregister(self._leave)
@@ -206,7 +205,7 @@ class StandaloneRun:
         return False
 
     def _unquiet(self) -> None:
-        # Once: by its own end, or by who waits for it no longer.
+        # Executed once: at the end of the run, or when the run is given up.
         if self._quieted.acquire(blocking=False):
             QUIET.end()
 
@@ -217,13 +216,13 @@ class StandaloneRun:
     def _run(self) -> None:
         try:
             if self._ends():
-                # Ended before its thread ran: it is not opened.
+                # Ended before the thread ran: do not open the device.
                 return
             period_s = None if self.watched.paces else self._loop_period_s
             with opened(self.watched, self.notes, "period_s", period_s):  # type: ignore[arg-type]  # it calls those of the driver
                 self.period_s = getattr(self.watched.device, "period_s", None)
                 with contextlib.suppress(OSError, AttributeError):
-                    # Of this thread; `opened` takes it back.
+                    # Applies to this thread; `opened` reverts it.
                     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
                     self.has_real_time = True
                     QUIET.prioritise()
@@ -244,7 +243,7 @@ class StandaloneRun:
             self.failed_at = next((name for name in STAGES if self.watched.failed.get(name) is error), None)
             raise
         except Exception as error:
-            # The lead, of what the driver has read: nothing that a person should have to think about.
+            # An error of the lead over the driver's samples is reported as a driver failure.
             raise failure(self.watched.device, error) from error
         finally:
             if self._rest is not None or self._rest_by is not None:
@@ -266,7 +265,7 @@ class StandaloneRun:
             self.ticks.append(Tick(asked_s, read_s, time.monotonic(), sample, force))
             if paces:
                 if time.monotonic() - asked_s < SHORTEST_S:
-                    # One that does not wait, as it says: in real time it would leave nobody else a processor.
+                    # A driver that does not wait as declared would starve all other threads in real time.
                     time.sleep(SHORTEST_S)
             else:
                 due_s = max(due_s + self._loop_period_s, time.monotonic() - self._loop_period_s)
@@ -287,7 +286,7 @@ class StandaloneRun:
 
 
 def wait_until(done: Callable[[], bool], seconds: float) -> bool:
-    """Waits until something is so, and returns whether it is in time."""
+    """Wait for a condition and return True if it holds in time."""
     end_s = time.monotonic() + seconds
     while not done():
         if time.monotonic() >= end_s:

@@ -1,1 +1,1 @@
-"""What a live run recorded, read back: as it stands in the file, and as the `Run` that `simulate` returns."""
+"""Recordings of live runs, read as stored and as the `Run` that `simulate` returns."""

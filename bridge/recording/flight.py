@@ -1,4 +1,4 @@
-"""A recording as the flight recorder of that side would have kept the run."""
+"""Flight recorder data derived from a recording."""
 
 import contextlib
 import math
@@ -16,21 +16,21 @@ from haptether.bridge.flight import SCHEMA, Flight, FlightCause, Intervention, T
 from haptether.bridge.recording.read import Recording, read_recording
 
 MAGIC = b"\x89MCAP"
-"""How a recording begins."""
+"""First bytes of a recording."""
 KEPT_TICKS = 50
 KEPT_INTERVENTIONS = 16
 LAYERS = {"translation": "tripped", "rotation": "rotation_tripped", "trigger": "trigger_tripped"}
-"""The bits of each safety layer of a hand."""
+"""Signal that holds the trip bits of each safety layer of a hand."""
 LEFT = ("hold", "stop", "fault")
-"""States in which two sides are coupled no more."""
+"""States in which the two sides are not coupled."""
 
 
 def flight_of_file(path: str | os.PathLike[str]) -> Flight:
-    """What a flight recorder wrote, or the same of a recording.
+    """Read a flight recorder file, or derive the same data from a recording.
 
     Raises:
-        OSError: It cannot be read.
-        ValueError: It is neither, of another version, or has no tick.
+        OSError: The file cannot be read.
+        ValueError: The file is neither, has another version, or has no tick.
     """
     is_recording = False
     # The reader reports a file that cannot be read.
@@ -45,12 +45,12 @@ def _begins_with(path: Path, magic: bytes) -> bool:
 
 
 def flight_of(recording: Recording) -> Flight:
-    """Steps of the ladder, interventions, causes and the last ticks of a recorded side.
+    """Return ladder transitions, interventions, causes and the last ticks of a recorded side.
 
-    What an observer saw of a turn or a trigger is not recorded, so that trips there have no number.
+    The observed values of rotation and trigger layers are not recorded, so their trips have no value.
 
     Raises:
-        ValueError: It has no tick.
+        ValueError: The recording has no tick.
     """
     signals = recording.signals
     time_s = signals["time_ns"].astype(np.float64) * 1e-9
@@ -86,7 +86,7 @@ def flight_of(recording: Recording) -> Flight:
 
 
 def _changes(values: npt.NDArray[Any]) -> list[int]:
-    """Where a value differs from the one before; the first, too."""
+    """Return the indices at which a value differs from its predecessor, and the first index."""
     return [0, *(np.flatnonzero(values[1:] != values[:-1]) + 1).tolist()]
 
 
@@ -110,7 +110,7 @@ def _interventions(recording: Recording, time_s: npt.NDArray[np.float64]) -> Ite
                         controller=controller,
                         observer=observed.label,
                         observed=seen if math.isfinite(seen) else None,
-                        # Each layer has its own, which only that of the translation has from the scene as it is.
+                        # Thresholds differ between layers; only those of the translation layer equal the scene's.
                         threshold=thresholds.get(controller) if layer == "translation" else None,
                     )
                 )
@@ -118,7 +118,7 @@ def _interventions(recording: Recording, time_s: npt.NDArray[np.float64]) -> Ite
 
 
 def _thresholds(recording: Recording) -> dict[str, float]:
-    """Beyond which each controller trips; none without the scene."""
+    """Return the trip threshold of each controller; empty without a scene."""
     if not recording.scene:
         return {}
     safety = json.decode(recording.scene).get("safety") or {}

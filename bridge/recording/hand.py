@@ -1,4 +1,4 @@
-"""The hand of a recording as a model: its impedance by least squares, and when it holds the device."""
+"""Hand model from a recording: impedance by least squares, and ticks at which the hand holds the device."""
 
 import math
 from collections.abc import Sequence
@@ -11,26 +11,26 @@ from msgspec import Struct
 Array = npt.NDArray[np.float64]
 
 SMOOTHED_S = 0.021
-"""Length of the kernel that all signals pass: what derivatives of a quantised position need."""
+"""Length in s of the smoothing kernel for all signals; derivatives of a quantised position need it."""
 WINDOW_S = 0.2
-"""Length in s of a window within which the path that the hand intends is a parabola."""
+"""Length in s of a window within which the intended path of the hand is taken as a parabola."""
 LAGS_S = (0.0, 0.01, 0.025, 0.05)
-"""By how much the force that moves the hand is taken late."""
+"""Lags in s of the force that moves the hand."""
 MIN_FORCE_N = 0.5
-"""Least |F_device| in N at which it is decided whether a hand holds against it."""
+"""Smallest |F_device| in N at which the holding state is decided."""
 STOP_M = 5e-4
-"""How near a mechanical stop in m a device may already lean on it."""
+"""Distance in m to a mechanical stop within which the device may rest on it."""
 LET_GO, HOLDS_AGAIN = 0.3, 0.6
-"""Shares of |F_device| that the hand bears, below which it has let go and above which it holds again."""
+"""Fractions of |F_device| borne by the hand: released below the first, holding again above the second."""
 MAX_ERROR = 0.5
-"""Largest standard error of a stiffness that counts as identified, as a share of it."""
+"""Largest relative standard error of a stiffness that counts as identified."""
 MIN_WINDOWS = 4
 LEAST_N = 1e-2
-"""Least change in N within a window of a force that moves the hand."""
+"""Smallest force change in N within a window that counts as moving the hand."""
 
 
 class HandFit(Struct, frozen=True, kw_only=True):
-    """A hand that holds a device: `F_hand = K (x_wanted - x) - B V - M A`."""
+    """Hand that holds a device: `F_hand = K (x_wanted - x) - B V - M A`."""
 
     stiffness: float
     """K in N/m."""
@@ -39,38 +39,38 @@ class HandFit(Struct, frozen=True, kw_only=True):
     mass_kg: float
     """M in kg."""
     stiffness_error: float
-    """Standard error of K in N/m, by leaving out one window after the other."""
+    """Standard error of K in N/m (jackknife over windows)."""
     damping_error: float
-    """Of B in N s/m."""
+    """Standard error of B in N s/m."""
     explained: float
-    """Share of what the remote force changes of the hand's force that the model explains, 0 to 1."""
+    """Fraction, 0 to 1, that the model explains of the change of hand force caused by the remote force."""
     windows: int
-    """Windows that it was fitted to."""
+    """Number of windows in the fit."""
     held_s: float
-    """For how long the hand held the device."""
+    """Time in s for which the hand held the device."""
 
 
 class HandError(ValueError):
-    """A hand that the recording does not show well enough."""
+    """Recording that does not determine the hand well enough."""
 
 
 def hand_of(
     position: Array, device_force: Array, device: dict[str, Any], period_s: float
 ) -> tuple[HandFit, npt.NDArray[np.bool_]]:
-    """The impedance of the hand that holds a device, and at which ticks it holds it.
+    """Identify the impedance of the hand that holds a device, and the ticks at which it holds.
 
-    The equation of motion of the device, `m A + b V + c sign(V) = F_device + F_hand`, gives the force of the hand. How
-    that answers to motion is fitted by least squares with the force of the device as the instrument: that the hand
-    wants to go somewhere moves it as well, and looks like a hand without stiffness.
+    The equation of motion of the device, `m A + b V + c sign(V) = F_device + F_hand`, gives the hand force. Least
+    squares fits its response to motion, with the device force as the instrument: voluntary motion alone would look like
+    a hand without stiffness.
 
     Args:
         position: x in m, shape `(n_ticks, axes)`.
         device_force: F_device in N at each tick, held until the next.
-        device: `mass_kg`, `viscous`, `coulomb` and, where it has any, `stops` of the device, one value per axis.
+        device: `mass_kg`, `viscous`, `coulomb` and optional `stops` of the device, one value per axis.
         period_s: dT in s.
 
     Raises:
-        HandError: Nothing moves the hand, or too little.
+        HandError: The device force moves the hand too little.
     """
     motion = _motion_of(position, device_force, device, period_s)
     x, velocity, acceleration, force, hand_force, stopped, half = motion
@@ -81,25 +81,25 @@ def hand_of(
 
 
 def held_ticks(position: Array, device_force: Array, device: dict[str, Any], period_s: float) -> npt.NDArray[np.bool_]:
-    """At which ticks a hand holds a device, by the equation of motion (paper Eq. 3), shape `(n_ticks,)`.
+    """Return the ticks at which a hand holds a device by the equation of motion (paper Eq. 3), shape `(n_ticks,)`.
 
-    It has let go where it bears less than `LET_GO` of F_device, until it bears more than `HOLDS_AGAIN`; below
-    `MIN_FORCE_N` and at a mechanical stop the last state stays.
+    The hand releases when it bears less than `LET_GO` of F_device, until it bears more than `HOLDS_AGAIN`. Below
+    `MIN_FORCE_N` and at a mechanical stop the state does not change.
 
     Args:
-        position: As of `hand_of`.
-        device_force: As of `hand_of`.
-        device: As of `hand_of`.
-        period_s: As of `hand_of`.
+        position: As for `hand_of`.
+        device_force: As for `hand_of`.
+        device: As for `hand_of`.
+        period_s: As for `hand_of`.
 
     Raises:
-        HandError: Too few ticks.
+        HandError: The recording has too few ticks.
     """
     return _holds_of(_motion_of(position, device_force, device, period_s))
 
 
 class _Motion(NamedTuple):
-    """A recorded device and its hand, smoothed, each of shape `(n_ticks, axes)`."""
+    """Smoothed signals of a recorded device and its hand, each of shape `(n_ticks, axes)`."""
 
     x: Array
     velocity: Array
@@ -117,7 +117,7 @@ def _motion_of(position: Array, device_force: Array, device: dict[str, Any], per
         raise HandError(message)
     mass, viscous, coulomb = (np.asarray(device[name]) for name in ("mass_kg", "viscous", "coulomb"))
     x = _smoothed(position, half)
-    # Held from one tick to the next: on the average what acts about a tick is the mean of both.
+    # The force is held between ticks, so its average around a tick is the mean of both.
     force = _smoothed((device_force + np.vstack([device_force[:1], device_force[:-1]])) / 2, half)
     velocity = np.gradient(x, period_s, axis=0)
     acceleration = np.zeros_like(x)
@@ -135,7 +135,7 @@ def _holds_of(motion: _Motion) -> npt.NDArray[np.bool_]:
 
 
 def _smoothed(values: Array, half: int) -> Array:
-    """Through a symmetric kernel that shifts nothing in time; ends are held."""
+    """Smooth by a symmetric kernel without delay; the ends are held."""
     kernel = np.hanning(2 * half + 3)[1:-1]
     padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
     columns = [np.convolve(padded[:, axis], kernel / kernel.sum(), "valid") for axis in range(values.shape[1])]
@@ -143,18 +143,18 @@ def _smoothed(values: Array, half: int) -> Array:
 
 
 def _at_a_stop(position: Array, stops: Sequence[Sequence[float] | None] | None, half: int) -> npt.NDArray[np.bool_]:
-    """Where a mechanical stop of the device may bear its force, which would look like a hand."""
+    """Mask of ticks at which a mechanical stop may bear the device force, which would look like a hand."""
     stopped = np.zeros(len(position), dtype=bool)
     for axis, pair in enumerate(stops or ()):
         if pair is not None:
             low, high = pair
             stopped |= (position[:, axis] <= low + STOP_M) | (position[:, axis] >= high - STOP_M)
-    # As far as the kernel reaches.
+    # Widen by the kernel length.
     return np.convolve(stopped, np.ones(2 * half + 1), "same") > 0.5
 
 
 def _holds(hand: Array, device: Array, decided: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Whether a hand holds against the force; at ticks that decide nothing the last state."""
+    """Mask of ticks at which a hand holds against the force; undecided ticks keep the last state."""
     holds = np.ones(len(hand), dtype=bool)
     held = True
     for tick in np.flatnonzero(decided):
@@ -171,7 +171,7 @@ def _holds(hand: Array, device: Array, decided: npt.NDArray[np.bool_]) -> npt.ND
 def _windows(
     signals: tuple[Array, Array, Array], usable: npt.NDArray[np.bool_], period_s: float, half: int
 ) -> list[tuple[Array, Array, Array]]:
-    """Of each window and axis, less a parabola: instruments, x, V and A, and what the hand resists with."""
+    """Return instruments, x, V, A and resisting force of each window and axis, with a parabola removed."""
     answers, hand_force, force = signals
     length = round(WINDOW_S / period_s)
     lags = [round(lag / period_s) for lag in LAGS_S]
@@ -195,7 +195,7 @@ def _fit(windows: list[tuple[Array, Array, Array]], held_s: float) -> HandFit:
     if len(windows) < MIN_WINDOWS:
         message = f"a force moves the hand in {len(windows)} windows of {WINDOW_S:g} s, {MIN_WINDOWS} are needed"
         raise HandError(message)
-    # Products of each window, so that one can be left out.
+    # Products per window, so that one can be left out.
     parts = [(z.T @ z, z.T @ a, z.T @ t) for z, a, t in windows]
     totals = tuple(np.sum([part[index] for part in parts], axis=0) for index in range(3))
     used = 3
@@ -225,7 +225,7 @@ def _fit(windows: list[tuple[Array, Array, Array]], held_s: float) -> HandFit:
 
 
 def _solved(totals: tuple[Array, ...], used: int) -> Array:
-    """K, B and M by two-stage least squares, of the first `used` of them."""
+    """Return K, B and M by two-stage least squares, limited to the first `used`."""
     zz, za, zt = totals
     pseudo = np.linalg.pinv(zz, rcond=1e-10)
     answers = za[:, :used]
@@ -234,7 +234,7 @@ def _solved(totals: tuple[Array, ...], used: int) -> Array:
 
 
 def _explained(totals: tuple[Array, ...], solution: Array) -> float:
-    """Of what the instruments move."""
+    """Return the explained fraction of the variation caused by the instruments."""
     zz, za, zt = totals
     pseudo = np.linalg.pinv(zz, rcond=1e-10)
     rest = zt - za @ solution

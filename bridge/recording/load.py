@@ -1,4 +1,4 @@
-"""A recorded run as `simulate` returns one."""
+"""Recorded run in the form that `simulate` returns."""
 
 import math
 import os
@@ -17,17 +17,17 @@ from haptether.bridge.scene.run import Event, Metrics, Run, Signals
 Array = npt.NDArray[Any]
 
 STATES = {state: code for code, state in enumerate(LADDER_STATES)}
-"""Codes of the ladder's states by their names."""
+"""Code of each ladder state by name."""
 CODES = {"tripped", "rotation_tripped", "acted", "rotation_acted", "limited"}
-"""Sets of bits, which fit a byte."""
+"""Bit sets that fit one byte."""
 MODELLED = {"hand_force", "hand_torque"}
-"""Known of a modelled hand only, and 0 of any other."""
+"""Signals known only for a modelled hand, and 0 for a real one."""
 MEASURED = {"trigger", "measured_velocity", "measured_angular_velocity"}
-"""What not every device measures; left out where it was never known."""
+"""Signals that not every device measures; omitted if always unknown."""
 GRIPPER = {"gripper", "gripper_command", "gripper_force", "holds_object"}
-"""Of the slave; nothing of it is kept where `gripper` was never known."""
+"""Signals of a slave's gripper; omitted if `gripper` is always unknown."""
 SHARED = ("environment_", "gripper", "holds_object")
-"""How signals of the slave begin that have no namesake of the master."""
+"""Prefixes of slave signals without a master signal of the same name."""
 
 
 def load(
@@ -36,20 +36,20 @@ def load(
     *,
     slave_begun_s: float | None = None,
 ) -> Run:
-    """The run that one side recorded, or both, with the names, shapes and codes of a run in virtual time.
+    """Return the run recorded by one or both sides, with names, shapes and codes of a run in virtual time.
 
-    `position` and `orientation` are those of a modelled device, or else as measured. What was not there is left out:
-    the force of a hand that was no model, a gripper. Metrics that need the truth of a model are none.
+    `position` and `orientation` are true values of a modelled device, otherwise measured values. Absent signals are
+    omitted, for example the force of a real hand, or a gripper. Metrics that need true model values are None.
 
     Args:
-        file: Path of the MCAP file of master or slave, or what `read_recording` read of it.
-        other: The other side's, for the whole run on the master's time.
-        slave_begun_s: When the slave's run began after the master's, in s; by default as the wall clocks of the two
-            machines have it.
+        file: MCAP file of master or slave, or the result of `read_recording`.
+        other: File of the other side, to get the whole run on the master's time.
+        slave_begun_s: Start of the slave's run after the master's in s; by default from the wall clocks of both
+            machines.
 
     Raises:
         OSError: A file cannot be read.
-        ValueError: It is no recording of Haptether; the two are of the same side, or not of the same time.
+        ValueError: A file is not a Haptether recording, both are of the same side, or they do not overlap in time.
     """
     recordings = {}
     for one in (file, *(() if other is None else (other,))):
@@ -146,9 +146,9 @@ def _is_unknown(values: Array) -> bool:
 
 
 def _shaped(name: str, values: Array) -> Array:
-    """As virtual time keeps it: codes for states, bits in a byte, one axis without an axis of its own."""
+    """Convert to the form of virtual time: state codes, one byte of bits, and no axis dimension for one axis."""
     if name in {"state", "peer_state"}:
-        # A state lasts for thousands of ticks.
+        # A state lasts for thousands of ticks, so convert changes only.
         at = np.array(_changes(values), dtype=np.intp)
         codes = np.array([STATES.get(str(state), 255) for state in values[at]], dtype=np.uint8)
         return np.repeat(codes, np.diff(at, append=len(values)))
@@ -193,7 +193,7 @@ def _trips(time_s: Array, tripped: Array, layer: str) -> Iterator[Event]:
 
 
 def _changes(values: Array) -> list[int]:
-    """Where a value differs from the one before; the first, too."""
+    """Return the indices at which a value differs from its predecessor, and the first index."""
     if not len(values):
         return []
     return [0, *(np.flatnonzero(values[1:] != values[:-1]) + 1).tolist()]
@@ -203,7 +203,7 @@ def _metrics(first: Recording, signals: dict[str, Array]) -> Metrics:
     states = first.signals["state"]
     outcome = "never-engaged"
     if "engaged" in states:
-        # Coupled to the last tick: a person ended it.
+        # Coupled at the last tick: the operator ended the run.
         outcome = "complete" if states[-1] == "engaged" else str(states[-1])
     if first.side == "slave":
         return Metrics(outcome=outcome, ticks=len(states))

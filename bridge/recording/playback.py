@@ -1,4 +1,4 @@
-"""A recording as a scene: the remote force that was recorded acts on a hand again, whatever that does."""
+"""Scene that applies the recorded remote force to a new hand."""
 
 import os
 from collections.abc import Iterable
@@ -15,27 +15,27 @@ from haptether.bridge.scene.load import checked, overridden
 from haptether.bridge.scene.tables.session import Scene
 
 FORCES = {"master": "received_force", "slave": "environment_force"}
-"""What each side recorded of the remote force."""
+"""Signal that holds the remote force on each side."""
 SETTLE_S = 1.0
-"""How long the run goes on after the recording, so that the force has faded."""
+"""Time in s that the run continues after the recording, so that the force fades out."""
 OPERATOR: dict[str, Raw] = {"stiffness": 300.0, "damping": 8.0, "grip_strength_n": 12.0}
-"""A firm hand that stays where it is, in place of a person's that no scene describes."""
+"""Firm hand that stays in place, used if the scene describes no operator."""
 
 
 def playback_scene(file: str | os.PathLike[str] | Recording, *, overrides: Iterable[str] = ()) -> Scene:
-    """The scene in which an arm has the force of a recording, from its engagement on, and nothing else acts on it.
+    """Return a scene in which an arm has the recorded force from its engagement on, and nothing else acts on it.
 
-    Coupling, safety layer, device and hand are those of the recording, the network is none. It runs in virtual time as
-    any scene, and live as the side of the robot, to which any master engages: by a person's clutch, with the force
-    faded in, under safety layer, limiter and ladder.
+    Coupling, safety layer, device and hand come from the recording; there is no network. The scene runs in virtual
+    time, or live as the robot side to which any master engages. A live master engages by its operator's clutch, with
+    force fade-in, safety layer, limiter and ladder.
 
     Args:
-        file: What `--record` of master or slave wrote, or what `read_recording` read of it.
+        file: File written by `--record` of master or slave, or the result of `read_recording`.
         overrides: Fields of the scene to change, `table.key=value` each.
 
     Raises:
         OSError: The file cannot be read.
-        ValueError: It is no recording with a scene and an engagement; joints; a scene that cannot be.
+        ValueError: The recording has no scene or no engagement, the coordinates are joints, or the scene is invalid.
     """
     recording = file if isinstance(file, Recording) else read_recording(file)
     name = recording.side if isinstance(file, Recording) else str(file)
@@ -46,7 +46,7 @@ def playback_scene(file: str | os.PathLike[str] | Recording, *, overrides: Itera
     run["duration_s"] = float(time_s[-1]) + SETTLE_S
     run["stop_early"] = False
     raw.setdefault("operator", dict(OPERATOR))
-    # What was recorded has been through a sensor.
+    # The recorded force already contains the sensor.
     slave.pop("force_sensor", None)
     series = {"time_s": time_s.tolist(), "values": force.tolist()}
     raw["environment"] = {"pushers": [{"shape": "recorded", "recorded": series}]}
@@ -62,7 +62,7 @@ def playback_scene(file: str | os.PathLike[str] | Recording, *, overrides: Itera
 
 
 def _force(recording: Recording, name: str) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """The remote force in N since the engagement, shape `(n, axes)`, and its times in s."""
+    """Return the remote force in N since the engagement, shape `(n, axes)`, and its times in s."""
     signals, wanted = recording.signals, FORCES[recording.side]
     if wanted not in signals:
         message = f"{name}: has no {wanted}: it was written by Haptether {recording.version}, give that of the slave"
@@ -76,7 +76,7 @@ def _force(recording: Recording, name: str) -> tuple[npt.NDArray[np.float64], np
     if len(force) < 2:
         message = f"{name}: was engaged for one tick only, so that there is no force to play back"
         raise ValueError(message)
-    # A point that lies on the line between its neighbours says nothing.
+    # Drop points that equal both neighbours.
     same = (force[1:-1] == force[:-2]).all(axis=1) & (force[1:-1] == force[2:]).all(axis=1)
     kept = np.concatenate([[True], ~same, [True]])
     return time_s[kept], force[kept]

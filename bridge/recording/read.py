@@ -1,4 +1,4 @@
-"""The file that `--record` of master or slave writes, read back."""
+"""Reader of the file that `--record` of master or slave writes."""
 
 import contextlib
 import os
@@ -16,7 +16,7 @@ from haptether.input_file import refuse_special
 
 SCHEMA = "1"
 RECORDED = "what --record of master, slave or simulate wrote"
-"""What can be read."""
+"""Accepted files, for messages."""
 EXPECTED = {
     "each": ("state", "reason", "peer_state", "position", "overshoot_s"),
     "master": ("device_force",),
@@ -24,59 +24,59 @@ EXPECTED = {
 }
 """Signals that every recording of a side has."""
 NAMES = ("state", "reason", "peer_state")
-"""Those of them whose values are names."""
+"""Signals whose values are names."""
 
 
 class RecordedCause(Cause, frozen=True):
-    """Why the two sides were not coupled, as the recorded side knew it."""
+    """Cause of not being coupled, as the recorded side knew it."""
 
     time_ns: int
-    """Since the run began."""
+    """Time since the run began."""
 
 
 RecordedStep = Step
-"""Its public name."""
+"""Public name of `Step`."""
 
 
 class Recording(msgspec.Struct, frozen=True, kw_only=True):
-    """A recording of one side; names, meanings and units of the signals are in the file's own schema."""
+    """Recording of one side; the schema in the file defines names, meanings and units of the signals."""
 
     side: str
     """"master" or "slave"."""
     security: str
-    """"insecure" if frames were in plain sight."""
+    """"insecure" if frames were not encrypted."""
     version: str
-    """Of the Haptether that wrote it; empty where the file does not say."""
+    """Haptether version of the writer; empty if the file does not state it."""
     scene: bytes
-    """The scene as JSON, defaults and presets filled in; empty where the file has none."""
+    """Scene as JSON, with defaults and presets filled in; empty if the file has none."""
     begun_ns: int
-    """When the run began, in ns of the wall clock of that machine since 1970; 0 without a tick and in virtual time."""
+    """Start of the run in ns of that machine's wall clock since 1970; 0 without a tick and in virtual time."""
     whole: bool
-    """True if the file was read to its end; a killed run or a full disk leaves none."""
+    """True if the file was read to its end; False after a killed run or a full disk."""
     problems: tuple[str, ...] = ()
-    """Invalid parts of the file, which were left out."""
+    """Invalid parts of the file, which were skipped."""
     signals: dict[str, npt.NDArray[Any]]
-    """One value per tick; of what has axes, shape `(n_ticks, axes)`. What was no finite number is NaN."""
+    """One value per tick, shape `(n_ticks, axes)` for signals with axes. NaN stands for a value that is not finite."""
     meanings: dict[str, str]
-    """What each signal is, with its unit."""
+    """Meaning of each signal, with its unit."""
     causes: list[RecordedCause] = []
-    """Why the two sides were not coupled, in the order of time."""
+    """Causes of not being coupled, in time order."""
 
 
 def read_recording(path: str | os.PathLike[str]) -> Recording:
-    """Reads an MCAP file of `record=` or `--record`, as far as it goes.
+    """Read an MCAP file of `record=` or `--record` as far as it is intact.
 
     Raises:
-        OSError: It cannot be read.
-        ValueError: No path or plain file; it is no recording of Haptether, or of another version; it was cut off before
-            it says what its signals are; signals are missing; somebody compressed it.
+        OSError: The file cannot be read.
+        ValueError: The path is invalid or not a plain file; the file is not a Haptether recording or has another
+            version; it is truncated before the signal definitions; signals are missing; it is compressed.
     """
     if not isinstance(path, str | os.PathLike) or path == "":
         message = f"recording = {path!r}: must be the path of {RECORDED}"
         raise ValueError(message)
     try:
         if not Path(path).is_dir():
-            # For a folder the system raises an error of its own.
+            # The system raises its own error for a folder.
             refuse_special(path)
         read = read_recording_columns(path)
     except ValueError as error:
@@ -85,7 +85,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     except OSError as error:
         if error.errno is None:
             raise
-        # Of no file or a folder another is to be given; of a disk that fails none.
+        # Another file helps if the path is missing or a folder, but not if the disk fails.
         remedy = f": must be {RECORDED}" if isinstance(error, FileNotFoundError | IsADirectoryError) else ""
         raise type(error)(error.errno, f"{error.strerror}{remedy}", path) from None
     about = read.about
@@ -149,9 +149,9 @@ class _Scene(msgspec.Struct):
 
 
 def _scene(recorded: bytes) -> tuple[bytes, str]:
-    """A scene and no problem, or no scene and why.
+    """Return a scene and an empty problem, or an empty scene and the problem.
 
-    It is without the keys of the stepped integrators, which earlier recordings have and nothing needs.
+    Keys of the stepped integrators, which earlier recordings contain, are removed because nothing uses them.
     """
     if not recorded:
         return recorded, ""
@@ -169,7 +169,7 @@ def _scene(recorded: bytes) -> tuple[bytes, str]:
 
 
 def _signal(column: npt.NDArray[Any] | tuple[list[str], npt.NDArray[np.uint8]]) -> npt.NDArray[Any]:
-    """Names, where it has them and not their places."""
+    """Replace indices by names if the column has names."""
     if not isinstance(column, tuple):
         return column
     names, places = column
@@ -177,7 +177,7 @@ def _signal(column: npt.NDArray[Any] | tuple[list[str], npt.NDArray[np.uint8]]) 
 
 
 def _causes(messages: list[bytes]) -> tuple[list[RecordedCause], int]:
-    """Those that are valid, and how many are not."""
+    """Return the valid causes and the number of invalid ones."""
     causes: list[RecordedCause] = []
     for message in messages:
         with contextlib.suppress(msgspec.DecodeError, UnicodeDecodeError):

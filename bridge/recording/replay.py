@@ -1,4 +1,4 @@
-"""A recorded run through other settings: what would have been exerted, and where the two part."""
+"""Replay of a recorded run with other settings: resulting forces, and the time at which the runs diverge."""
 
 import os
 from collections.abc import Iterable, Mapping
@@ -20,14 +20,14 @@ from haptether.bridge.scene.load import checked, overridden, path_of
 Array = npt.NDArray[Any]
 
 LOST_M = 0.3
-"""How far in m a modelled hand may be from where it was measured; what follows is of no workspace."""
+"""Largest valid distance in m of a modelled hand from the measured one; beyond it the motion leaves any workspace."""
 FORCE_QUANTUM_N = 1e-3
-"""Difference of two forces from which on they count as parted: no device resolves less."""
+"""Force difference in N that counts as divergence; no device resolves less."""
 PASTS = {"kept": 0, "stalled": 1, "acknowledged": 2}
 INPUTS = ("received_force", "requested_force", "gain", "missed", "past", "given_fault")
-"""What a recording must have beside motion and force."""
+"""Signals that a recording must have beside motion and force."""
 COMPARED = ("rendered_force", "safety_force", "device_force", "rendered_torque", "safety_torque", "device_torque")
-"""What is the same bit for bit where the settings are."""
+"""Signals that are bit-identical if the settings are."""
 REPLAYED: dict[str, frozenset[str]] = {
     "safety": frozenset({"ladder", "gripper", "signals"}),
     "master": frozenset(
@@ -36,27 +36,27 @@ REPLAYED: dict[str, frozenset[str]] = {
     "coupling": frozenset({"kind", "position_scale", "rotation_scale", "command_speed", "command_reach",
                            "command_angular_speed", "command_turn", "alignment", "reference_point"}),
 }  # fmt: skip
-"""Tables whose keys decide over the force on the hand, less those that do not."""
+"""Tables whose keys affect the force on the hand, except the listed keys."""
 Level = Literal["as measured", "hand modelled"]
 
 
 class ReplayFigures(Struct, frozen=True, kw_only=True):
-    """What a run came to."""
+    """Figures of a run."""
 
     peak_device_force: float
     """Largest |F_device| in N."""
     largest_speed: float
-    """Largest speed in m/s in the direction in which the remote side pushes, since the two engaged."""
+    """Largest speed in m/s towards the push of the remote side, since the engagement."""
     trips: int
-    """Interventions."""
+    """Number of interventions."""
     intervention_s: float
     """Time under intervention in s."""
     peak_device_torque: float | None = None
-    """Largest |tau_device| in N m, of a hand that turns."""
+    """Largest |tau_device| in N m, for a rotating hand."""
 
 
 class _About(NamedTuple):
-    """Of a replay, what no signal says."""
+    """Facts about a replay that no signal holds."""
 
     overrides: tuple[str, ...]
     notes: tuple[str, ...]
@@ -64,36 +64,38 @@ class _About(NamedTuple):
 
 
 class Replay(Struct, frozen=True, kw_only=True):
-    """A recording, and what other settings would have made of it."""
+    """Recording, and the result of other settings."""
 
     level: Level
-    """Whether the hand moves as it was measured, or as a model of it answers to the force that differs."""
+    """"as measured" keeps the measured motion; "hand modelled" lets a model respond to the difference in force."""
     overrides: tuple[str, ...]
-    """The settings that differ."""
+    """Changed settings."""
     time_s: Array
-    """Times of the ticks since the run began, shape `(n_ticks,)`."""
+    """Tick times since the run began, shape `(n_ticks,)`."""
     recorded: Mapping[str, Array]
-    """What was recorded, by name, shape `(n_ticks, axes)` where it has axes."""
+    """Recorded signals by name, shape `(n_ticks, axes)` for signals with axes."""
     replayed: Mapping[str, Array]
-    """The same under the settings; `displacement` in m is how far the modelled hand is from the recorded one."""
+    """Signals with the changed settings; `displacement` in m is the distance of the modelled hand from the recorded
+    one.
+    """
     identical: bool
-    """Whether all forces and torques are the same, bit for bit."""
+    """True if all forces and torques are bit-identical."""
     parts_s: float | None
-    """When |F_device| first differs by more than `FORCE_QUANTUM_N`, in s; none where it never does."""
+    """Time in s at which |F_device| first differs by more than `FORCE_QUANTUM_N`; None if it never does."""
     ends_s: float | None
-    """When the modelled hand was `LOST_M` from where it was measured: what follows says nothing, and is not counted."""
+    """Time at which the modelled hand is `LOST_M` from the measured one; later ticks are invalid and not counted."""
     before: ReplayFigures
-    """What was recorded came to."""
+    """Figures of the recording."""
     after: ReplayFigures
-    """What the settings would have made of it."""
+    """Figures with the changed settings."""
     largest_displacement: float
-    """How far in m the modelled hand goes from where the recorded one was; 0 as measured."""
+    """Largest distance in m between the modelled and the recorded hand; 0 as measured."""
     hand: HandFit | None
-    """The model of the hand; none as measured."""
+    """Model of the hand; None as measured."""
     notes: tuple[str, ...]
-    """What is not replayed truthfully, and why."""
+    """Parts that are not replayed exactly, with reasons."""
     specification: bytes
-    """The scene with the settings, as JSON."""
+    """Scene with the changed settings, as JSON."""
 
 
 def replay(
@@ -102,23 +104,23 @@ def replay(
     overrides: Iterable[str] = (),
     hand: Literal["measured", "modelled"] | None = None,
 ) -> Replay:
-    """What a recorded master would have exerted under other settings.
+    """Compute the force of a recorded master with other settings.
 
-    Motion, the force that arrived tick by tick and the ladder are those of the recording, and go through estimator,
-    coupling, safety layer and limiter again.
+    Motion, received force per tick and ladder come from the recording. They pass through estimator, coupling, safety
+    layer and limiter again.
 
     Args:
-        file: What `--record` of a master wrote, or what `read_recording` read of it.
-        overrides: Settings of `[safety]`, `[coupling]` and `[master]` to change, `table.key=value` each; without any,
-            the forces are those of the recording bit for bit.
-        hand: "measured" has the hand move as it did whatever the force; "modelled" has a model of it, identified from
-            the recording, answer to the force that differs. By default modelled where settings differ and the hand can
-            be identified.
+        file: File written by `--record` of a master, or the result of `read_recording`.
+        overrides: Settings of `[safety]`, `[coupling]` and `[master]` to change, `table.key=value` each; without
+            changes the forces are bit-identical to the recording.
+        hand: "measured" keeps the recorded motion whatever the force. "modelled" lets a model, identified from the
+            recording, respond to the difference in force. Default: modelled if settings differ and the hand can be
+            identified.
 
     Raises:
         OSError: The file cannot be read.
-        ValueError: No recording of a master with a scene; settings that cannot be or are not replayed; a hand that
-            cannot be identified where it is to be modelled.
+        ValueError: Not a master recording with a scene; invalid settings, or settings that are not replayed; "modelled"
+            with a hand that cannot be identified.
     """
     given = tuple(overrides)
     recording = file if isinstance(file, Recording) else read_recording(file)
@@ -177,7 +179,7 @@ def _check(recording: Recording, name: str) -> None:
 
 
 def _settings(recording: Recording, overrides: tuple[str, ...]) -> tuple[dict[str, Any], bool]:
-    """The scene as it was run with the settings that differ, and whether the coupling is one of them."""
+    """Return the scene with the changed settings, and True if the coupling changes."""
     spec = cast("dict[str, Any]", json.decode(recording.scene))
     if not overrides:
         return spec, False
@@ -205,7 +207,7 @@ def _refuse_unreplayed(path: KeyPath, override: str) -> None:
 
 
 def _signals(recording: Recording) -> tuple[dict[str, Array], list[str]]:
-    """What Rust reads, and notes on what is missing."""
+    """Return the signals that Rust reads, and notes on missing ones."""
     recorded = recording.signals
     ticks = len(recorded["time_ns"])
     signals: dict[str, Array] = {
@@ -219,7 +221,7 @@ def _signals(recording: Recording) -> tuple[dict[str, Array], list[str]]:
     period_ns = float(json.decode(recording.scene)["run"]["period_s"]) * 1e9
     ahead = np.diff(recorded["time_ns"].astype(np.float64), prepend=0.0) / period_ns
     absent = np.rint(ahead - 1.0) - signals["missed"]
-    # One tick may be early and the next late by half a period each; and what follows a stall needs no past.
+    # A tick may be early and the next late by half a period each; after a stall no past is needed.
     holes = (absent >= 1.0) & (ahead > signals["missed"] + 1.9) & (signals["past"] == 0.0)
     holes[0] = False
     if holes.any():
@@ -296,7 +298,7 @@ def _bits(values: Array) -> bytes:
 
 
 def _towards(force: Array) -> Array:
-    """Unit vectors of the direction in which the remote side pushes; where it does not, as it did last."""
+    """Unit vectors of the remote push direction; without a push, the last direction."""
     length = np.linalg.norm(force, axis=1)
     pushes = length > 0.1
     last = np.maximum.accumulate(np.where(pushes, np.arange(len(force)), -1))

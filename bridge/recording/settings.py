@@ -1,4 +1,4 @@
-"""The settings that a recording was made with, as tables that can be changed and checked again."""
+"""Settings of a recording as tables that can be changed and checked again."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -27,7 +27,7 @@ class _Safety(Struct):
 
 
 class _Settings(Struct):
-    """Settings that are read here before the scene is checked."""
+    """Settings read here before the scene is checked."""
 
     run: _Run
     master: _Master
@@ -37,11 +37,11 @@ class _Settings(Struct):
 
 
 def check_settings(scene: bytes, name: str) -> None:
-    """Refuses a recorded scene without the settings that a run needs.
+    """Refuse a recorded scene without the settings that a run needs.
 
     Args:
-        scene: As a recording keeps it.
-        name: Name of its file.
+        scene: Scene bytes from a recording.
+        name: File name for the message.
 
     Raises:
         ValueError: The scene is missing, or lacks a part.
@@ -57,11 +57,11 @@ def check_settings(scene: bytes, name: str) -> None:
 
 
 def tables_of(scene: bytes, names: tuple[str, ...]) -> dict[str, Raw]:
-    """Tables of a scene as it was resolved, in the form of a scene's file: what is none is left out.
+    """Convert a resolved scene to the tables of a scene file; None values are omitted.
 
     Args:
-        scene: As a recording keeps it.
-        names: Of the tables; those that the scene does not have are left out.
+        scene: Scene bytes from a recording.
+        names: Table names; absent tables are omitted.
     """
     spec = cast("dict[str, Any]", json.decode(scene))
     tables: dict[str, Raw] = {"schema": 1}
@@ -71,12 +71,12 @@ def tables_of(scene: bytes, names: tuple[str, ...]) -> dict[str, Raw]:
     if isinstance(safety := tables.get("safety"), dict) and spec["safety"]["limiter"] is None:
         safety["limiter"] = {"enabled": False}
     if isinstance(slave := tables.get("slave"), dict):
-        # Of an arm that is led by positions, which has none of its own.
+        # A position-controlled arm has no stiffness or damping of its own.
         for key in ("stiffness", "damping"):
             if not slave.get(key):
                 slave.pop(key, None)
     if isinstance(operator := tables.get("operator"), dict):
-        # What `clutch` names.
+        # Times that `clutch` named.
         times = operator.pop("clutch_times", None)
         if times is not None:
             operator["clutch"] = times
@@ -86,14 +86,14 @@ def tables_of(scene: bytes, names: tuple[str, ...]) -> dict[str, Raw]:
 
 
 def recorded_scene(scene: bytes, overrides: Iterable[str] = ()) -> Scene:
-    """The scene of a recording, as a scene that can be run again.
+    """Return the scene of a recording in a form that can be run again.
 
     Args:
-        scene: As a recording keeps it.
+        scene: Scene bytes from a recording.
         overrides: Fields to change, `table.key=value` each.
 
     Raises:
-        SceneError: One that cannot be built.
+        SceneError: The scene is invalid.
     """
     raw = tables_of(scene, ("run", "master", "operator", "slave", "environment", "link", "coupling", "safety"))
     for override in overrides:
@@ -102,7 +102,7 @@ def recorded_scene(scene: bytes, overrides: Iterable[str] = ()) -> Scene:
 
 
 def _drop_absent(environment: dict[str, Raw]) -> None:
-    """Drops what a push of its shape does not have, which stands as 0."""
+    """Drop fields that the shape of a push does not have; they are stored as 0."""
     for key in ("pushers", "torques"):
         for push in cast("list[dict[str, Raw]]", environment.get(key, [])):
             for absent in ("frequency_hz", "rise_s"):
@@ -111,7 +111,7 @@ def _drop_absent(environment: dict[str, Raw]) -> None:
 
 
 def _without_none(value: Raw) -> Raw:
-    """A part of a scene without its fields that are none."""
+    """Return a part of a scene without its None fields."""
     if isinstance(value, dict):
         return {key: _without_none(part) for key, part in value.items() if part is not None}
     return [_without_none(part) for part in value] if isinstance(value, list) else value

@@ -1,1 +1,1 @@
-"""Scenes: tables, checks, the numbers that the Rust side takes, runs and sweeps."""
+"""Scenes: tables, checks, numbers for the Rust side, runs and sweeps."""

@@ -1,4 +1,4 @@
-"""What does not go together in a scene."""
+"""Checks for contradictions within a scene."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -37,18 +37,18 @@ from haptether.bridge.scene.tables.slave import (
 
 SLAVE_PERIOD_S = (1e-5, 2e-2)
 MAX_REFERENCE_M = 10.0
-"""Of a point of the tool from the tool point."""
+"""Largest distance in m of a reference point from the tool point."""
 JERK_DENSITIES = {"kalman": ("jerk_density",), "dual-kalman": ("velocity_jerk_density", "jerk_density")}
-"""What says how quick each Kalman filter is."""
+"""Keys that set the bandwidth of each Kalman filter."""
 KALMAN_BANDWIDTH = (1e-3, 10.0)
 """Bounds on omega dT of the Kalman filter."""
 
 
 def checked_spec(scene: Scene) -> Spec:
-    """The numbers of a scene whose parts go together.
+    """Return the numbers of a scene whose parts are consistent.
 
     Raises:
-        SceneError: The first thing that does not, with its table and key.
+        SceneError: First contradiction, with table and key.
     """
     for refusal in contradictions(scene):
         raise refusal
@@ -59,7 +59,7 @@ def checked_spec(scene: Scene) -> Spec:
 
 
 def contradictions(scene: Scene) -> Iterator[SceneError]:
-    """Everything in a scene that does not go together, as far as its tables alone show it."""
+    """Yield every contradiction that the tables alone show."""
     yield from _run(scene.run)
     yield from _driver_options(scene)
     yield from _research(scene)
@@ -126,7 +126,7 @@ def _operator(table: OperatorTable) -> Iterator[SceneError]:
             yield contradiction(("operator", "start"), "a recorded path begins where it begins: leave it out")
         yield from _series(table.recorded, ("operator", "recorded"))
     if not isinstance(table.clutch, str):
-        # In whole ns, as the Rust side counts them.
+        # In whole ns, same as the Rust side.
         times = [round(time_s * 1e9) for pair in table.clutch for time_s in pair]
         if any(later <= earlier for earlier, later in pairwise(times)):
             yield contradiction(("operator", "clutch"), "presses and releases must follow one another in time")
@@ -143,7 +143,7 @@ def _operator(table: OperatorTable) -> Iterator[SceneError]:
 
 
 def _buttons(scene: Scene) -> Iterator[SceneError]:
-    """Each button does one thing, and there is a gripper for the one that works it."""
+    """Check that each button has one function, and that a gripper exists for the gripper button."""
     table = scene.master.buttons
     if table is None:
         return
@@ -160,7 +160,7 @@ def _buttons(scene: Scene) -> Iterator[SceneError]:
 
 
 def _felt_trigger(scene: Scene) -> Iterator[SceneError]:
-    """What a trigger with force feedback needs, and what nothing else has."""
+    """Check keys that a trigger with force feedback needs, and that nothing else may have."""
     finger = scene.operator and scene.operator.finger
     if scene.master.gripper is None:
         of_trigger: dict[Path, object] = {("operator", "finger"): finger, ("safety", "gripper"): scene.safety.gripper}
@@ -189,7 +189,7 @@ AXES_OF_KIND = {"linear": (1, 2, 3), "joints": (1, 2, 3, 4, 5, 6, 7), "pose": (3
 
 
 def _kind(scene: Scene) -> Iterator[SceneError]:
-    """What a side of kind "pose" needs, and what no other has."""
+    """Check keys that a side of kind "pose" needs, and that no other kind may have."""
     kind, axes = side_kind(scene.master), scene.master.axes
     if axes not in AXES_OF_KIND[kind]:
         allowed = " or ".join(map(str, AXES_OF_KIND[kind]))
@@ -335,7 +335,7 @@ def _unit(quat_wxyz: tuple[float, ...], path: Path) -> Iterator[SceneError]:
 
 
 def _rigid(table: RotationTable | ToolTable | None, path: Path) -> Iterator[SceneError]:
-    """Of moments about three axes none is above the sum of the other two, whatever the masses and where."""
+    """Principal moments of inertia satisfy the triangle inequality for every mass distribution."""
     inertia_kg_m2 = table and table.inertia_kg_m2
     if not isinstance(inertia_kg_m2, tuple) or len(inertia_kg_m2) != 3:
         return
@@ -365,7 +365,7 @@ def _slave(table: SlaveTable, run: RunTable) -> Iterator[SceneError]:
 
 
 def _driver_options(scene: Scene) -> Iterator[SceneError]:
-    """Options that nobody would be called with."""
+    """Reject options without a driver that takes them."""
     if scene.master.options and scene.master.driver is None:
         allowed = "left out where a model is held by the operator, or [master] driver must name who takes them"
         yield wrong(("master", "options"), scene.master.options, allowed)
@@ -379,7 +379,7 @@ def _driver_options(scene: Scene) -> Iterator[SceneError]:
 
 
 def _research(scene: Scene) -> Iterator[SceneError]:
-    """A controller in Python where none can watch."""
+    """Reject a Python controller if no safety layer can call it."""
     if scene.safety.research is None:
         return
     path: Path = ("safety", "research")
@@ -392,7 +392,7 @@ def _research(scene: Scene) -> Iterator[SceneError]:
 
 
 UNIT_QUATERNION = 1e-6
-"""How far the norm of a quaternion may be from 1: digits that were left out."""
+"""Allowed deviation of a quaternion norm from 1, for rounded digits."""
 
 
 def _coupling(table: CouplingTable, axes: int) -> Iterator[SceneError]:
@@ -416,7 +416,7 @@ def _frame(
         norm = hypot(*quat_wxyz)
         if abs(norm - 1.0) > UNIT_QUATERNION:
             yield wrong((*path, "quat_wxyz"), quat_wxyz, f"of norm 1, not {norm:g}")
-        # A plane rotates about z; one axis, or axes that are not those of one space, do not rotate.
+        # A plane rotates about z; one axis, or axes that do not span one space, do not rotate.
         fixed = {3: (), 2: (1, 2)}.get(axes, (1, 2, 3))
         if any(quat_wxyz[part] != 0.0 for part in fixed):
             allowed = "a rotation about z with 2 axes" if axes == 2 else f"[1, 0, 0, 0] with {axes} axes"
@@ -511,7 +511,7 @@ def _pusher(table: PusherTable | TorqueTable, path: Path) -> Iterator[SceneError
 
 
 def _series(table: SeriesTable, path: Path) -> Iterator[SceneError]:
-    """A recording, whose file has been read."""
+    """Check a recorded series whose file has been read."""
     if table.file is not None and (table.time_s is not None or table.values is not None):
         yield contradiction((*path, "file"), "either file, or time_s and values")
         return
@@ -544,7 +544,7 @@ def _safety(table: SafetyTable, period_s: float) -> Iterator[SceneError]:
 
 
 def _ladder(table: LadderTable) -> Iterator[SceneError]:
-    # In whole ns, as the Rust side counts them.
+    # In whole ns, same as the Rust side.
     stale_ns, hold_ns, stop_ns = (
         round(time_s * 1e9) for time_s in (table.stale_after_s, table.hold_after_s, table.stop_after_s)
     )
@@ -560,7 +560,7 @@ def _ladder(table: LadderTable) -> Iterator[SceneError]:
 
 
 def _of_numbers(spec: Spec) -> Iterator[SceneError]:
-    """What only the filled-in numbers show."""
+    """Check conditions that need the resolved numbers."""
     run, master, safety = spec["run"], spec["master"], spec["safety"]
     for axis, (low, high) in enumerate(master["stops"] or ()):
         if low >= high:
@@ -585,7 +585,7 @@ def _of_numbers(spec: Spec) -> Iterator[SceneError]:
         yield from _own_damping(safety, "gripper", f"at most m / (5 dT) = {limit:g}", limit)
     estimator = safety["estimator"]
     for key in JERK_DENSITIES.get(estimator["kind"], ()):
-        # (12 q / (quantum² dT))^(1/6) dT, by logarithms: no power of what is allowed then overflows or vanishes.
+        # (12 q / (quantum² dT))^(1/6) dT by logarithms, so that no power of an allowed value overflows or underflows.
         power = log(12.0 * estimator[key] / run["period_s"]) - 2.0 * log(estimator["quantum_m"])
         bandwidth = exp(power / 6.0) * run["period_s"]
         low, high = KALMAN_BANDWIDTH

@@ -1,4 +1,4 @@
-"""A scene as what the bound on ejection speed depends on."""
+"""Inputs of the ejection speed bound from a scene."""
 
 from math import hypot, inf
 
@@ -9,12 +9,12 @@ from haptether.safety import EjectionSettings, EstimatorKind
 
 
 def settings_of(scene: Scene) -> EjectionSettings:
-    """Device, loop, estimator, limits and thresholds, defaults and presets filled in.
+    """Return device, loop, estimator, limits and thresholds, with defaults and presets filled in.
 
-    Of kind "pose" they are those of the translation.
+    For kind "pose" the values are those of the translation.
 
     Raises:
-        SceneError: A scene that cannot be built.
+        SceneError: The scene is invalid.
     """
     spec = checked_spec(scene)
     master, safety, run = spec["master"], spec["safety"], spec["run"]
@@ -58,7 +58,7 @@ def settings_of(scene: Scene) -> EjectionSettings:
 
 
 def _free_s(spec: Spec) -> float:
-    """Longest time in s that nobody holds the device in the run; a grip that bears the cap holds to the release."""
+    """Return the longest time in s without a hand; a grip stronger than the force cap holds until the release."""
     operator, limiter = spec["operator"], spec["safety"]["limiter"]
     lasts_s: float = spec["run"]["duration_s"]
     if operator is None or operator["release"] is None or limiter is None:
@@ -69,7 +69,7 @@ def _free_s(spec: Spec) -> float:
 
 
 def _outside(spec: Spec) -> str | None:
-    """What of the assumptions a scene does not meet."""
+    """Return the assumption that a scene violates, or None."""
     limiter, device_n = spec["safety"]["limiter"], spec["master"]["max_force_n"]
     if spec["safety"]["research"] is not None:
         return f"nothing is known of the force of {spec['safety']['research']['controller']}, a controller in Python"
@@ -84,7 +84,7 @@ def _outside(spec: Spec) -> str | None:
 
 
 def _kind(table: Spec) -> EstimatorKind:
-    """The estimator that a table describes."""
+    """Return the estimator that a table describes."""
     parameters = {name: value for name, value in table.items() if name != "kind"}
     made: EstimatorKind = getattr(EstimatorKind, table["kind"].replace("-", "_"))(**parameters)
     return made

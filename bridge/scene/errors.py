@@ -1,4 +1,4 @@
-"""What is wrong with a scene, in one line: where, what was seen, what is allowed."""
+"""One-line scene errors: location, value seen, values allowed."""
 
 import difflib
 import math
@@ -14,21 +14,21 @@ from haptether.bridge.scene.tables.session import Scene
 from haptether.printable import printable
 
 Raw: TypeAlias = "dict[str, Raw] | list[Raw] | tuple[Raw, ...] | str | int | float | bool | None"
-"""What TOML, or a scene converted to built-in values, consists of."""
+"""Value from TOML, or from a scene converted to built-in types."""
 Path: TypeAlias = tuple[str | int, ...]
-"""Where something stands in a scene: keys of tables and places in lists."""
+"""Location in a scene: table keys and list indices."""
 
 
 WHOLE = "a whole number"
-"""What a field that counts takes."""
+"""Allowed value of an integer field, for messages."""
 
 
 class SceneError(ValueError):
-    """A scene that cannot be built. The message is one line: file, table, key, what was seen, what is allowed."""
+    """Scene that cannot be built. The message is one line: file, table, key, value seen, values allowed."""
 
 
 def place(path: Path) -> str:
-    """`("operator", "legs", 0, "end", 1)` as `[operator.legs.0] end.1`; a key of the top level as itself."""
+    """Format `("operator", "legs", 0, "end", 1)` as `[operator.legs.0] end.1`; a top-level key as itself."""
     table: Path = ()
     for length in range(1, len(path)):
         if not isinstance(path[length], int) and table_type(path[:length]) is not None:
@@ -42,25 +42,25 @@ def _dotted(path: Path) -> str:
 
 
 def abridged(text: str) -> str:
-    """What a file says as part of one line: what no screen shows is escaped, and a long text cut."""
+    """Make text from a file safe for one line: escape unprintable characters and cut long text."""
     text = text if len(text) <= 80 else f"{text[:76]} ..."
     return printable(text)
 
 
 def wrong(path: Path, seen: object, allowed: str) -> SceneError:
-    """A value that is not allowed."""
-    # A float as such where a whole number is due: 1.0 is not 1.
+    """Return the error for a value that is not allowed."""
+    # Keep the decimal point if an integer is required: 1.0 is not 1.
     text = repr(seen) if isinstance(seen, float) and allowed.startswith(WHOLE) else shown(seen)
     return SceneError(f"{place(path)} = {text}: must be {allowed}")
 
 
 def contradiction(path: Path, problem: str) -> SceneError:
-    """A part that does not go together with another."""
+    """Return the error for a part that contradicts another."""
     return SceneError(f"{place(path)}: {problem}")
 
 
 def shown(value: object) -> str:
-    """A value as TOML writes it, a long one abridged."""
+    """Format a value as TOML; long values are abridged."""
     if value is None:
         return "nothing"
     if isinstance(value, bool):
@@ -79,7 +79,7 @@ def shown(value: object) -> str:
 
 
 def closest(word: str, words: Iterable[str]) -> str:
-    """A question for the most similar word, or all of them where none is similar."""
+    """Return a question with the most similar word, or list all words if none is similar."""
     words = sorted(words)
     near = difflib.get_close_matches(word[:80], words, n=1, cutoff=0.5)
     return f"did you mean {near[0]}?" if near else f"there is {', '.join(words)}"
@@ -89,7 +89,7 @@ def closest(word: str, words: Iterable[str]) -> str:
 
 
 def members(kind: inspect.Type) -> tuple[inspect.Type, ...]:
-    """The alternatives of a union, or the type alone; what they are annotated with is peeled off."""
+    """Return the alternatives of a union, or the single type, without annotations."""
     if isinstance(kind, inspect.Metadata):
         return members(kind.type)
     return (
@@ -116,7 +116,7 @@ _ROOT = inspect.type_info(Scene)
 
 @lru_cache(maxsize=256)
 def types_at(path: Path) -> tuple[inspect.Type, ...]:
-    """The types that may stand at a path; none where the schema has no such path."""
+    """Return the types allowed at a path; empty if the schema has no such path."""
     kinds: tuple[inspect.Type, ...] = (_ROOT,)
     for step in path:
         kinds = tuple(_inside(kinds, step))
@@ -124,19 +124,19 @@ def types_at(path: Path) -> tuple[inspect.Type, ...]:
 
 
 def table_type(path: Path) -> tuple[inspect.StructType, ...] | None:
-    """The tables that may stand at a path; none where no table can."""
+    """Return the tables allowed at a path, or None."""
     return tuple(kind for kind in types_at(path) if isinstance(kind, inspect.StructType)) or None
 
 
 def keys_at(path: Path) -> set[str]:
-    """The keys that a table at a path may have."""
+    """Return the keys of a table at a path."""
     tables = table_type(path) or ()
     keys = {field.name for table in tables for field in table.fields}
     return keys | {table.tag_field for table in tables if table.tag_field is not None}
 
 
 def allowed_at(path: Path, seen: Raw = None) -> str:
-    """What may stand at a path, in words; where `seen` has the wrong type, the right one is named."""
+    """Describe the values allowed at a path; if `seen` has the wrong type, name the right one."""
     if path[-1] == "kind" and (tagged := [table for table in table_type(path[:-1]) or () if table.tag_field == "kind"]):
         return f"one of {_choices(table.tag for table in tagged)}"
     tables = table_type(path)
@@ -147,7 +147,7 @@ def allowed_at(path: Path, seen: Raw = None) -> str:
 
 
 def _number_due(path: Path, seen: Raw) -> str:
-    """Which kind of number is due where `seen` is none; nothing where it is one, or may be something else."""
+    """Return the required kind of number if `seen` is not a number; empty if it is, or if other types are allowed."""
     kinds = types_at(path)
     is_number = isinstance(seen, int | float) and not isinstance(seen, bool)
     if any(isinstance(kind, inspect.IntType) for kind in kinds):
@@ -196,7 +196,7 @@ def _range(gt: float | None, ge: float | None, lt: float | None, le: float | Non
 
 
 def bound(value: float) -> str:
-    """A bound as short as it can be said exactly."""
+    """Format a bound exactly and as short as possible."""
     return f"{value:.10g}" if abs(value) < 1e7 else f"{value:g}".replace("e+0", "e")
 
 
@@ -204,17 +204,17 @@ def bound(value: float) -> str:
 
 
 def look_up(raw: Raw, path: Path) -> Raw:
-    """What stands at a path of raw values."""
+    """Return the raw value at a path."""
     for step in path:
         raw = cast("dict[str | int, Raw]", raw)[step]
     return raw
 
 
 def refuse_infinite(raw: Raw, path: Path = ()) -> None:
-    """Refuses numbers that are not finite.
+    """Refuse numbers that are not finite.
 
     Raises:
-        SceneError: With the place of the first.
+        SceneError: Gives the location of the first.
     """
     if isinstance(raw, dict):
         for key, value in raw.items():
@@ -231,13 +231,13 @@ REMOVED: dict[Path, str] = {
     ("run", "step_s"): "was removed with the stepped integrators, leave it out",
     ("master", "friction_speed"): "was removed with the stepped integrators, leave it out",
 }
-"""Keys, or values of a key, that earlier versions had, and what to do about them."""
+"""Keys, or values of a key, of earlier versions, with the replacement."""
 
 _WHERE = re.compile(r"(?P<said>.*?)(?: - at `\$(?P<path>.*)`)?$", re.DOTALL)
 
 
 def explained(error: ValidationError, raw: Raw) -> SceneError:
-    """The refusal of the schema, with the value that was seen and what the types allow there."""
+    """Return the schema error with the value seen and the types allowed."""
     found = _WHERE.match(str(error))
     said, where = (found["said"], found["path"] or "") if found else (str(error), "")
     if not where and not isinstance(raw, dict):
@@ -257,7 +257,7 @@ def explained(error: ValidationError, raw: Raw) -> SceneError:
 
 
 def unknown_key(path: Path) -> SceneError:
-    """A key that its table does not have."""
+    """Return the error for an unknown key."""
     if path in REMOVED:
         return contradiction(path, REMOVED[path])
     key, table = str(path[-1]), path[:-1]

@@ -1,4 +1,4 @@
-"""Scenes: read by name or path, changed, checked, and converted to what the Rust side takes."""
+"""Loading of scenes: read by name or path, override, check and convert for the Rust side."""
 
 import re
 import tomllib
@@ -34,55 +34,55 @@ from haptether.bridge.scene.tables.session import Scene
 from haptether.input_file import read_text
 
 Leaf: TypeAlias = "float | int | str | bool | None"
-"""A value of a scene's field that has no parts."""
+"""Field value of a scene without parts."""
 
 _SHIPPED = FilePath(__file__).parents[1] / "scenes"
 MAX_BYTES = 1 << 18
-"""Of a scene's file."""
+"""Largest scene file."""
 MAX_PARTS = 12
-"""Of a dotted key; the schema has 6. TOML's reader takes memory as their square."""
+"""Largest number of parts of a dotted key; the schema has 6. The TOML reader's memory grows with their square."""
 _PART = r"(?:[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')"
 _LONG_KEY = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_PARTS}}}")
 _BARE_WORD = re.compile(r"(?<![\"\w.+-])(?!(?:true|false)\b)([A-Za-z_][\w-]*)(?![\"\w])")
 
 
 def scene_names(*, attacks: bool = False) -> tuple[str, ...]:
-    """Names of the scenes that Haptether ships; on request also those of `haptether raven`, the attacks."""
+    """Return the names of the shipped scenes, on request with the attacks of `haptether raven`."""
     return tuple(sorted(path.stem for path in _SHIPPED.glob("**/*.toml" if attacks else "*.toml")))
 
 
 @dataclass(frozen=True)
 class Checked:
-    """A scene that can be built, and what the Rust side reads of it."""
+    """Valid scene and its specification for the Rust side."""
 
     scene: Scene
     spec: Spec
 
     @cached_property
     def json(self) -> bytes:
-        """The same scene yields the same bytes."""
+        """The same scene gives the same bytes."""
         return msgspec.json.encode(self.spec)
 
 
 def load_scene(name_or_path: str | PathLike[str], overrides: Iterable[str] = ()) -> Scene:
-    """Reads a scene.
+    """Read a scene.
 
     Args:
         name_or_path: One of `scene_names(attacks=True)`, or the path of a TOML file.
-        overrides: `table.key=value` each, in TOML; bare words are strings. `operator.legs.0.end=-0.03` reaches into
-            a list.
+        overrides: `table.key=value` each, in TOML; bare words are strings. `operator.legs.0.end=-0.03` reaches into a
+            list.
 
     Returns:
-        The scene, checked, with the recordings that it names.
+        The checked scene, with the recordings that it names embedded.
 
     Raises:
-        SceneError: No such scene, or one that cannot be built: file, table, key, what was seen, what is allowed.
+        SceneError: The scene does not exist or is invalid; gives file, table, key, value seen, values allowed.
     """
     return loaded(name_or_path, overrides).scene
 
 
 def loaded(name_or_path: str | PathLike[str], overrides: Iterable[str] = ()) -> Checked:
-    """As `load_scene`, with what the Rust side reads of it."""
+    """Return the result of `load_scene` with its specification for the Rust side."""
     path, overrides = scene_path(name_or_path), override_texts(overrides)
     try:
         raw = _tables(scene_text(path))
@@ -101,11 +101,11 @@ def loaded(name_or_path: str | PathLike[str], overrides: Iterable[str] = ()) -> 
 
 
 def scene_text(path: FilePath) -> str:
-    """The text of a file that is no larger than a scene is.
+    """Return the text of a scene file within the size limit.
 
     Raises:
-        SceneError: No plain file, too long, or another encoding. The message is without the path.
-        OSError: It cannot be read.
+        SceneError: Not a plain file, too long, or another encoding. The message omits the path.
+        OSError: The file cannot be read.
     """
     try:
         return read_text(path, MAX_BYTES)
@@ -127,16 +127,16 @@ def _tables(text: str) -> dict[str, Raw]:
     except tomllib.TOMLDecodeError:
         raise
     except ValueError as error:
-        # What Python says of a number of thousands of digits, or of a date that no calendar has.
+        # Python rejects numbers of thousands of digits and invalid dates.
         message = f"a number or a date that cannot be: {str(error).partition(';')[0]}"
         raise SceneError(message) from None
 
 
 def scene_path(name_or_path: str | PathLike[str]) -> FilePath:
-    """Where a scene lies.
+    """Return the path of a scene.
 
     Raises:
-        SceneError: No such scene, with the nearest that there is.
+        SceneError: The scene does not exist; names the closest match.
     """
     if not isinstance(name_or_path, str | PathLike):
         message = (
@@ -165,10 +165,10 @@ def _with_line(error: tomllib.TOMLDecodeError) -> str:
 
 
 def checked(raw: Raw, folder: FilePath) -> Checked:
-    """A scene from tables as TOML has them; the files that it names lie relative to `folder`.
+    """Check a scene in the form of TOML tables; files that it names are relative to `folder`.
 
     Raises:
-        SceneError: It cannot be built.
+        SceneError: The scene is invalid.
     """
     refuse_infinite(raw)
     scene = embed_recordings(typed_scene(raw), folder)
@@ -176,10 +176,10 @@ def checked(raw: Raw, folder: FilePath) -> Checked:
 
 
 def typed_scene(raw: Raw) -> Scene:
-    """A scene of finite numbers, held against its types and ranges only.
+    """Convert to a scene with finite numbers, checked for types and ranges only.
 
     Raises:
-        SceneError: A key, type or range that is not the schema's.
+        SceneError: A key, type or range violates the schema.
     """
     raw = with_own_controllers(raw)
     try:
@@ -189,21 +189,21 @@ def typed_scene(raw: Raw) -> Scene:
 
 
 def override_scene(scene: Scene, overrides: Iterable[str]) -> Scene:
-    """A scene with some of its fields changed, each `table.key=value`.
+    """Return a scene with changed fields, each `table.key=value`.
 
     Raises:
-        SceneError: A path that is not in the schema, or a scene that cannot be built.
+        SceneError: A path is not in the schema, or the scene is invalid.
     """
     return checked_scene(scene, overrides).scene
 
 
 def scene_json(scene: Scene) -> bytes:
-    """The scene as JSON with exactly the fields of `bridge/src/scene/spec.rs`: defaults and presets filled in.
+    """Return the scene as JSON with exactly the fields of `bridge/src/scene/spec.rs`; defaults are filled in.
 
-    The same scene yields the same bytes.
+    The same scene gives the same bytes.
 
     Raises:
-        SceneError: A scene that cannot be built.
+        SceneError: The scene is invalid.
     """
     return checked_scene(scene).json
 
@@ -211,24 +211,24 @@ def scene_json(scene: Scene) -> bytes:
 _KEPT: dict[bytes, Checked] = {}
 _MOST_KEPT = 8
 _LONGEST_KEPT = 1 << 20
-"""Bytes of a scene that is kept: not one of long recordings."""
+"""Largest scene in bytes that is cached, which excludes long recordings."""
 
 
 def checked_scene(scene: Scene, overrides: Iterable[str] = ()) -> Checked:
-    """As `override_scene`, with what the Rust side reads of it.
+    """Return the result of `override_scene` with its specification for the Rust side.
 
-    The last few are kept: the checks take longer than a short run.
+    The latest results are cached, because the checks take longer than a short run.
     """
     overrides = override_texts(overrides)
     try:
-        # In MessagePack numbers that are not finite differ from what is absent.
+        # MessagePack distinguishes non-finite numbers from absent ones.
         key = b"" if overrides else msgspec.msgpack.encode(scene)
     except (OverflowError, TypeError, ValueError, RecursionError):
-        key = b""  # the checks say what is wrong
+        key = b""  # the checks report the error
     if (kept := _KEPT.get(key)) is not None:
         return kept
     found = _checked_anew(scene, overrides)
-    # A scene that names files changes with them.
+    # A scene that names files changes with them, so do not cache it.
     if 0 < len(key) < _LONGEST_KEPT and msgspec.msgpack.encode(found.scene) == key:
         while len(_KEPT) >= _MOST_KEPT:
             _KEPT.pop(next(iter(_KEPT)), None)
@@ -237,7 +237,7 @@ def checked_scene(scene: Scene, overrides: Iterable[str] = ()) -> Checked:
 
 
 def _checked_anew(scene: Scene, overrides: Iterable[str]) -> Checked:
-    # A struct that was built in Python has not been held against its ranges yet.
+    # A struct built in Python has not been checked for its ranges yet.
     raw = cast("dict[str, Raw]", msgspec.to_builtins(scene))
     for override in overrides:
         raw = overridden(raw, override)
@@ -248,10 +248,10 @@ def _checked_anew(scene: Scene, overrides: Iterable[str]) -> Checked:
 
 
 def override_texts(overrides: Iterable[str]) -> tuple[str, ...]:
-    """The overrides, each to be read by `overridden`.
+    """Return the overrides as a tuple of texts for `overridden`.
 
     Raises:
-        SceneError: What is no list of texts.
+        SceneError: The value is not a list of texts.
     """
     if isinstance(overrides, Iterable) and not isinstance(overrides, str | bytes | Mapping):
         overrides = tuple(overrides)
@@ -262,10 +262,12 @@ def override_texts(overrides: Iterable[str]) -> tuple[str, ...]:
 
 
 def overridden(raw: dict[str, Raw], override: str) -> dict[str, Raw]:
-    """A copy of the tables with one field changed, `table.key=value`. Files are relative to the working folder.
+    """Return a copy of the tables with one field changed by `table.key=value`.
+
+    File paths are relative to the working folder.
 
     Raises:
-        SceneError: No `=`, a path that is not in the schema, or a value that TOML does not know.
+        SceneError: `=` is missing, the path is not in the schema, or the value is not valid TOML.
     """
     key, equals, text = override.partition("=")
     if not equals:
@@ -277,7 +279,7 @@ def overridden(raw: dict[str, Raw], override: str) -> dict[str, Raw]:
 
 
 def of_working_folder(value: Raw, key: str | int = "") -> Raw:
-    """The value of a key, with each relative path of a file in it joined to the working folder."""
+    """Return a value with each relative file path in it joined to the working folder."""
     if isinstance(value, dict):
         return {name: of_working_folder(one, name) for name, one in value.items()}
     if isinstance(value, list):
@@ -288,7 +290,7 @@ def of_working_folder(value: Raw, key: str | int = "") -> Raw:
 
 
 def leaf_values(tree: object, path: str = "") -> Iterator[tuple[str, Leaf]]:
-    """The values of nested tables and lists, each with its dotted path from `path` on, in their order."""
+    """Yield the values of nested tables and lists in order, each with its dotted path, prefixed by `path`."""
     if isinstance(tree, dict):
         for key, value in tree.items():
             yield from leaf_values(value, f"{path}.{key}" if path else key)
@@ -301,10 +303,10 @@ def leaf_values(tree: object, path: str = "") -> Iterator[tuple[str, Leaf]]:
 
 @lru_cache(maxsize=256)
 def path_of(text: str) -> Path:
-    """`operator.legs.0.end` as a path of the schema; `-` may stand for `_`.
+    """Parse `operator.legs.0.end` as a path of the schema; `-` may replace `_`.
 
     Raises:
-        SceneError: A path that is not in the schema, with the nearest that is.
+        SceneError: The path is not in the schema; names the closest match.
     """
     written = text.split(".")
     path: Path = tuple(int(step) if re.fullmatch(r"\d{1,9}", step) else step.replace("-", "_") for step in written)
@@ -320,19 +322,19 @@ def path_of(text: str) -> Path:
 
 
 def toml_value(text: str, path: Path) -> Raw:
-    """A value in TOML; words without quotes are strings, also inside a list.
+    """Parse a TOML value; unquoted words are strings, also inside a list.
 
     Raises:
-        SceneError: It is no value of TOML.
+        SceneError: The text is not valid TOML.
     """
     _refuse_long_keys(text)
     candidates = [text]
     if text in {"true", "false"} and not any(
-        # Of the options of a driver, whose types nobody here knows, it is what TOML says.
+        # Driver options have unknown types, so TOML decides.
         isinstance(kind, inspect.BoolType | inspect.AnyType)
         for kind in types_at(path)
     ):
-        # A choice that reads like a boolean, `safety.signals=true`.
+        # String option that looks like a boolean, `safety.signals=true`.
         candidates = [f'"{text}"']
     elif re.fullmatch(r"[\w./-]+", text):
         candidates.append(f'"{text}"')
@@ -350,10 +352,10 @@ def toml_value(text: str, path: Path) -> Raw:
 
 
 def with_value(raw: Raw, path: Path, value: Raw, at: Path = ()) -> Raw:
-    """Raw tables with the value at a path of the schema; tables on the way are made where they are absent.
+    """Set a value at a path of the schema in raw tables, and create missing tables on the way.
 
     Raises:
-        SceneError: A place in a list that the scene does not have.
+        SceneError: An index is outside the list of the scene.
     """
     if not path:
         return value
@@ -373,7 +375,7 @@ def with_value(raw: Raw, path: Path, value: Raw, at: Path = ()) -> Raw:
 
 
 def _default_table(path: Path) -> dict[str, Raw]:
-    """What stands at a path when the scene leaves the table out: only its kind matters, its fields have defaults."""
+    """Return the table at a path that the scene omits; only its kind matters, because its fields have defaults."""
     parents = table_type(path[:-1]) if path else None
     for field in (field for parent in parents or () for field in parent.fields if field.name == path[-1]):
         if isinstance(field.default, msgspec.Struct):

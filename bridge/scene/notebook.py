@@ -1,4 +1,4 @@
-"""A run in a notebook: its metrics, and small charts of what moved and what was felt."""
+"""Notebook view of a run: metrics and small charts of motion and force."""
 
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -17,14 +17,14 @@ CHARTS = {
     "slave_position": "arm [m]",
     "environment_force": "force on the tool [N]",
 }
-"""Signals that are drawn, if they were recorded."""
+"""Signals that are drawn if they were recorded."""
 WIDTH, HEIGHT = 320, 72
 POINTS = 160
-"""Columns of a chart; each is drawn from its smallest to its largest value, so that a spike of one tick is seen."""
+"""Columns of a chart; each spans the smallest to the largest value, so that a spike of one tick remains visible."""
 
 
 def as_html(run: "Run") -> str:
-    """A table of metrics with charts beside it, self-contained."""
+    """Return a self-contained table of metrics with charts."""
     metrics = {name: value for name, value in to_builtins(run.metrics).items() if value is not None}
     rows = "".join(
         f"<tr><td style='text-align:left'>{escape(name)}</td><td>{escape(_text(value))}</td></tr>"
@@ -47,7 +47,7 @@ def _text(value: Any) -> str:  # noqa: ANN401
 
 
 def _chart(label: str, time_s: npt.NDArray[np.float64], values: npt.NDArray[Any]) -> str:
-    """One signal over time, a line for each axis, with its range written beside it."""
+    """Draw one signal over time with its range, one line per axis."""
     from haptether.view.style.colours import AXES  # noqa: PLC0415
 
     axes = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
@@ -60,7 +60,7 @@ def _chart(label: str, time_s: npt.NDArray[np.float64], values: npt.NDArray[Any]
     starts = np.unique(np.linspace(0, len(axes), min(POINTS, len(axes)), endpoint=False).astype(int))
     x = np.linspace(0.0, WIDTH, len(starts))
     for axis, colour in zip(axes.T, AXES, strict=False):
-        # Of NaN alone in a column, nothing is drawn.
+        # A column of NaN only draws nothing.
         small = np.fmin.reduceat(axis, starts)
         large = np.fmax.reduceat(axis, starts)
         points = [

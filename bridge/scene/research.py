@@ -1,4 +1,4 @@
-"""Controllers in Python: found by their name, made for each run, timed."""
+"""Python controllers: lookup by name, creation per run, and timing."""
 
 import hashlib
 import inspect
@@ -29,16 +29,17 @@ _BUILT_IN = ("none", *(name for name, _, _ in CONTROLLERS))
 
 
 def register_controller(name: str, make: MakeController) -> None:
-    """Names a controller for the scenes of this process; one that was named so before is replaced.
+    """Register a controller by name for the scenes of this process; it replaces an earlier one of the same name.
 
-    A package names its own by an entry point of the group `haptether.controllers`.
+    Packages use an entry point of the group `haptether.controllers` instead.
 
     Args:
-        name: Of `[safety.research] controller`.
-        make: Called once a run with the options as keywords, and with `axes` and `period_s` where it has these.
+        name: Name for `[safety.research] controller`.
+        make: Factory, called once per run with the options as keywords, and with `axes` and `period_s` if it accepts
+            them.
 
     Raises:
-        ValueError: A name of one that is built in, or nothing that can be called.
+        ValueError: The name belongs to a built-in controller, or `make` is not callable.
     """
     _check_name(name)
     if not callable(make):
@@ -48,18 +49,18 @@ def register_controller(name: str, make: MakeController) -> None:
 
 
 def controller_names() -> tuple[str, ...]:
-    """Names of the controllers in Python that there are: of installed packages, and registered in this process."""
+    """Return the names of available Python controllers: from installed packages and registered in this process."""
     names = {*_REGISTERED, *device_names(RESEARCH_CONTROLLERS)}
     return tuple(sorted(name for name in names if _NAME.fullmatch(name) and name not in _BUILT_IN))
 
 
 def with_own_controllers(raw: Raw) -> Raw:
-    """Tables in which a controller in Python that `safety.controllers` names is that of `safety.research`.
+    """Move a Python controller named in `safety.controllers` to `safety.research`.
 
-    `safety.research.controller = "none"` stands for no such table, so that a sweep may vary it.
+    `safety.research.controller = "none"` means no such table, so that a sweep may vary it.
 
     Raises:
-        SceneError: Two in Python, or another one than `safety.research` names.
+        SceneError: Two Python controllers, or one that differs from `safety.research`.
     """
     safety = raw.get("safety") if isinstance(raw, dict) else None
     if not isinstance(raw, dict) or not isinstance(safety, dict):
@@ -81,10 +82,10 @@ def with_own_controllers(raw: Raw) -> Raw:
 
 
 def _check_name(name: str) -> None:
-    """Refuses what means something else where controllers are named.
+    """Refuse a name that has another meaning where controllers are named.
 
     Raises:
-        ValueError: With what is allowed.
+        ValueError: Gives the allowed names.
     """
     if not isinstance(name, str) or not _NAME.fullmatch(name) or name in _BUILT_IN:
         message = f"name = {name!r}: must be none of {', '.join(_BUILT_IN)}, and of letters, digits, _, - and ."
@@ -93,12 +94,12 @@ def _check_name(name: str) -> None:
 
 @dataclass
 class ControllerTime:
-    """What the controllers in Python of this process have taken."""
+    """Time used by the Python controllers of this process."""
 
     ticks: int = 0
-    """Ticks of all runs that ended well."""
+    """Ticks of all runs that ended normally."""
     seconds: float = 0.0
-    """Time in s inside them, with the way there and back."""
+    """Time in s in the controllers, including call overhead."""
 
 
 _TAKEN = ControllerTime()
@@ -106,7 +107,7 @@ _COUNTING = threading.Lock()
 
 
 class _OfThread(threading.local):
-    """What the runs and sweeps that a thread began have taken."""
+    """Time used in the runs and sweeps that a thread started."""
 
     ticks = 0
     seconds = 0.0
@@ -116,12 +117,12 @@ _TAKEN_BY_THREAD = _OfThread()
 
 
 def controller_time() -> ControllerTime:
-    """What the controllers in Python of this process have taken until now."""
+    """Return the time used by the Python controllers of this process so far."""
     return replace(_TAKEN)
 
 
 def count_controller_time(ticks: int, seconds: float) -> None:
-    """Adds what controllers in Python took: here, or in a worker that computed for this process."""
+    """Add time used by Python controllers, here or in a worker of this process."""
     with _COUNTING:
         _TAKEN.ticks += ticks
         _TAKEN.seconds += seconds
@@ -130,33 +131,33 @@ def count_controller_time(ticks: int, seconds: float) -> None:
 
 
 def thread_controller_time() -> ControllerTime:
-    """What controllers in Python took until now in the runs and sweeps that this thread began."""
+    """Return the time used by Python controllers in runs and sweeps that this thread started."""
     return ControllerTime(_TAKEN_BY_THREAD.ticks, _TAKEN_BY_THREAD.seconds)
 
 
 class Research:
-    """Makes the controller of each run."""
+    """Factory of the controller for each run."""
 
     def make(self, name: str, options: str, axes: int, period_s: float) -> "ResearchController":
-        """A controller that has seen nothing; `options` is a JSON object.
+        """Create a new controller; `options` is a JSON object.
 
         Raises:
-            ValueError: There is none of this name, it cannot be loaded, or not with these options.
+            ValueError: No controller has this name, it cannot be loaded, or it rejects the options.
         """
         _check_name(name)
         offered = {"axes": axes, "period_s": period_s}
         return load_controller(name, json.decode(options), offered=offered, registered=_REGISTERED)
 
     def spent(self, ticks: int, seconds: float) -> None:
-        """Counts what the controllers of a run or a sweep took."""
+        """Add the time used by the controllers of a run or a sweep."""
         count_controller_time(ticks, seconds)
 
 
 def research_of(scene: Scene) -> Research | None:
-    """Who makes the controller that a scene asks for, if it asks for one.
+    """Return the factory of the scene's Python controller, or None.
 
     Raises:
-        SceneError: There is none of that name, or not with these options.
+        SceneError: No controller has this name, or it rejects the options.
     """
     table = scene.safety.research
     if table is None:
@@ -173,7 +174,7 @@ def research_of(scene: Scene) -> Research | None:
 
 
 def source_of(name: str) -> str:
-    """What a controller is now, a digest of its file; something else each time of one whose file is not known."""
+    """Return a digest of the controller's file; a unique value for each call if the file is unknown."""
     make = _REGISTERED.get(name) or load_maker(RESEARCH_CONTROLLERS, name)
     try:
         file = inspect.getsourcefile(make)

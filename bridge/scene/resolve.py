@@ -1,4 +1,4 @@
-"""A scene as the numbers that the Rust side takes: presets and defaults filled in, one value per axis."""
+"""Resolution of a scene to the numbers of the Rust side: presets and defaults filled in, one value per axis."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
@@ -51,7 +51,7 @@ from haptether.netsim import LinkError, LinkSettings, link_spec, with_files
 from haptether.safety import SafetySettings
 
 Spec: TypeAlias = dict[str, Any]
-"""One table as the Rust side reads it (`bridge/src/scene/spec.rs`)."""
+"""Table as the Rust side reads it (`bridge/src/scene/spec.rs`)."""
 
 PYTHON_ONLY: dict[type[Struct], frozenset[str]] = {
     Scene: frozenset({"schema", "title", "shows"}),
@@ -64,10 +64,10 @@ PYTHON_ONLY: dict[type[Struct], frozenset[str]] = {
     LimiterTable: frozenset({"enabled"}),
     SafetyTable: frozenset({"preset"}),
 }
-"""Fields that have done their part once a scene is resolved."""
+"""Fields that are not part of a resolved scene."""
 
 DEFAULT_QUANTUM_M = 2.3e-5
-"""Quantum that the default estimator takes an exact device to have: that of a PHANTOM Desktop."""
+"""Quantum in m that the default estimator assumes for an exact device: that of a PHANTOM Desktop."""
 DEFAULT_MAX_FORCE_N = 7.9
 DEFAULT_DAMPING = 5.0
 """mu of the paper, in N s/m."""
@@ -95,11 +95,11 @@ MEASURED_THRESHOLDS: Mapping[str, float | str] = MappingProxyType({
 })  # fmt: skip
 """Thresholds of the preset "measured" (docs/thresholds.md). Those of WSC follow from the device."""
 MEASURED_WSC_SPEED = 0.29
-"""V_w in m/s: speed of a free device from which WSC of the preset "measured" trips, `sqrt(2 eta |delta| / m)`."""
+"""V_w in m/s: speed of a free device above which WSC of the preset "measured" trips, `sqrt(2 eta |delta| / m)`."""
 MEASURED_WSC_FORCE_N = 0.005
-"""F_w in N of the preset "measured", where stops end a travel."""
+"""F_w in N of the preset "measured" for a device with stops."""
 PROBED_SPEED = 0.12
-"""The default probe over mu in m/s, of joints in rad/s: damped by 1.25 mu, it reaches at most 0.096."""
+"""Default probe force divided by mu, in m/s (rad/s for joints); damped by 1.25 mu, it reaches at most 0.096."""
 RELEASE_TRIES = 5
 DEFAULT_EXTRAPOLATION_S = 0.015
 MIN_FADE_IN_S = 0.2
@@ -107,10 +107,10 @@ MAX_LINEAR_AXES = 3
 
 
 def spec_of(scene: Scene) -> Spec:
-    """All tables of a scene.
+    """Return all resolved tables of a scene.
 
     Raises:
-        SceneError: A list that does not have one value per axis, a device without mass, or a link that cannot be.
+        SceneError: A list does not have one value per axis, the device has no mass, or a link is invalid.
     """
     axes, run, operator = scene.master.axes, scene.run, scene.operator
     start = None if operator is None else _start(operator, axes)
@@ -152,13 +152,13 @@ def spec_of(scene: Scene) -> Spec:
 
 
 def resolved(value: Any, axes: int, path: Path, broadcast: Broadcast | None = None) -> Any:  # noqa: ANN401  # any field
-    """A table with all its fields, as the types of the fields declare them: one value per axis, none for no bound.
+    """Resolve all fields of a table by their declared types: one value per axis, None for no bound.
 
     Raises:
-        SceneError: A list that does not have one value per axis.
+        SceneError: A list does not have one value per axis.
     """
     if value is None or value == UNBOUNDED or isinstance(value, LinkSettings):
-        return None  # a link: `spec_of_links`
+        return None  # links are resolved by `spec_of_links`
     if isinstance(value, Struct):
         config = value.__struct_config__
         spec = {} if config.tag_field is None else {config.tag_field: config.tag}
@@ -177,7 +177,7 @@ def resolved(value: Any, axes: int, path: Path, broadcast: Broadcast | None = No
 
 @cache
 def _broadcasts(table: type[Struct]) -> dict[str, Broadcast | None]:
-    """The fields of a table that the Rust side takes, and how their values are broadcast over the axes."""
+    """Return the fields that the Rust side takes, and how their values are broadcast over the axes."""
     kind = inspect.type_info(table)
     assert isinstance(kind, inspect.StructType)
     left_out = PYTHON_ONLY.get(table, frozenset())
@@ -195,10 +195,10 @@ def _broadcast(kind: inspect.Type) -> Broadcast | None:
 
 
 def broadcast_axes(value: float | Sequence[float], axes: int, path: Path) -> list[float]:
-    """One number per axis.
+    """Return one number per axis.
 
     Raises:
-        SceneError: A list of another length.
+        SceneError: The list has another length.
     """
     if isinstance(value, int | float):
         return [float(value)] * axes
@@ -231,12 +231,12 @@ def _master(table: MasterTable, start: tuple[float, ...] | None) -> MasterTable:
 
 
 def side_kind(table: MasterTable) -> SideKind:
-    """What the coordinates of the scene's sides are."""
+    """Return the kind of coordinates of the scene's sides."""
     return table.kind or ("linear" if table.axes <= MAX_LINEAR_AXES else "joints")
 
 
 def _turning(table: OperatorRotationTable) -> OperatorRotationTable:
-    """The turns of a hand by the orientations where they end."""
+    """Convert the turns of a hand to the orientations at which they end."""
     orientation = table.start_wxyz
     legs = []
     for leg in table.legs:
@@ -246,7 +246,7 @@ def _turning(table: OperatorRotationTable) -> OperatorRotationTable:
 
 
 def _turned(turn: Sequence[float], quat_wxyz: Sequence[float]) -> tuple[float, ...]:
-    """`exp(turn) R`: the product of quaternions, turn as axis times angle in rad."""
+    """Return `exp(turn) R` as a quaternion product; turn is axis times angle in rad."""
     angle = hypot(*turn)
     share = 0.5 if angle == 0.0 else sin(0.5 * angle) / angle
     a, (b, c, d) = cos(0.5 * angle), (share * part for part in turn)
@@ -265,12 +265,12 @@ _Table = TypeVar("_Table", bound=Struct)
 
 
 def _filled(table: _Table, **defaults: object) -> _Table:
-    """The table with defaults for what it leaves out."""
+    """Return the table with defaults for absent values."""
     return replace(table, **{name: value for name, value in defaults.items() if getattr(table, name) is None})
 
 
 def _start(table: OperatorTable, axes: int) -> tuple[float, ...]:
-    """Where the hand's path begins, in m per axis."""
+    """Return the start of the hand's path in m per axis."""
     if table.recorded is not None and table.recorded.values:
         path: Path = ("operator", "recorded", "values", 0)
         return tuple(broadcast_axes(table.recorded.values[0], axes, path))
@@ -331,7 +331,7 @@ def _pusher(table: _Push, duration_s: float) -> _Push:
 
 
 def max_damping(mass_kg: Sequence[float], period_s: float) -> float:
-    """Largest damping in N s/m that a sampled device stands: m / (5 dT) of its lightest axis."""
+    """Return the largest stable damping of a sampled device in N s/m: m / (5 dT) of its lightest axis."""
     return min(mass_kg) / (5.0 * period_s)
 
 
@@ -355,7 +355,7 @@ def _safety(scene: Scene, master: Spec) -> SafetyTable:
 
 
 def _thresholds(scene: Scene, master: Spec) -> dict[str, float | str]:
-    """Those of the preset. None were measured of joints."""
+    """Return the thresholds of the preset. Joints have no measured thresholds."""
     table, kind = scene.safety, side_kind(scene.master)
     if (table.preset or ("paper" if kind == "joints" else "measured")) == "paper":
         return dict(PAPER_THRESHOLDS)
@@ -368,7 +368,7 @@ def _thresholds(scene: Scene, master: Spec) -> dict[str, float | str]:
 
 
 def _released(table: SafetyTable, coulomb: float, max_force_n: float) -> SafetyTable:
-    """Who gets the force back after a trip: a hand that answers a probe, or moves a device whose c hides one."""
+    """Fill in the release condition after a trip: an answered probe, or motion if friction c would hide a probe."""
     probe_force_n = PROBED_SPEED * (table.damping or 0.0)
     hidden = probe_force_n * table.probe_threshold < SafetySettings.FRICTION_ROOM * coulomb
     hidden = hidden or probe_force_n > max_force_n
@@ -386,7 +386,7 @@ def _estimator(table: EstimatorTable, quantum_m: float) -> EstimatorTable:
 
 
 def _ladder(table: LadderTable, limiter: LimiterTable) -> LadderTable:
-    # In whole ns, as the Rust side counts them, so that no rounding makes it last beyond HOLD.
+    # In whole ns, same as the Rust side, so that rounding cannot extend it beyond HOLD.
     stale_ns, hold_ns = round(table.stale_after_s * 1e9), round(table.hold_after_s * 1e9)
     extrapolate_s = min(DEFAULT_EXTRAPOLATION_S, max(hold_ns - stale_ns, 0) * 1e-9)
     fade_in_s = max(MIN_FADE_IN_S, limiter.ramp_in_s if limiter.enabled else 0.0)
@@ -400,19 +400,19 @@ _Direction = Literal["forward", "backward"]
 
 
 def embedded_links(links: LinksTable, folder: FilePath) -> LinksTable:
-    """The links with the contents of the files that they name, relative to `folder`.
+    """Return the links with the contents of their files embedded; paths are relative to `folder`.
 
     Raises:
-        SceneError: A file that cannot be read, with its line.
+        SceneError: A file cannot be read; gives the line.
     """
     return replace(links, **_each(links, lambda link, direction: with_files(link, folder, direction)))
 
 
 def spec_of_links(links: LinksTable) -> dict[str, Spec | None]:
-    """Both directions as the Rust side takes them.
+    """Return both directions in the form of the Rust side.
 
     Raises:
-        SceneError: Settings that describe no link.
+        SceneError: The settings are invalid.
     """
     return _each(links, link_spec)
 

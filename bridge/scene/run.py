@@ -1,4 +1,4 @@
-"""One scene, run in virtual time, and what came of it."""
+"""Run of one scene in virtual time, and its result."""
 
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SLAVE_SIGNALS = ("slave_", "environment_", "gripper", "holds_object", "handle_", "hole_", "body_")
-"""How signals begin that have their own times, `slave_time_s`: the slave's period may differ from the master's."""
+"""Prefixes of signals that use `slave_time_s`, because the slave's period may differ from the master's."""
 TIMES = {"master": "time_s", "slave": "slave_time_s"}
-"""The times of each side's ticks."""
+"""Signal with the tick times of each side."""
 AXES = "xyz"
 QUATERNION = "wxyz"
 
 
 class Signals(Mapping[str, npt.NDArray[Any]]):
-    """What was recorded, by name or as an attribute: one array per signal, its first axis that of `time_s`."""
+    """Recorded signals by name or as an attribute: one array per signal, with `time_s` as its first axis."""
 
     def __init__(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
         self._arrays = MappingProxyType(dict(arrays))
@@ -47,7 +47,7 @@ class Signals(Mapping[str, npt.NDArray[Any]]):
         return self._arrays[name]
 
     def __getattr__(self, name: str) -> npt.NDArray[Any]:
-        # While being unpickled there are no arrays yet, and looking them up would end up here again.
+        # During unpickling no arrays exist yet, and the lookup would recurse.
         if name.startswith("_"):
             raise AttributeError(name)
         try:
@@ -56,14 +56,14 @@ class Signals(Mapping[str, npt.NDArray[Any]]):
             raise AttributeError(error.args[0]) from None
 
     def time_of(self, name: str) -> str:
-        """The signal that has the times of another: "time_s" or "slave_time_s"."""
+        """Return the time signal of another signal: "time_s" or "slave_time_s"."""
         if "slave_time_s" not in self._arrays:
-            # What a scene of one loop renders ticks with its master.
+            # In a scene with one loop the environment ticks with its master.
             return "time_s"
         return "slave_time_s" if name.startswith(SLAVE_SIGNALS) or "time_s" not in self._arrays else "time_s"
 
     def between(self, begin_s: float, end_s: float) -> "Signals":
-        """The same signals from `begin_s` to `end_s`, each by its own times."""
+        """Return the signals from `begin_s` to `end_s`, each by its own times."""
 
         def cut(name: str) -> npt.NDArray[Any]:
             times = self[name] if name in {"time_s", "slave_time_s"} else self[self.time_of(name)]
@@ -88,85 +88,86 @@ class Signals(Mapping[str, npt.NDArray[Any]]):
 
 
 class Event(Struct, frozen=True):
-    """Something that happened once."""
+    """Single event of a run."""
 
     time_s: float
-    """When, in s since the start."""
+    """Time in s since the start."""
     kind: str
-    """What: a trip, a change of the ladder's state, "diverged", ..."""
+    """Kind of event: a trip, a ladder transition, "diverged", ..."""
     detail: str
-    """Which, or why."""
+    """Controller, or reason."""
 
 
 class Metrics(Struct, frozen=True, kw_only=True):
-    """The figures of a run; none where it does not apply or was not measured, which is not 0."""
+    """Figures of a run; None if a figure does not apply or was not measured, which differs from 0."""
 
     outcome: str = "complete"
-    """How it ended: complete, settled, diverged, not-released (before the release), never-engaged, or the state of the
-    ladder where master and slave were coupled no more."""
+    """Outcome: complete, settled, diverged, not-released (before the release), never-engaged, or the ladder state in
+    which master and slave were no longer coupled.
+    """
 
     max_ejection_velocity: float | None = None
-    """MEV: largest speed in m/s after the release away from what was pressed."""
+    """MEV: largest speed in m/s after the release, away from the pressed object."""
     peak_device_force: float | None = None
     """Largest |F_device| in N."""
     time_to_trip_s: float | None = None
-    """From the release to the first intervention after it, in s."""
+    """Time in s from the release to the first intervention after it."""
     false_trips: int | None = None
-    """Interventions that began while the hand held."""
+    """Number of interventions that began while the hand held."""
     intervention_s: float | None = None
     """Time under intervention in s."""
     position_rmse_m: float | None = None
-    """Root mean square of what the slave's position differs from the scaled master's, in m."""
+    """Root mean square error in m between the slave's position and the scaled position of the master."""
     force_rmse_n: float | None = None
-    """Root mean square of what the device's force differs from the scaled reading of the slave's sensor, in N."""
+    """Root mean square error in N between the device force and the scaled reading of the slave's sensor."""
     max_ejection_rate: float | None = None
-    """Largest angular speed in rad/s of the device after the release; of kind "pose" only, as the three that follow."""
+    """Largest angular speed in rad/s of the device after the release; kind "pose" only, like the next three."""
     peak_device_torque: float | None = None
     """Largest |tau_device| in N m."""
     orientation_rmse_rad: float | None = None
-    """Root mean square of the angle between the slave's rotation and the scaled master's, in rad."""
+    """Root mean square angle in rad between the slave's rotation and the scaled rotation of the master."""
     torque_rmse_n_m: float | None = None
-    """Root mean square of what the device's torque differs from the scaled reading of the slave's sensor, in N m."""
+    """Root mean square error in N m between the device torque and the scaled reading of the slave's sensor."""
     passivity_min_j: float | None = None
-    """Least energy in J that what renders the force had taken in, less what it had given out; below 0: active."""
+    """Minimum over time, in J, of the net energy absorbed by the force rendering; below 0: active."""
     diverged: bool = False
-    """Whether device or arm left their bounds or a number could not be; the run ended there."""
+    """True if device or arm left their bounds, or a number became invalid; the run ended there."""
     ticks: int = 0
-    """Ticks of the master."""
+    """Number of master ticks."""
     wall_time_s: float = 0.0
-    """How long the run took, in s."""
+    """Computation time in s."""
 
 
 class Run(Struct, frozen=True, kw_only=True):
-    """A scene that has been run."""
+    """Result of a scene."""
 
     scene: str
-    """Name of the scene, or its title."""
+    """Name or title of the scene."""
     seed: int
-    """Seed of all randomness."""
+    """Seed of all random numbers."""
     version: str
-    """Version of Haptether. Same scene, seed and version: same numbers."""
+    """Haptether version. The same scene, seed and version give the same numbers."""
     signals: Signals
-    """What `[record]` keeps; empty without that table."""
+    """Signals that `[record]` keeps; empty without that table."""
     events: tuple[Event, ...]
-    """What happened, in the order of time."""
+    """Events in time order."""
     metrics: Metrics
-    """What it comes to."""
+    """Figures of the run."""
     reports: tuple[LoopReport, LoopReport] | None = None
-    """How the loops of master and slave went, as live ones report it; none without an arm, and after pickling."""
+    """Loop reports of master and slave, as from live loops; None without an arm, and after unpickling."""
     specification: bytes = b""
-    """The scene as JSON, defaults and presets filled in; empty of a recording that has none."""
+    """Scene as JSON, with defaults and presets filled in; empty for a recording without a scene."""
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What the scene set, table by table, defaults and presets filled in; empty of a recording that has none."""
+        """Return the settings by table, with defaults and presets filled in; empty for a recording without a scene."""
         return dict(json.decode(self.specification)) if self.specification else {}
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Writes every signal as an array of a NumPy `.npz` file, for its owner alone.
+        """Write every signal as an array of a NumPy `.npz` file with mode 0600.
 
         Raises:
-            OSError: The file cannot be written; a symbolic link.
+            OSError: The file cannot be written, or is a symbolic link.
         """
         arrays: dict[str, Any] = dict(self.signals)
         target = FilePath(path)
@@ -175,9 +176,9 @@ class Run(Struct, frozen=True, kw_only=True):
             np.savez_compressed(file, **arrays)
 
     def columns(self, side: Literal["master", "slave"] = "master") -> dict[str, npt.NDArray[Any]]:
-        """The signals of one side, one array of shape `(n_ticks,)` a column: axes end in `_x`, `_y`, `_z`, or a number.
+        """Return the signals of one side, one array of shape `(n_ticks,)` per column.
 
-        Quaternions end in `_w`, `_x`, `_y`, `_z`.
+        Names end in `_x`, `_y`, `_z` or a number for an axis, and in `_w`, `_x`, `_y`, `_z` for a quaternion.
 
         Raises:
             ValueError: The side was not recorded.
@@ -199,10 +200,10 @@ class Run(Struct, frozen=True, kw_only=True):
         return columns
 
     def to_polars(self, side: Literal["master", "slave"] = "master") -> "pl.DataFrame":
-        """The columns of one side.
+        """Return the columns of one side as a Polars data frame.
 
         Raises:
-            ImportError: Without polars, of the extra `analysis`.
+            ImportError: Polars (extra `analysis`) is not installed.
             ValueError: The side was not recorded.
         """
         import polars as pl  # noqa: PLC0415
@@ -210,10 +211,10 @@ class Run(Struct, frozen=True, kw_only=True):
         return pl.DataFrame(self.columns(side))
 
     def to_pandas(self, side: Literal["master", "slave"] = "master") -> "pd.DataFrame":
-        """The columns of one side, indexed by their time in s.
+        """Return the columns of one side as a pandas data frame, indexed by time in s.
 
         Raises:
-            ImportError: Without pandas, which no extra brings.
+            ImportError: pandas is not installed; no extra includes it.
             ValueError: The side was not recorded.
         """
         import pandas as pd  # noqa: PLC0415
@@ -222,10 +223,10 @@ class Run(Struct, frozen=True, kw_only=True):
         return pd.DataFrame(columns).set_index(TIMES[side])
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Every signal over `time_s` or `slave_time_s` and, where it has axes, over `x`, `y`, `z` or their numbers.
+        """Return every signal over `time_s` or `slave_time_s`, and over `x`, `y`, `z` or axis numbers.
 
         Raises:
-            ImportError: Without xarray, which no extra brings.
+            ImportError: xarray is not installed; no extra includes it.
         """
         import xarray  # noqa: PLC0415
 
@@ -246,16 +247,16 @@ class Run(Struct, frozen=True, kw_only=True):
         return xarray.Dataset(variables, coordinates, attrs=about)
 
     def plot(self, path: str | PathLike[str] | None = None, *, columns: Literal[1, 2] = 2) -> "Figure":
-        """Draws the run as `haptether simulate --plot` does, and writes it where a path is given.
+        """Draw the run like `haptether simulate --plot`, and write it if a path is given.
 
         Args:
-            path: Of a .png, .pdf or .svg.
-            columns: Width, in columns of a page: 3.5 or 7.16 inches.
+            path: Target file, .png, .pdf or .svg.
+            columns: Width in page columns: 3.5 or 7.16 inches.
 
         Raises:
-            ImportError: Without matplotlib, of the extra `analysis`.
-            ValueError: No signals, or another ending.
-            OSError: The file cannot be written; a symbolic link.
+            ImportError: matplotlib (extra `analysis`) is not installed.
+            ValueError: The run has no signals, or the file has another suffix.
+            OSError: The file cannot be written, or is a symbolic link.
         """
         from haptether.view.figures.run import draw_run  # noqa: PLC0415
         from haptether.view.style.figure import check_columns, check_picture, write_figure  # noqa: PLC0415
@@ -280,17 +281,17 @@ class Run(Struct, frozen=True, kw_only=True):
 
 
 def axis_names(name: str, axes: int) -> list[str]:
-    """What the axes of a signal are called: x, y, z; w, x, y, z of a quaternion; numbers from 0 of more."""
+    """Return the names of a signal's axes: x, y, z; w, x, y, z for a quaternion; numbers from 0 for more axes."""
     if name.endswith("orientation"):
         return list(QUATERNION)
     return list(AXES[:axes]) if axes <= len(AXES) else [str(axis) for axis in range(axes)]
 
 
 def named_scene(scene: Scene | str | PathLike[str], overrides: Iterable[str]) -> tuple[str, Checked]:
-    """The name of a scene, and the scene with its overrides.
+    """Return the name of a scene, and the scene with its overrides.
 
     Raises:
-        SceneError: It cannot be built.
+        SceneError: The scene is invalid.
     """
     if isinstance(scene, Scene):
         return scene.title or "scene", checked_scene(scene, overrides)
@@ -298,10 +299,10 @@ def named_scene(scene: Scene | str | PathLike[str], overrides: Iterable[str]) ->
 
 
 def _check_record(record: tuple[str | PathLike[str], str | PathLike[str]] | None) -> None:
-    """Refuses what is no pair of files.
+    """Refuse a value that is not a pair of files.
 
     Raises:
-        SceneError: With the form, or the file that is there twice.
+        SceneError: Gives the form, or the file that occurs twice.
     """
     if record is None:
         return
@@ -322,15 +323,15 @@ def simulate(
     overrides: Iterable[str] = (),
     record: tuple[str | PathLike[str], str | PathLike[str]] | None = None,
 ) -> Run:
-    """Runs a scene in virtual time.
+    """Run a scene in virtual time.
 
     Args:
-        scene: A `Scene`, the name of one that comes with Haptether, or the path of a TOML file.
+        scene: A `Scene`, the name of a shipped scene, or the path of a TOML file.
         overrides: Fields to change, `table.key=value` each.
-        record: MCAP files of master and slave, as `--record` of live sides writes them; every tick is in them.
+        record: MCAP files for master and slave, same as `--record` of live sides; they contain every tick.
 
     Raises:
-        SceneError: A scene that cannot be built, or has no two sides to record; a file that cannot be written.
+        SceneError: The scene is invalid or has no two sides to record, or a file cannot be written.
     """
     name, checked = named_scene(scene, overrides)
     _check_record(record)
@@ -340,7 +341,7 @@ def simulate(
     try:
         done = _core.simulate_scene(specification, record, research)
     except ValueError as error:
-        # What only the assembled parts show, such as how stiff they are together.
+        # Some conditions, such as the combined stiffness, show only after assembly.
         raise SceneError(str(error)) from None
     took = time.perf_counter() - begun
     return Run(

@@ -1,4 +1,4 @@
-"""A scene as TOML, which reads as the same scene."""
+"""Export of a scene as TOML that reads back as the same scene."""
 
 import json
 from os import PathLike
@@ -11,11 +11,11 @@ from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import refuse_link, write_private
 
 LINE = 100
-"""Characters of a table within a line; what is longer is a table of its own."""
+"""Longest inline table in characters; a longer table gets its own section."""
 
 
 def scene_toml(scene: Scene, comment: str = "") -> str:
-    """The scene as text, defaults left out; `comment` stands above it, a line each."""
+    """Return the scene as text without default values, below `comment`, one line each."""
     raw = msgspec.to_builtins(scene)
     lines = [f"# {line}".rstrip() for line in comment.splitlines()]
     lines += [f"{name} = {_value(value)}" for name, value in raw.items() if not isinstance(value, dict)]
@@ -26,10 +26,10 @@ def scene_toml(scene: Scene, comment: str = "") -> str:
 
 
 def save_scene(scene: Scene, path: str | PathLike[str], comment: str = "") -> None:
-    """Writes the scene, for its owner alone.
+    """Write the scene with mode 0600.
 
     Raises:
-        OSError: The file cannot be written; a symbolic link.
+        OSError: The file cannot be written, or is a symbolic link.
     """
     target = FilePath(path)
     refuse_link(target)
@@ -37,7 +37,7 @@ def save_scene(scene: Scene, path: str | PathLike[str], comment: str = "") -> No
 
 
 def _table(name: str, table: dict[str, Any]) -> list[str]:
-    """A table, then those within it: small ones within its lines."""
+    """Return a table, then its subtables; small ones inline."""
     own, below = [], []
     for key, value in table.items():
         if value is None:
@@ -64,7 +64,7 @@ def _key(key: str) -> str:
 
 
 def _value(value: Any) -> str:  # noqa: ANN401  # any field
-    """A value within a line."""
+    """Format an inline value."""
     if isinstance(value, dict):
         return (
             "{ " + ", ".join(f"{_key(key)} = {_value(each)}" for key, each in value.items() if each is not None) + " }"
@@ -72,6 +72,6 @@ def _value(value: Any) -> str:  # noqa: ANN401  # any field
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(_value, value)) + "]"
     if isinstance(value, str | bool):
-        # JSON escapes as TOML does.
+        # JSON and TOML use the same escapes.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     return repr(value)

@@ -1,4 +1,4 @@
-"""Recordings that a scene names: read from their files and embedded."""
+"""Recordings named by a scene: read from their files and embedded."""
 
 import csv
 import io
@@ -17,10 +17,10 @@ from haptether.input_file import read_npz, read_text
 
 
 def embed_recordings(scene: Scene, folder: FilePath) -> Scene:
-    """The scene with the contents of the files that it names, relative to `folder`.
+    """Return the scene with the contents of its files embedded; paths are relative to `folder`.
 
     Raises:
-        SceneError: A file that cannot be read, with its line.
+        SceneError: A file cannot be read; gives the line.
     """
     operator, environment = scene.operator, scene.environment
     if operator is not None and operator.recorded is not None:
@@ -37,17 +37,17 @@ def embed_recordings(scene: Scene, folder: FilePath) -> Scene:
 
 
 def _embedded(table: SeriesTable, folder: FilePath) -> SeriesTable:
-    # A table that has both is refused with all other contradictions.
+    # The contradiction checks refuse a table that has both.
     if table.file is None or table.time_s is not None or table.values is not None:
         return table
     return read_series(folder / table.file)
 
 
 def read_series(path: FilePath) -> SeriesTable:
-    """A recording from a CSV or .npz file; its times count from its first record.
+    """Read a recording from a CSV or .npz file; times count from its first record.
 
     Raises:
-        SceneError: No such file, another format, a number that is not finite, or times that do not increase.
+        SceneError: The file does not exist or has another format, a number is not finite, or times do not increase.
     """
     readers = {".csv": _read_csv, ".npz": _read_npz}
     if path.suffix not in readers:
@@ -55,7 +55,7 @@ def read_series(path: FilePath) -> SeriesTable:
         raise SceneError(message)
     try:
         times, values = readers[path.suffix](path)
-        # What a file holds must lie in the ranges that hold for what stands in a scene.
+        # Values from a file obey the same ranges as values in a scene.
         series = {"time_s": [time_s - times[0] for time_s in times], "values": values}
         return convert(series, SeriesTable)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""One scene, run for many values of some of its numbers."""
+"""Sweep: one scene, run for many values of some of its numbers."""
 
 import importlib
 import importlib.util
@@ -44,8 +44,8 @@ from haptether.private_file import private_file, refuse_link
 
 Array: TypeAlias = npt.NDArray[np.float64]
 
-# Numbers on which neither a check nor a default of another number depends: each value is checked once, by itself.
-# All others are checked together, row by row.
+# Numbers on which no check and no default of another number depends: each value is checked once, by itself. All others
+# are checked together, row by row.
 _ALONE = re.compile(
     r"run\.seed|operator\.(stiffness|damping|grip_strength_n|legs\.\d+\..*|release\..*|regrasp\..*|tremor\..*)"
     r"|environment\.objects\.\d+\.(contact\.(stiffness|damping)|body\..*)|environment\.pushers\.\d+\.(at_s|force_n.*)"
@@ -53,30 +53,30 @@ _ALONE = re.compile(
     r"|safety\.(velocity_.*|vfc_.*|grasp_.*|hsc_.*|wsc_.*|energy_threshold_j|window|hold_off_s|release_ramp_s)"
 )
 METRICS = ("outcome", *_core.METRICS, "diverged", "ticks", "reason")
-"""Columns of what is measured, in their order; a scene of poses has those of rotation."""
+"""Metric columns in order; the rotation columns exist for poses only."""
 ENDING = frozenset(METRICS) - frozenset(_core.METRICS)
-"""Those of how a row ended, which every table has."""
+"""Columns on how a row ended, which every table has."""
 OUTCOMES = (
     "complete", "settled", "diverged", "not-released", "never-engaged", "refused",
     *(state for state in LADDER_STATES if state not in {"engaged", "stale"}),
 )  # fmt: skip
-"""How a row may have ended: of the ladder, the states in which the two are coupled no more."""
+"""Possible outcomes of a row; from the ladder, the states in which the sides are not coupled."""
 MAX_THREADS = 1024
-"""Of a sweep: more take longer to be made than the rows that they run."""
+"""Thread limit of a sweep; creating more takes longer than running their rows."""
 
 
 class Sweep:
-    """Scenarios, one a row: the parameters that were varied, then how each ended and the metrics, as columns.
+    """Scenarios, one per row. Columns: the varied parameters, the outcome, then the metrics.
 
-    `outcome` is complete, settled, diverged, not-released (the run ended before the release), never-engaged, the state
-    of the ladder where the two were coupled no more at the end, or refused for a scenario that cannot be built. What
-    was not measured is NaN in a column and none in `rows()`, in files and in Polars: never 0. `reason` says why a row
-    was refused or diverged.
+    `outcome` is complete, settled, diverged, not-released (the run ended before the release), never-engaged, the final
+    ladder state if the sides were no longer coupled, or refused for an invalid scenario. A value that was not measured
+    is NaN in a column and None in `rows()`, in files and in Polars, never 0. `reason` says why a row was refused or
+    diverged.
     """
 
     def __init__(self, columns: Mapping[str, npt.NDArray[Any]]) -> None:
         self.columns: Mapping[str, npt.NDArray[Any]] = MappingProxyType(dict(columns))
-        """Columns by name, all of one length."""
+        """Columns by name, of equal length."""
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()), ()))
@@ -91,23 +91,23 @@ class Sweep:
         return f"Sweep({len(self)} rows: {', '.join(self.columns)})"
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """The rows, each a value per column."""
+        """Yield the rows as a dictionary of column values."""
         for values in zip(*map(self.values_of, self.columns), strict=True):
             yield dict(zip(self.columns, values, strict=True))
 
     def values_of(self, name: str) -> list[Any]:
-        """A column as raw values, none for what was not measured."""
+        """Return a column as raw values, with None for values not measured."""
         return values_of(self.columns, name)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Writes all columns to a `.csv`, `.parquet` or `.npz` file, for its owner alone.
+        """Write all columns to a `.csv`, `.parquet` or `.npz` file with mode 0600.
 
-        Parquet has no metadata; `sweep_to_file` leaves scene, design and version there.
+        The Parquet file has no metadata; `sweep_to_file` stores scene, design and version there.
 
         Raises:
-            ValueError: Another suffix.
-            ImportError: Parquet without PyArrow (`haptether[parquet]`).
-            OSError: The file cannot be written; a symbolic link.
+            ValueError: The file has another suffix.
+            ImportError: Parquet requires PyArrow (`haptether[parquet]`).
+            OSError: The file cannot be written, or is a symbolic link.
         """
         path = FilePath(path)
         check_suffix(path)
@@ -122,7 +122,7 @@ class Sweep:
                 table.close()
 
     def to_polars(self) -> Any:  # noqa: ANN401  # polars is not ours to depend on
-        """The columns as a `polars.DataFrame`.
+        """Return the columns as a `polars.DataFrame`.
 
         Raises:
             ImportError: Polars is not installed.
@@ -145,35 +145,34 @@ def sweep(
     progress: Callable[[int], None] | None = None,
     metrics: Iterable[str] | None = None,
 ) -> Sweep:
-    """Runs a scene for many values of some of its fields. The same arguments yield the same bytes.
+    """Run a scene for many values of some of its fields. The same arguments give the same bytes.
 
-    A row that cannot be built is refused, with its reason, and the others are run. Of a field that is no number all
-    values have the same seeds, unless `run.seed` varies.
+    An invalid row is refused with its reason, and the others run. All values of a non-numeric field use the same seeds,
+    unless `run.seed` varies.
 
     Args:
-        scene: A `Scene`, the name of one that comes with Haptether, or the path of a TOML file.
-        grid: Values by dotted path ("safety.window"): every combination is run, the last path varies fastest. Values
-            are numbers, or whatever else the field takes: strings, booleans, lists, tables. Of the path "scene" they
-            are scenes, given as the first is. A value that is there twice is run twice, as what was drawn may be; the
-            command line, where values are typed, refuses it.
-        samples: Values by dotted path, all of one length: row i takes the value i of each.
-        population: As many hands as there are samples, drawn of a `Population`, of one of `population_names()` or of
-            the path of a TOML file.
-        seed: Of these hands, 0 or more.
-        ties: Paths that take, in each row, the value of a path that varies.
+        scene: A `Scene`, the name of a shipped scene, or the path of a TOML file.
+        grid: Values by dotted path ("safety.window"). Every combination is run; the last path varies fastest. Values
+            are numbers, strings, booleans, lists or tables, as the field allows. The path "scene" takes scenes in the
+            form of the first argument. A duplicate value is run twice, because drawn values may repeat; the command
+            line refuses duplicates.
+        samples: Values by dotted path, all of one length: row i takes value i of each.
+        population: Source of one hand per sample: a `Population`, one of `population_names()`, or the path of a TOML
+            file.
+        seed: Seed of these hands, 0 or more.
+        ties: Paths that take the value of a varied path in each row.
         overrides: Fields to change for all rows, `table.key=value` each.
-        threads: How many threads; by default as many as there are processors.
-        lanes: Whether rows may be advanced side by side in one thread; the numbers are the same.
-        progress: Called from time to time with the number of rows that are done, and at the end with that of all.
-        metrics: Columns to measure, beside how each row ended (`outcome`, `diverged`, `ticks`, `reason`); by default
-            all, those of rotation for poses only. Each has the values that it has beside all others.
+        threads: Number of threads; by default the number of processors.
+        lanes: True to advance rows side by side in one thread; the numbers do not change.
+        progress: Called repeatedly with the number of finished rows, and at the end with the total.
+        metrics: Columns to measure in addition to `outcome`, `diverged`, `ticks` and `reason`; by default all, with
+            rotation columns for poses only. The selection does not change values.
 
     Raises:
-        SceneError: A scene that cannot be built, a path that it does not have, no row that can be built, or a file that
-            is no population.
-        ValueError: Neither or both of `grid` and `samples`, no values by path, samples of different lengths, a tie to
-            what does not vary, a population without samples, or one whose field is sampled, too; too many rows; a
-            metric that there is not; a seed, a number of threads or a `progress` that is none.
+        SceneError: The scene is invalid, a path does not exist, no row is valid, or a file is not a population.
+        ValueError: Neither or both of `grid` and `samples` are given; values are not given by path; samples differ in
+            length; a tie refers to a path that does not vary; a population has no samples, or a field that is also
+            sampled; too many rows; an unknown metric; an invalid seed, number of threads or `progress`.
     """
     asked = asked_metrics(metrics)
     overrides = override_texts(overrides)
@@ -200,23 +199,22 @@ def sweep(
     whole = Sweep({**labelled(varied), **found})
     refuse_empty(whole)
     if reported < design.rows:
-        # What is over before a report is due, and rows that were refused.
+        # Report refused rows, and rows finished before the first report was due.
         report(design.rows)
     return whole
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepSettings:
-    """How rows are run, and what is measured of them."""
+    """Settings of how rows are run and measured."""
 
     threads: int
-    """How many threads."""
     lanes: bool = True
-    """Whether rows may be advanced side by side in one thread."""
+    """True to advance rows side by side in one thread."""
     progress: Callable[[int], None] | None = None
-    """Called from time to time with the number of rows that are done."""
+    """Called repeatedly with the number of finished rows."""
     metrics: tuple[str, ...] | None = None
-    """Columns to measure, in the order of tables; none for all."""
+    """Columns to measure, in table order; None for all."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.lanes, bool | np.bool_):
@@ -230,10 +228,10 @@ class SweepSettings:
 
 
 def thread_count(threads: int | None) -> int:
-    """So many threads, or as many as there are processors.
+    """Return the given number of threads, or the number of processors.
 
     Raises:
-        ValueError: No whole number, fewer than 1, or more than `MAX_THREADS`.
+        ValueError: Not an integer, below 1, or above `MAX_THREADS`.
     """
     if threads is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -241,7 +239,7 @@ def thread_count(threads: int | None) -> int:
 
 
 def labelled(varied: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
-    """What varies as columns of numbers and of text."""
+    """Return the varied values as columns of numbers or text."""
     return {
         path: np.array([label(value) for value in column.tolist()]) if column.dtype == object else column
         for path, column in varied.items()
@@ -249,10 +247,10 @@ def labelled(varied: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[An
 
 
 def refuse_empty(rows: Sweep) -> None:
-    """Refuses a table without a row that can be built.
+    """Refuse a table without a valid row.
 
     Raises:
-        SceneError: Why the first cannot.
+        SceneError: Gives the reason for the first row.
     """
     if not (rows.columns["outcome"] == "refused").all():
         return
@@ -263,10 +261,10 @@ def refuse_empty(rows: Sweep) -> None:
 
 
 def asked_metrics(metrics: Iterable[str] | None) -> tuple[str, ...] | None:
-    """The columns that are asked for, in the order of tables; none for all.
+    """Return the requested columns in table order; None for all.
 
     Raises:
-        ValueError: A column that there is not, none at all, or what is no list of names.
+        ValueError: An unknown column, no column, or not a list of names.
     """
     if metrics is None:
         return None
@@ -286,7 +284,7 @@ def asked_metrics(metrics: Iterable[str] | None) -> tuple[str, ...] | None:
 def measured(
     base: Checked, varied: Mapping[str, npt.NDArray[Any]], settings: SweepSettings
 ) -> dict[str, npt.NDArray[Any]]:
-    """The outcome and the metrics of each row; of rows of which none can be built only `outcome` and `reason`."""
+    """Return outcome and metrics of each row; only `outcome` and `reason` if no row is valid."""
     categories = {path: column for path, column in varied.items() if column.dtype == object}
     if not categories:
         return in_order(_metrics([_plan(base, varied)], settings)[0])
@@ -300,7 +298,7 @@ def measured(
         own = {path: column[chosen] for path, column in numbers.items()}
         try:
             changed = _of_kind(base, {path: column[chosen[0]] for path, column in categories.items()})
-            # Where no number varies all rows of a combination are alike, and the seed has to be given.
+            # If no number varies, all rows of a combination are equal, and the seed must be given.
             own = own or {"run.seed": np.full(len(chosen), float(changed.scene.run.seed))}
             plans.append(_plan(changed, own))
         except SceneError as error:
@@ -309,7 +307,7 @@ def measured(
 
 
 def in_order(metrics: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
-    """Metrics in the one order that files have, whichever rows were computed first."""
+    """Sort metrics into the order of files, whichever rows were computed first."""
     return {name: metrics[name] for name in [*METRICS, *metrics] if name in metrics}
 
 
@@ -318,19 +316,19 @@ _MOST_KINDS = 256
 
 
 def _of_kind(base: Checked, values: Mapping[str, "Raw | SceneChoice"]) -> Checked:
-    """The scene with what is no number changed; files are relative to the working folder.
+    """Return the scene with changed non-numeric fields; files are relative to the working folder.
 
-    The last ones that name no file are cached, for the batches of one sweep.
+    The latest scenes without files are cached for the batches of one sweep.
 
     Raises:
-        SceneError: A scene that cannot be built.
+        SceneError: The scene is invalid.
     """
     if isinstance(chosen := values.get(SCENE), SceneChoice):
         base = chosen.checked
     fields = cast("dict[str, Raw]", {path: value for path, value in values.items() if path != SCENE})
     if not fields:
         return base
-    # By the scene as it was written, and not as it is resolved: a preset fills in what was left out.
+    # Keyed by the scene as written, not as resolved, because a preset fills in omitted values.
     key = (msgspec.msgpack.encode(base.scene), msgspec.msgpack.encode(fields))
     if (cached := _KINDS.get(key)) is None:
         changed: Raw = cast("dict[str, Raw]", msgspec.to_builtins(base.scene))
@@ -347,14 +345,14 @@ def _of_kind(base: Checked, values: Mapping[str, "Raw | SceneChoice"]) -> Checke
 
 
 def shifted(progress: Callable[[int], None] | None, done: int) -> Callable[[int], None] | None:
-    """A call of `progress` that counts what is done from `done` rows on."""
+    """Return a `progress` call with an offset of `done` rows."""
     return None if progress is None else lambda now: progress(done + now)
 
 
 def joined(
     parts: Sequence[tuple["npt.NDArray[np.intp]", Mapping[str, npt.NDArray[Any]]]], rows: int
 ) -> dict[str, npt.NDArray[Any]]:
-    """Columns of all rows from those of some of them; what a part does not have is not measured."""
+    """Join the columns of parts into columns of all rows; a column missing in a part is not measured there."""
     whole: dict[str, npt.NDArray[Any]] = {}
     for name in dict.fromkeys(name for _, of_these in parts for name in of_these):
         columns = [(chosen, of_these[name]) for chosen, of_these in parts if name in of_these]
@@ -367,29 +365,29 @@ def joined(
 
 
 def unmeasured(kind: "np.dtype[Any]", rows: int) -> npt.NDArray[Any]:
-    """A column in which nothing was measured: NaN, empty text, or 0 where a type has neither; shape `(rows,)`."""
+    """Return a column without measurements: NaN, empty text, or 0 if the type has neither; shape `(rows,)`."""
     return np.full(rows, np.nan if kind.kind == "f" else "" if kind.kind == "U" else 0, kind)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Plan:
-    """Rows of numbers of one scene, those that cannot be built set apart."""
+    """Rows with numbers of one scene; invalid rows are separate."""
 
     base: Checked
     rows: int
     columns: list[tuple[str, Array]] = field(default_factory=list)
-    """Of the rows that can be built."""
+    """Columns of the valid rows."""
     built: "Array | slice | None" = None
-    """Which rows these are; none where none can."""
+    """Indices of the valid rows, or None without any."""
     refused: dict[int, str]
     research: Research | None = None
 
 
 def _plan(base: Checked, varied: Mapping[str, Array]) -> _Plan:
-    """What the extension is to run.
+    """Return the rows for the extension to run.
 
     Raises:
-        SceneError: A path that the scene does not have, or a controller that cannot be made.
+        SceneError: A path does not exist in the scene, or a controller cannot be created.
     """
     research = research_of(base.scene)
     columns, refused = _columns(base, varied)
@@ -402,7 +400,7 @@ def _plan(base: Checked, varied: Mapping[str, Array]) -> _Plan:
 
 
 def _metrics(plans: Sequence[_Plan], settings: SweepSettings) -> list[dict[str, npt.NDArray[Any]]]:
-    """What is measured of the rows of each plan; rows that begin alike are run together, whichever plan they are of."""
+    """Return the metrics of each plan; rows with a common beginning run together across plans."""
     metrics = None if settings.metrics is None else [name for name in settings.metrics if name not in ENDING]
     found: dict[int, Mapping[str, Any]] = {}
     together: list[int] = []
@@ -410,7 +408,7 @@ def _metrics(plans: Sequence[_Plan], settings: SweepSettings) -> list[dict[str, 
     for index, plan in enumerate(plans):
         if not plan.columns:
             continue
-        # A controller in Python has a call of its own.
+        # A Python controller needs a separate call.
         if plan.research is None:
             together.append(index)
         else:
@@ -421,7 +419,7 @@ def _metrics(plans: Sequence[_Plan], settings: SweepSettings) -> list[dict[str, 
             parts = [(plans[index].base.json, plans[index].columns) for index in indices]
             progress = shifted(settings.progress, done)
             rows = sum(plans[index].rows - len(plans[index].refused) for index in indices)
-            # No more threads than rows.
+            # Limit the threads to the number of rows.
             threads = min(settings.threads, rows)
             tables = _core.sweep_scenes(parts, threads, settings.lanes, progress, research, metrics)
             found |= dict(zip(indices, tables, strict=True))
@@ -430,7 +428,7 @@ def _metrics(plans: Sequence[_Plan], settings: SweepSettings) -> list[dict[str, 
 
 
 def _of_plan(plan: _Plan, found: Mapping[str, Any] | None) -> dict[str, npt.NDArray[Any]]:
-    """Its rows in full, from what the extension has found."""
+    """Expand the result of the extension to all rows of the plan."""
     built, rows, refused = plan.built, plan.rows, plan.refused
     if found is None or built is None:
         return _refused(refused)
@@ -441,7 +439,7 @@ def _of_plan(plan: _Plan, found: Mapping[str, Any] | None) -> dict[str, npt.NDAr
 
 
 def _refused(reasons: Mapping[int, str]) -> dict[str, npt.NDArray[Any]]:
-    """The columns of rows none of which can be built."""
+    """Return the columns of rows that are all invalid."""
     return {
         "outcome": np.full(len(reasons), "refused"),
         "reason": np.array([reasons[row] for row in range(len(reasons))]),
@@ -449,7 +447,7 @@ def _refused(reasons: Mapping[int, str]) -> dict[str, npt.NDArray[Any]]:
 
 
 def label(value: object) -> str:
-    """What a column says of a value that is no number: lists joined by "+", an empty one "none", tables as JSON."""
+    """Format a non-numeric value for a column: lists joined by "+", an empty list "none", tables as JSON."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list | tuple):
@@ -462,7 +460,7 @@ def label(value: object) -> str:
 def _of_rows(
     name: str, column: npt.NDArray[Any], built: "Array | slice", rows: int, refused: Mapping[int, str]
 ) -> npt.NDArray[Any]:
-    """A column of the rows that were built as one of all rows."""
+    """Expand a column of the valid rows to all rows."""
     if not refused:
         return column
     if column.dtype.kind == "U":
@@ -478,13 +476,13 @@ def _of_rows(
 
 
 def sweep_columns(base: Checked, varied: Mapping[str, Array]) -> tuple[list[tuple[str, Array]], dict[int, str]]:
-    """The numbers of the specification that differ between rows, with their value in each row.
+    """Return the numbers of the specification that differ between rows, with their value in each row.
 
-    These are the varied ones, on every axis, and the defaults that follow from them. With them, why rows cannot be
-    built, by their number; what stands in their columns counts for nothing.
+    These are the varied numbers on every axis, and defaults derived from them. The second result gives the reason for
+    each invalid row; its column values are undefined.
 
     Raises:
-        SceneError: A path that the scene does not have, or no row that can be built.
+        SceneError: A path does not exist in the scene, or no row is valid.
     """
     columns, refused = _columns(base, varied)
     if refused and len(refused) == len(next(iter(varied.values()))):
@@ -495,7 +493,7 @@ def sweep_columns(base: Checked, varied: Mapping[str, Array]) -> tuple[list[tupl
 
 
 def _columns(base: Checked, varied: Mapping[str, Array]) -> tuple[list[tuple[str, Array]], dict[int, str]]:
-    """As `sweep_columns`, also of rows none of which can be built."""
+    """Same as `sweep_columns`, but all rows may be invalid."""
     expected = _leaves_of(base.json)
     columns: dict[str, Array] = {}
     together: dict[Path, Array] = {}
@@ -515,7 +513,7 @@ def _columns(base: Checked, varied: Mapping[str, Array]) -> tuple[list[tuple[str
     refused = {row: why for found in faults for row, why in found.items()}
     several = [row for row, count in Counter(row for found in faults for row in found).items() if count > 1]
     if several:
-        # A row with several faults names the one that a run of that row names.
+        # A row with several errors reports the one that a run of that row reports.
         changes = _Changes(base, tuple(map(path_of, varied)))
         rows = np.column_stack(list(varied.values()))
         for row in several:
@@ -527,7 +525,7 @@ def _columns(base: Checked, varied: Mapping[str, Array]) -> tuple[list[tuple[str
 def _joint_columns(
     base: Checked, expected: Mapping[str, Leaf], varied: Mapping[Path, Array]
 ) -> tuple[dict[str, Array], dict[int, str]]:
-    """Columns of parameters that are checked together, once per combination of their values; what is wrong by row."""
+    """Return the columns of jointly checked parameters, once per combination of values, and the errors by row."""
     changes = _Changes(base, tuple(varied))
     rows = np.column_stack(list(varied.values()))
     combinations, first_rows, of_row = np.unique(rows, axis=0, return_index=True, return_inverse=True)
@@ -557,16 +555,18 @@ def _joint_columns(
 
 _MOST_CHANGES = 4096
 _LONGEST_KEPT = 1 << 16
-"""Bytes of a scene whose changes are kept."""
+"""Largest scene in bytes whose changes are cached."""
 _CHANGES: dict[tuple[bytes, tuple[Path, ...], bytes], "dict[str, Leaf] | str"] = {}
 
 
 class _Changes:
-    """What values of some paths change in the leaves of a specification; the last are kept, for rows come by batch.
+    """Changes of specification leaves caused by values of some paths.
+
+    The latest results are cached, because rows come in batches.
 
     Args:
-        base: The scene that is changed.
-        paths: Of the values.
+        base: Base scene.
+        paths: Paths of the values.
     """
 
     def __init__(self, base: Checked, paths: tuple[Path, ...]) -> None:
@@ -576,14 +576,14 @@ class _Changes:
         self._key = key if len(key) <= _LONGEST_KEPT else None
 
     def of(self, values: Sequence[float]) -> "dict[str, Leaf] | str":
-        """The leaves that are not those of the base; or why there is no such scene.
+        """Return the leaves that differ from the base, or the reason why the scene is invalid.
 
         Raises:
-            SceneError: A leaf of the base is gone.
+            SceneError: A leaf of the base is missing.
         """
         if self._key is None:
             return self._found(values)
-        # By their bits: -0 is not 0.
+        # Compare bit patterns: -0 is not 0.
         key = (self._key, self._paths, np.asarray(values, dtype=np.float64).tobytes())
         if (kept := _CHANGES.get(key)) is None:
             kept = self._found(values)
@@ -610,7 +610,7 @@ class _Changes:
 
 @lru_cache(maxsize=8)
 def _leaves_of(json: bytes) -> Mapping[str, Leaf]:
-    """The leaves of a specification as JSON."""
+    """Return the leaves of a JSON specification."""
     return MappingProxyType(dict(leaf_values(msgspec.json.decode(json))))
 
 
@@ -628,7 +628,7 @@ def _number(path: str, leaf: Leaf) -> float:
 
 
 def _of_parameter(path: Path, leaves: Mapping[str, Leaf]) -> list[str]:
-    """The numbers of the specification that a path means: itself, or one for every axis."""
+    """Return the specification numbers of a path: itself, or one for every axis."""
     text = ".".join(map(str, path))
     axis = f"{text}."
     found = [leaf for leaf in leaves if leaf == text or (leaf.startswith(axis) and leaf[len(axis) :].isdecimal())]

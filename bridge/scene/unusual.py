@@ -1,4 +1,4 @@
-"""Numbers far outside what they usually are in a scene: a unit that slipped, 50 for 0.05."""
+"""Detection of numbers far outside their usual range in a scene, such as a wrong unit (50 for 0.05)."""
 
 import math
 import re
@@ -14,9 +14,9 @@ class _Usual(NamedTuple):
     path: re.Pattern[str]
     unit: str
     most: float
-    """Largest magnitude that set-ups of this kind have."""
+    """Largest magnitude in comparable set-ups."""
     slipped: tuple[tuple[str, float], ...]
-    """Units that it may have been meant in, and what one of them is."""
+    """Units that may have been intended, with their size."""
 
 
 def _usual(path: str, unit: str, most: float, *slipped: tuple[str, float]) -> _Usual:
@@ -41,17 +41,17 @@ _USUAL = (
     _usual(r"safety\.(velocity_threshold|hsc_velocity_threshold)", "m/s", 5.0, ("mm/s", 1e-3)),
     _usual(r"safety\.(hsc|wsc|vfc)_force_threshold_n", "N", 100.0, ("mN", 1e-3)),
 )
-"""Far beyond all scenes that come with Haptether and the devices of docs/devices.md; none of them is a limit."""
+"""Far beyond all shipped scenes and the devices of docs/devices.md; none is a limit."""
 
 
 def unusual_numbers(scene: Scene) -> list[str]:
-    """As `unusual_values`, of all numbers of a scene; with `estimated_delays`."""
+    """Return `unusual_values` of all numbers of a scene, and `estimated_delays`."""
     numbers = unusual_values(scene, of_joints=scene.master.kind == "joints")
     return numbers if scene.link is None else numbers + estimated_delays(scene.link)
 
 
 def estimated_delays(link: LinksTable) -> list[str]:
-    """One line for each direction whose recorded delays are half of round trips, and so alike in both directions."""
+    """Return one line for each direction whose recorded delays are half of round trips, hence equal both ways."""
     directions = {"forward": link.forward, "backward": link.backward}
     return [
         f"link.{name}.trace: half of each round trip: the recording of IRTT has no one-way delays"
@@ -61,7 +61,7 @@ def estimated_delays(link: LinksTable) -> list[str]:
 
 
 def unusual_values(value: object, path: str = "", *, of_joints: bool = False) -> list[str]:
-    """One line for each number far outside what it usually is, with the unit it may have been meant in; mostly none.
+    """Return one line for each number far outside its usual range, with the unit that may have been intended.
 
     Args:
         value: A number, or tables and lists of them.

@@ -1,4 +1,4 @@
-"""An arm of servos on one bus: what a leader and a follower both stand on."""
+"""Servo arm on one bus, the common base of leader and follower."""
 
 from haptether.dynamixel.arm.arm import ServoArm, Vector
 from haptether.dynamixel.arm.calibration import calibration_text, read_calibration, write_calibration

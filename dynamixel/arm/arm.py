@@ -1,4 +1,4 @@
-"""Servos as the joints of an arm: angles in, currents or angles out, and no torque where something is wrong."""
+"""Servos as joints of an arm: measured angles, commanded currents or angles, no torque after a fault."""
 
 import contextlib
 import errno
@@ -51,51 +51,51 @@ from haptether.dynamixel.models import OperatingMode
 Vector = NDArray[np.float64]
 
 MEASURED: Final = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
-"""From Present Current on; it is a load in servos without current control."""
+"""Registers from Present Current on; a load in servos without current control."""
 ONE_MEASURED: Final = struct.Struct("<hii")
 STOPS: Final = 3
-"""So often a stop is sent: nobody answers it."""
+"""Number of times a stop is sent, because it is not acknowledged."""
 FIRED: Final = 0xFF
-"""Of the bus watchdog."""
+"""Bus Watchdog value after it has tripped."""
 GONE: Final = (
     errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF, errno.ENOENT, errno.EPIPE, errno.ECONNRESET, errno.ECONNREFUSED,
 )  # fmt: skip
-"""What a port says that was unplugged."""
+"""Error numbers of an unplugged port."""
 MOVED_RAD: Final = 0.2
-"""At most so far a joint may move while its torque comes on with nothing commanded."""
+"""Largest motion in rad of a joint while its torque comes on without a command."""
 STILL_S: Final = 0.1
-"""Between two looks at an arm with a fault."""
+"""Interval in s of checks of an arm with a fault."""
 RESTART_S: Final = 3.0
 HELD_S: Final = 3.0
-"""In which a person takes hold of an arm whose torque, another program's, is taken off."""
+"""Time in s for a person to hold an arm before another program's torque is removed."""
 BEGUN_S: Final = 3.0
-"""Longest after `open` that an arm is given torque: whoever started it is not known to be there any more."""
+"""Largest time in s from `open` to torque; afterwards the person who started it may have left."""
 CLOSED_S: Final = 15.0
-"""Longest that a step of an `open` or a recovery takes, of many silent servos."""
+"""Longest duration in s of a step of `open` or of a recovery, with many silent servos."""
 
 
 class ServoArm:
-    """An arm of servos on one bus, for one thread; `stop` and `close` may come from any other, which `close` ends then.
+    """Arm of servos on one bus, for one thread; `stop` and `close` may come from any thread.
 
-    Measured values are in the order and in the frame of the joints: q = sign (p - offset) + 2 pi k, and a current is
-    positive where its torque is. They are NaN until the first read, and after each that failed.
+    `close` ends the arm for every thread. Measured values are in joint order and frame: q = sign (p - offset) + 2 pi k.
+    A current has the sign of its torque. Values are NaN before the first read and after a failed read.
 
     Args:
-        settings: Bus and servos.
-        report: Takes each line of the checklist and of what happens; by default they go to standard error.
-        grip: The servo of a gripper on the same bus: it is in the reads and writes of the joints, and keeps its torque
-            whatever becomes of theirs.
+        settings: Settings of bus and servos.
+        report: Takes each line of the checklist and each event; by default standard error.
+        grip: Servo of a gripper on the same bus. It is read and written with the joints, but keeps its torque when
+            theirs ends.
 
     Raises:
         ValueError: The gripper has the id of a joint.
     """
 
     _roll_call: RollCall | None = None
-    """Who answers of a bus that fell silent, while that is asked."""
+    """Search for answering servos on a silent bus, while it runs."""
     cycle_s: float | None = None
-    """Least time in s of a read and a write of all servos, by their bytes; none before `open`."""
+    """Shortest time in s to read and write all servos, by their bytes; None before `open`."""
     _latency_s = 0.0
-    """The latency timer of the adapter in s."""
+    """Latency timer of the adapter in s."""
 
     def __init__(
         self, settings: ArmSettings, report: Callable[[str], None] | None = None, grip: GripServo | None = None
@@ -103,25 +103,25 @@ class ServoArm:
         self.settings = settings
         self.grip = grip
         self._every = settings if grip is None else replace(settings, servos=(*settings.servos, grip.settings.servo))
-        """The joints and the gripper."""
+        """Joints and gripper."""
         self.name = f"dynamixel {settings.port}"
         servos = settings.servos
         count = len(servos)
         self.position: Vector = np.full(count, np.nan)
         """q in rad, shape (n,)."""
         self.velocity: Vector = np.full(count, np.nan)
-        """In rad/s, shape (n,)."""
+        """Velocities in rad/s, shape (n,)."""
         self.current: Vector = np.full(count, np.nan)
-        """In A, shape (n,); NaN of a servo without current control."""
+        """Currents in A, shape (n,); NaN for a servo without current control."""
         self.kept: tuple[int, ...] = ()
-        """After `close`: ids of the servos whose torque is not known to be off."""
+        """After `close`: ids of servos whose torque is not confirmed off."""
         self._report = report or _to_stderr
         self._ids = bytes(servo.servo_id for servo in servos)
-        # With the shadows, which obey an id of those before them.
+        # Includes the shadows, which obey the id of their main servo.
         self._members = self._ids + bytes(shadow.servo_id for shadow, _ in settings.shadows)
         sign = np.array([float(servo.sign) for servo in servos])
         self._position_scale = sign * RAD_PER_TICK
-        # Of the first turn.
+        # For turn k = 0.
         self._shift = -sign * np.array([CENTRE * RAD_PER_TICK + servo.offset_rad for servo in servos])
         self._velocity_scale = sign * RAD_S_PER_UNIT
         units = np.array([servo.servo.current_unit_a or math.nan for servo in servos])
@@ -131,31 +131,32 @@ class ServoArm:
         self._bus: DynamixelBus | None = None
         self._read: SyncRead
         self._read_joints: SyncRead
-        """Without the gripper, which has a fault."""
+        """Read without the gripper, for a gripper fault."""
         self._status = SyncRead(TORQUE_ENABLE, STATUS_SIZE, list(self._members))
         self._watchdogs = SyncRead(BUS_WATCHDOG, 1, list(self._members))
         self._ramp = self._ramp_begin_s = self._heard_s = self._watch_at_s = self._watched_s = self._alive_s = 0.0
         self._fault: ArmFaultError | None = None
         self._stopped: ArmFaultError | None = None
-        """By `stop`, since the last `open` or acknowledgement: what gives torque ends."""
+        """Set by `stop` since the last `open` or acknowledgement; ends any start of torque."""
         self._unsent: str | None = None
-        """Why the last stop could not be sent."""
+        """Error of the last stop that could not be sent."""
         self._recovery: threading.Thread | None = None
         self._recovered: BaseException | None = None
         self._ending = self._is_waiting = False
-        """Whether it is being closed; whether it was opened, and is still to be given torque."""
+        """`_ending`: a close is in progress. `_is_waiting`: opened, torque not yet given."""
         self._ends = 0
-        """Stops and closes so far: one that comes while an `open` waits counts for it."""
+        """Number of stops and closes; one that arrives while `open` waits applies to it."""
         self._ticking: int | None = None
-        """The thread that reads; another that closes does so without it."""
+        """Thread that reads; a close by another thread does not wait for it."""
         self._held: frozenset[int] = frozenset()
-        """Servos whose torque is this arm's to end: those of before were announced."""
+        """Servos whose torque this arm may end; torque of another program was announced first."""
         self._connecting, self._faulting = threading.Lock(), threading.Lock()
-        """Held by whoever opens or recovers, during which `close` may come from another thread; and, for a moment, by
-        whoever stops, closes or acknowledges."""
+        """`_connecting` is held during `open` and recovery, which `close` of another thread may interrupt. `_faulting`
+        is held briefly by stop, close and acknowledge.
+        """
 
     def _sort_by_mode(self, servos: Sequence[ServoSettings]) -> None:
-        """Who takes currents and who goals, and their caps, limits and units."""
+        """Group the servos into current and position mode, with caps, limits and units."""
         count, grip = len(servos), self.grip
         in_position = [i for i, s in enumerate(servos) if s.mode != OperatingMode.CURRENT]
         self._in_current = np.array([i for i in range(count) if i not in in_position], dtype=int)
@@ -180,14 +181,14 @@ class ServoArm:
     # ----------------------------------------------------------------------------------------------- begin and end
 
     def open(self, *, give_torque: bool = True) -> None:
-        """Goes through the checklist; then the servos have torque with nothing commanded, and their caps rise from 0.
+        """Run the checklist; then give torque without a command and raise the caps from 0.
 
         Args:
-            give_torque: False leaves them without it once all is checked, until `begin`: what takes its time before the
-                first `read` would else meet watchdogs that have fired.
+            give_torque: False defers the torque to `begin`, because a delay before the first `read` would trip the
+                watchdogs.
 
         Raises:
-            ArmRefusedError: What is wrong, all of it, each with what to do.
+            ArmRefusedError: Lists every problem with its remedy.
         """
         if self._bus is not None:
             message = f"{self.name}: is open"
@@ -212,10 +213,10 @@ class ServoArm:
                 raise
 
     def begin(self) -> None:
-        """Before the first `read` of an arm that was opened without torque: gives it; nothing to any other.
+        """Give torque to an arm that was opened without it, before the first `read`; otherwise no effect.
 
         Raises:
-            ArmRefusedError: What is wrong; or it was opened more than 3 s ago.
+            ArmRefusedError: Gives the problem; or the arm was opened more than 3 s ago.
         """
         if not self._is_waiting or self._fault is not None or self._bus is None:
             return
@@ -227,7 +228,7 @@ class ServoArm:
                     message = f"{self.name}: it was opened {late_s:.0f} s ago and not read since: start anew"
                     raise ArmRefusedError(message)
                 self._go_on()
-                # What is in order was reported at the open.
+                # Valid items were reported by `open`.
                 checklist = Checklist(self.name, lambda _: None, ArmRefusedError)
                 try:
                     self._place(checklist)
@@ -245,7 +246,7 @@ class ServoArm:
         self._report(f"{self.name}: has torque")
 
     def _rest(self) -> None:
-        """No torque, verified, and no watchdog that would fire."""
+        """End the torque, verify it, and disable the watchdogs."""
         self._end_torque()
         kept = [str(one) for one in self._members if not _is_off(self._opened, one)]
         if kept:
@@ -253,29 +254,30 @@ class ServoArm:
             raise ArmRefusedError(message)
 
     def close(self) -> None:
-        """Lets the arm down where its modes allow it, ends all torque, and names each servo that keeps it.
+        """Lower the arm if its modes allow it, end all torque, and name each servo that keeps it.
 
-        May be called again, and after any exception. An `open` or a recovery in progress is stopped first, then waited
-        for. From another thread than the one that reads, torque ends at once: that one may hang, and go on any time.
+        May be repeated, and called after any exception. Stops and awaits an `open` or a recovery in progress. Called
+        from another thread than the reading one, it ends torque at once, because that thread may hang and resume at any
+        time.
 
         Raises:
-            RuntimeError: That does not end.
+            RuntimeError: The `open` or recovery does not end.
         """
         with self._faulting:
             self._ending = True
             self._ends += 1
             others = {thread.ident for thread in threading.enumerate()} - {threading.get_ident()}
             if self._ticking in others and self._fault is None:
-                # Whoever reads meanwhile commands nothing more.
+                # The reading thread must not command anything further.
                 self._fault = ArmFaultError(FaultKind.NOT_READY, "closed by another thread")
         if not self._connecting.acquire(blocking=False):
-            # It may be giving torque.
+            # The other thread may be giving torque.
             self._end_torque()
             if not self._connecting.acquire(timeout=CLOSED_S):
                 self._refuse_to_end()
         self._connecting.release()
         if (recovery := self._recovery) is not None:
-            # One that has not begun yet must not begin in the next life of this arm.
+            # A recovery that has not begun must not begin after a later `open`.
             recovery.join(CLOSED_S)
             if recovery.is_alive():
                 self._refuse_to_end()
@@ -289,10 +291,10 @@ class ServoArm:
             self._disconnect()
 
     def _refuse_to_end(self) -> NoReturn:
-        """What opens or recovers does not end: its torque does."""
+        """End the torque if an `open` or a recovery does not end."""
         self._end_torque()
         message = f"{self.name}: the bus does not let go of its port: its servos may KEEP torque, cut their supply"
-        # Here as well: who closes after an error may not look at another.
+        # Report here too, because a caller that closes after an error may ignore another one.
         self._report(message)
         raise RuntimeError(message)
 
@@ -300,21 +302,21 @@ class ServoArm:
 
     @property
     def fault(self) -> str | None:
-        """What is wrong; the arm has no torque while there is something."""
+        """Current fault, or None; the arm has no torque during a fault."""
         return None if self._fault is None else str(self._fault)
 
     @property
     def fault_kind(self) -> FaultKind | None:
-        """Its name."""
+        """Kind of the fault, or None."""
         return None if self._fault is None else self._fault.kind
 
     @property
     def ramp(self) -> float:
-        """Share of the caps that is in force, 0 to 1."""
+        """Fraction of the caps in force, 0 to 1."""
         return self._ramp
 
     def read(self) -> bool:
-        """Measures; whether the values are those of now. It never raises for what an arm can do: see `fault`."""
+        """Measure, and return True if the values are current. Faults of the arm are reported by `fault`, not raised."""
         self._ticking = threading.get_ident()
         if self._fault is not None:
             roll_call = None if self._bus is None else self._roll_call
@@ -345,9 +347,9 @@ class ServoArm:
         return self._fault is None
 
     def write_currents(self, currents_a: Sequence[float] | Vector) -> None:
-        """Currents in A of the servos in mode 0, in their order, positive in the direction of q; kept within the caps.
+        """Write currents in A of the servos in mode 0, in order, positive in the direction of q; saturated at the caps.
 
-        Nothing is sent while there is a fault; a number that is none is one.
+        Sends nothing during a fault; an invalid number is a fault.
         """
         if self._fault is not None:
             return
@@ -363,13 +365,13 @@ class ServoArm:
         np.maximum(wanted, -self._current_cap, out=wanted)
         wanted *= self._units_per_a
         wanted *= self._ramp
-        # Toward zero: the cap is not rounded up.
+        # Round toward zero, so that the cap is not exceeded.
         self._send(GOAL_CURRENT, 2, self._current_ids, wanted.astype("<i2").tobytes())
 
     def write_positions(self, positions_rad: Sequence[float] | Vector) -> None:
-        """Goals q in rad of the servos in modes 4 and 5, in their order; kept within the limits of the joints.
+        """Write goals q in rad of the servos in modes 4 and 5, in order; saturated at the joint limits.
 
-        Nothing is sent while there is a fault; a number that is none is one.
+        Sends nothing during a fault; an invalid number is a fault.
         """
         if self._fault is not None:
             return
@@ -392,10 +394,10 @@ class ServoArm:
         self._send(GOAL_POSITION, 4, ids, goals)
 
     def send_grip(self) -> None:
-        """Sends the gripper its goal in a write of its own, where it does not have it; with a fault of the arm, too."""
+        """Send the gripper a pending goal in a separate write, even during a fault of the arm."""
         if self.grip is None or self._bus is None or self._recovery is not None:
             return
-        # What is lost is sent again.
+        # A lost write is sent again.
         with contextlib.suppress(OSError, RuntimeError):
             self.grip.send(self._bus)
 
@@ -405,16 +407,16 @@ class ServoArm:
             raise ValueError(message)
 
     def stop(self, kind: FaultKind, text: str) -> None:
-        """Ends all torque for a reason of the driver's: a fault like the others.
+        """End all torque for a reason of the driver, as a fault.
 
-        From any thread, at any time: it is sent before what other threads have the bus do, and an `open` or a recovery
-        in progress fails.
+        May be called from any thread at any time. It takes precedence over bus requests of other threads, and makes an
+        `open` or a recovery in progress fail.
         """
         error = ArmFaultError(kind, text)
         with self._faulting:
             self._stopped = error
             self._ends += 1
-            # The newest is the one that is shown: an acknowledgement of the one before does not count for it.
+            # Show the latest fault, so that an acknowledgement of an earlier one does not apply to it.
             is_first, self._fault = self._fault is None, error
         if is_first:
             self._latch(error)
@@ -426,16 +428,16 @@ class ServoArm:
 
     @property
     def recovering(self) -> bool:
-        """Whether an acknowledged fault is being mended."""
+        """True while an acknowledged fault is being repaired."""
         return self._recovery is not None
 
     def acknowledge(self, shown: str | None) -> None:
-        """A person has seen to the fault: the checklist runs again, on a thread of its own, until `fault` is none.
+        """Acknowledge a fixed fault: the checklist runs on a separate thread until `fault` is None.
 
-        Servos with a hardware error are started anew.
+        Reboots servos with a hardware error.
 
         Args:
-            shown: The `fault` that the person saw; where there is another by now, nothing happens.
+            shown: The `fault` that the person saw; no effect if the fault has changed.
         """
         with self._faulting:
             if self._fault is None or str(self._fault) != shown or self._recovery is not None or self._ending:
@@ -451,14 +453,14 @@ class ServoArm:
     def _opened(self) -> DynamixelBus:
         if (bus := self._bus) is None:
             message = f"{self.name}: is not open"
-            # Closed by another thread in the middle of a tick, or never opened.
+            # Closed by another thread within a tick, or never opened.
             raise RuntimeError(message) if self._fault is not None else ValueError(message)
         return bus
 
     def _go_on(self) -> None:
-        """Ends an `open` or a recovery whose arm is being closed or stopped, or whose process stood still meanwhile."""
+        """Abort an `open` or a recovery if the arm is closed or stopped, or if the process was suspended."""
         before_s, self._alive_s = self._alive_s, _awake_s()
-        # What lies between two calls is silent servos and the trial of the watchdogs at most.
+        # Silent servos and the watchdog test take the longest time between two calls.
         if (still_s := self._alive_s - before_s) > BEGUN_S + self.settings.watchdog_s:
             message = (
                 f"{self.name}: this process stood still for {still_s:.0f} s: whoever began it may be gone: begin anew"
@@ -472,7 +474,7 @@ class ServoArm:
             raise ArmRefusedError(message)
 
     def _connect(self, *, restart: bool = False) -> None:
-        """Goes through the checklist; with `restart` those servos start anew first that have a hardware error."""
+        """Run the checklist; with `restart`, first reboot servos with a hardware error."""
         self._go_on()
         checklist = Checklist(self.name, self._report, ArmRefusedError)
         settings = self.settings
@@ -493,7 +495,7 @@ class ServoArm:
             checklist.finish()
             self._torque_on(checklist)
         except (OSError, RuntimeError) as error:
-            # What fails because of a stop or a close says so.
+            # If a stop or close caused the failure, report that.
             self._go_on()
             if isinstance(error, ArmRefusedError):
                 raise
@@ -511,7 +513,7 @@ class ServoArm:
             return
         for servo_id in sorted(answered):
             self._go_on()
-            # One that does not answer reads is reported below.
+            # A servo that does not answer reads is reported below.
             with contextlib.suppress(TimeoutError, RuntimeError):
                 if (level := answer_all(bus, servo_id)) != ANSWERS_ALL:
                     found = f"status return level was {level}, and is {ANSWERS_ALL} now"
@@ -552,7 +554,7 @@ class ServoArm:
         checklist.ok("cycle", f"{1e3 * self.cycle_s:.2f} ms of bytes at {settings.baud} bit/s{later}")
 
     def _caution_of_torque(self, present: set[int], checklist: Checklist) -> None:
-        """Says which servos have torque before it is taken off them, and leaves time to hold what they bear."""
+        """Announce the servos whose torque will be removed, and leave time to support their load."""
         loaded = [str(one) for one in self._members if one in present and not self._is_without_torque(one)]
         if not loaded:
             self._held = frozenset(one for one in self._members if one in present)
@@ -566,14 +568,14 @@ class ServoArm:
         self._held = frozenset(one for one in self._members if one in present)
 
     def _is_without_torque(self, servo_id: int) -> bool:
-        """Whether it says so; one that does not is taken to have some."""
+        """Return True if the servo reports no torque; a silent servo counts as having torque."""
         for _ in range(STOPS):
             with contextlib.suppress(TimeoutError, RuntimeError):
                 return self._opened.read(servo_id, TORQUE_ENABLE, 1) == b"\0"
         return False
 
     def _place(self, checklist: Checklist) -> None:
-        """Finds the turn of each servo, and whether the joints are within their limits."""
+        """Determine the turn of each servo, and check that the joints are within their limits."""
         near = np.array([servo.middle_rad for servo in self.settings.servos])
         self._take(self._opened.sync_read(self._read_joints))
         if self.grip is not None:
@@ -584,7 +586,7 @@ class ServoArm:
             if servo.low_rad <= q <= servo.high_rad:
                 check_place(servo, q, checklist)
                 continue
-            # Another turn may fit better than the nearest to the middle.
+            # Another turn may fit better than the one nearest to the middle.
             options = (q - TURN, q, q + TURN)
             best = min(options, key=lambda one: max(servo.low_rad - one, one - servo.high_rad))
             self._shift[index] += best - q
@@ -603,7 +605,7 @@ class ServoArm:
         self._arm_watchdogs(checklist)
         servos = (*self.settings.servos, *(shadow for shadow, _ in self.settings.shadows))
         for servo_id, servo in zip(ids, servos, strict=True):
-            # A change of the mode has set them to their limits.
+            # A mode change has set them to their limits.
             address = GOAL_CURRENT if servo.limits_current else GOAL_PWM
             bus.write(servo_id, address, b"\0\0")
             if bus.read(servo_id, address, 2) != b"\0\0":
@@ -613,10 +615,10 @@ class ServoArm:
         for servo_id in ids:
             self._go_on()
             bus.write(servo_id, TORQUE_ENABLE, b"\1")
-        # A stop between the look before and the write went out before the torque.
+        # A stop between the check before and the write was sent before the torque.
         self._go_on()
         self._take(bus.sync_read(self._read_joints))
-        # Torque may count the angle anew, by whole turns.
+        # Torque may recount the angle by whole turns.
         self._turn_towards(before)
         self._hold()
         if verify and self.settings.verify_watchdog:
@@ -643,7 +645,7 @@ class ServoArm:
         )  # fmt: skip
         checklist.finish()
         self._go_on()
-        # It keeps its torque, whether that of the arm waits or not.
+        # The gripper keeps its torque independent of the arm.
         if self.grip is not None and verify:
             self.grip.begin(bus)
         self._ramp = 0.0
@@ -654,7 +656,7 @@ class ServoArm:
     def _arm_watchdogs(self, checklist: Checklist, tried: bytes | None = None) -> None:
         bus, units = self._opened, self.settings.watchdog_units
         for index, servo_id in enumerate(self._members):
-            # Only 0 is taken by one that has fired.
+            # A tripped watchdog accepts only 0.
             bus.write(servo_id, BUS_WATCHDOG, b"\0")
             bus.write(servo_id, BUS_WATCHDOG, bytes((units,)))
             if bus.read(servo_id, BUS_WATCHDOG, 1)[0] != units:
@@ -668,7 +670,7 @@ class ServoArm:
         checklist.ok("bus watchdogs", f"{20 * units} ms, {'armed' if tried is None else 'tried: they end the torque'}")
 
     def _hold(self) -> None:
-        """Goals where the joints are, which the servos confirm."""
+        """Set goals to the current angles, which the servos acknowledge."""
         goals = self._goal_ticks(self.position[self._in_position])
         for at, servo_id in enumerate(self._position_ids):
             self._opened.write(servo_id, GOAL_POSITION, goals[4 * at : 4 * at + 4])
@@ -676,7 +678,7 @@ class ServoArm:
     # ------------------------------------------------------------------------------------------------- every tick
 
     def _measure(self) -> SyncRead:
-        """Takes what all servos measure; of a gripper with a fault nothing is asked."""
+        """Measure all servos; skip a gripper with a fault."""
         if self.grip is None or self.grip.fault is not None:
             self._take(self._opened.sync_read(self._read_joints))
             return self._read_joints
@@ -706,7 +708,7 @@ class ServoArm:
         self._ramp = 1.0 if ramp_s <= 0.0 else min((now_s - self._ramp_begin_s) / ramp_s, 1.0)
 
     def _limit(self, share: float) -> None:
-        """Of servos that hold positions: the share of their current, or of their supply, that they may take."""
+        """Set the fraction of current or supply for servos in position mode."""
         for members, units, address in (
             (self._limited, self._cap_units, GOAL_CURRENT),
             (self._driven, self._pwm_units, GOAL_PWM),
@@ -724,9 +726,9 @@ class ServoArm:
     # ----------------------------------------------------------------------------------------------------- faults
 
     def _missed(self, error: Exception, now_s: float, since_s: float | None = None) -> None:
-        """An exchange that failed: a fault where none succeeded for too long."""
+        """Handle a failed exchange: a fault if none has succeeded for too long."""
         if self._fault is not None:
-            # A stop of another thread cut it off.
+            # A stop of another thread interrupted it.
             return
         if isinstance(error, OSError) and error.errno in GONE:
             self._latch(ArmFaultError(FaultKind.UNPLUGGED, f"{error}: plug the adapter in, then acknowledge"))
@@ -736,7 +738,7 @@ class ServoArm:
             self._lose(error)
 
     def _misses_grip_alone(self) -> bool:
-        """Whether the joints answer and the gripper does not, which is a fault of the gripper."""
+        """Return True if the joints answer and the gripper does not, which is a gripper fault."""
         grip = self.grip
         if grip is None or grip.fault is not None:
             return False
@@ -761,7 +763,7 @@ class ServoArm:
         self._report(f"{self.name}: fault of the gripper: {error}")
 
     def _lose(self, error: Exception) -> None:
-        """Nothing was heard for too long: torque ends at once, and the reads that follow find who does not answer."""
+        """Handle a silent bus: end torque at once; later reads find the silent servos."""
         silent = isinstance(error, TimeoutError)
         kind = FaultKind.SILENT if silent else FaultKind.UNREADABLE
         seen = "supply and cables" if silent else "cables and rate"
@@ -772,7 +774,7 @@ class ServoArm:
                 self._roll_call = RollCall(lost, self._members)
 
     def _ask_next(self, roll_call: RollCall) -> bool:
-        """With a bus that fell silent: asks one servo; names those that do not answer once all were asked."""
+        """Ask one servo on a silent bus; name the silent ones after all were asked."""
         found = roll_call.ask(self._opened)
         with self._faulting:
             if roll_call.is_over and self._roll_call is roll_call:
@@ -795,13 +797,13 @@ class ServoArm:
             self._latch(hardware_error(servo_id, status))
 
     def _watch(self, now_s: float) -> None:
-        """Whether each servo has torque, and its watchdog has not fired."""
+        """Check that each servo has torque and that its watchdog has not tripped."""
         self._watch_at_s = now_s + self.settings.watch_s
         try:
             watchdogs = self._opened.sync_read(self._watchdogs)
             torque = self._opened.sync_read(self._status)[::STATUS_SIZE]
         except (OSError, RuntimeError) as error:
-            # What is measured may come all the same: it does not say that the torque is on.
+            # Measurements may still arrive, but do not prove that torque is on.
             self._missed(error, now_s, self._watched_s + self.settings.watch_s)
             self._watch_at_s = now_s
             return
@@ -819,7 +821,7 @@ class ServoArm:
                 )
                 self._latch(ArmFaultError(FaultKind.WATCHDOG, text))
             elif not on:
-                # What a servo forgets when it starts anew.
+                # State that a servo loses on a restart.
                 text = (
                     "has started anew: see its supply" if watchdog != units else "ended its torque: see who else writes"
                 )
@@ -836,18 +838,18 @@ class ServoArm:
             return
 
     def _latch(self, error: ArmFaultError) -> None:
-        # Other threads send nothing more.
+        # Other threads send nothing from here on.
         self._fault = error
-        # Then the arm: whoever reads the report may be slow.
+        # Stop the arm first, because the report handler may be slow.
         self._end_torque()
         self._ramp = 0.0
         self._watch_at_s = 0.0
         self._report(f"{self.name}: fault: {error}")
 
     def _end_torque(self) -> None:
-        """Zero currents and no torque, each sent several times, before what other threads have the bus do.
+        """Send zero currents and torque off, several times, ahead of the bus requests of other threads.
 
-        Why it could not be sent is reported, the first time of several in a row.
+        Reports a failure to send, once per series.
         """
         bus = self._bus
         if bus is None:
@@ -855,7 +857,7 @@ class ServoArm:
         unsent = None
         for address, size, ids in ((GOAL_CURRENT, 2, self._current_ids), (TORQUE_ENABLE, 1, self._members)):
             try:
-                # Of one that was not announced yet the torque may bear a load for another program.
+                # Unannounced torque may bear a load for another program.
                 if held := bytes(one for one in ids if one in self._held):
                     bus.stop(address, size, held, bytes(size * len(held)))
             except (OSError, RuntimeError, ValueError) as error:
@@ -868,14 +870,14 @@ class ServoArm:
             )
 
     def _read_at_rest(self) -> bool:
-        """With a fault: looks from time to time, and sends the stop again until all are known to be without torque."""
+        """During a fault, check periodically and resend the stop until all servos confirm no torque."""
         if self._recovery is not None:
             if self._recovery.is_alive():
                 return False
             self._recovery = None
             if self._recovered is None:
                 self._fault = None
-                # In this order: a stop of another thread either sees that there is no fault, or is seen here.
+                # The order matters: a stop of another thread either finds no fault, or is seen here.
                 if (stopped := self._stopped) is not None:
                     self._latch(stopped)
                     return False
@@ -904,15 +906,15 @@ class ServoArm:
                 self._is_waiting = False
                 self._go_on()
                 if self.fault_kind in {FaultKind.UNPLUGGED, FaultKind.NOT_READY}:
-                    # Its port may be one that is gone.
+                    # The port may no longer exist.
                     self._disconnect(quiet=True)
                 self._connect(restart=True)
-            except Exception as error:  # whatever it is, the arm stays without torque and says it
+            except Exception as error:  # whatever the error, the arm stays without torque and reports it
                 self._end_torque()
                 self._recovered = error
 
     def _restart(self) -> None:
-        """Starts servos anew that have a hardware error, and waits until they answer."""
+        """Reboot servos with a hardware error, and wait until they answer."""
         if self._bus is None:
             return
         restarted = []
@@ -932,7 +934,7 @@ class ServoArm:
     # -------------------------------------------------------------------------------------------------------- end
 
     def _let_down(self) -> None:
-        """Joints in mode 0 are damped for a while; of the others current or supply falls to 0."""
+        """Lower the arm: damp joints in mode 0 for a while; reduce current or supply of the others to 0."""
         begin_s = time.monotonic()
         release_s = self.settings.release_s
         self._ramp = min(self._ramp, 1.0)
@@ -947,7 +949,7 @@ class ServoArm:
             time.sleep(0.002)
 
     def _disconnect(self, *, quiet: bool = False) -> None:
-        """Ends all torque, verifies it, and closes the port."""
+        """End all torque, verify it, and close the port."""
         if self._bus is None:
             return
         bus = self._bus
@@ -975,7 +977,7 @@ def _is_off(bus: DynamixelBus, servo_id: int) -> bool:
         try:
             bus.write(servo_id, TORQUE_ENABLE, b"\0")
             if bus.read(servo_id, TORQUE_ENABLE, 1) == b"\0":
-                # Other software shall find none armed.
+                # Leave no armed watchdog for other software.
                 bus.write(servo_id, BUS_WATCHDOG, b"\0")
                 return True
         except TimeoutError:
@@ -987,7 +989,7 @@ def _is_off(bus: DynamixelBus, servo_id: int) -> bool:
 
 
 def _awake_s() -> float:
-    """Time in s that a machine's sleep counts for, too."""
+    """Return the time in s, including system sleep."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 

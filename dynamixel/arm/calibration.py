@@ -1,4 +1,4 @@
-"""The file of an arm: its rate, and of each servo how its angle becomes that of a joint."""
+"""Calibration file of an arm: bus rate, and the map from servo to joint angle."""
 
 import contextlib
 import json
@@ -45,11 +45,11 @@ HEAD: Final = """\
 
 
 def read_calibration(path: Path) -> tuple[int, tuple[ServoSettings, ...]]:
-    """Rate in bit/s and servos of a file.
+    """Read rate in bit/s and servos from a file.
 
     Raises:
-        OSError: It cannot be read.
-        ValueError: It is no such file, or has a servo that cannot be; names the file.
+        OSError: The file cannot be read.
+        ValueError: The file or a servo in it is invalid; names the file.
     """
     try:
         text = read_text(path, MAX_BYTES)
@@ -64,7 +64,7 @@ def read_calibration(path: Path) -> tuple[int, tuple[ServoSettings, ...]]:
         for one in file.servo:
             fields = msgspec.structs.asdict(one)
             servo_id = fields.pop("id")
-            # Whose mode does not matter here: a follower and a leader each have their own.
+            # The mode does not matter here, because follower and leader set their own.
             servos.append(_settings(servo_id, fields))
     except ValueError as error:
         message = f"{path}: {error}"
@@ -80,17 +80,17 @@ def _settings(servo_id: int, fields: dict[str, object]) -> ServoSettings:
 
 
 def write_calibration(path: Path, baud: int, servos: tuple[ServoSettings, ...]) -> None:
-    """Writes the file of a rate in bit/s and servos, and reads it, before it takes the place of one that is there.
+    """Write rate in bit/s and servos, read the file back, then replace an existing one.
 
-    A symbolic link stays, and what it leads to is written. The mode is that of what was there, or as of any new file.
+    A symbolic link is followed. The file mode is preserved; a new file follows the umask.
 
     Raises:
-        OSError: It cannot be written; what was there stays.
-        ValueError: It would be none that can be read; likewise.
+        OSError: The file cannot be written; the old one is kept.
+        ValueError: The new file would be invalid; the old one is kept.
     """
     path = Path(os.path.realpath(path))
     beside = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
-    # Opened so, its mode follows the umask.
+    # The umask determines the mode of this file.
     with beside.open("x", encoding="utf-8") as file:
         try:
             file.write(calibration_text(baud, servos))
@@ -103,10 +103,10 @@ def write_calibration(path: Path, baud: int, servos: tuple[ServoSettings, ...]) 
         except BaseException:
             beside.unlink(missing_ok=True)
             raise
-    # Without it a new name may be gone after the supply was.
+    # Otherwise a power loss may lose the new name.
     folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        # Some file systems have none of it; the file is there all the same.
+        # Some file systems do not support this; the file exists nevertheless.
         with contextlib.suppress(OSError):
             os.fsync(folder)
     finally:
@@ -114,7 +114,7 @@ def write_calibration(path: Path, baud: int, servos: tuple[ServoSettings, ...]) 
 
 
 def calibration_text(baud: int, servos: tuple[ServoSettings, ...]) -> str:
-    """The file of a rate and servos."""
+    """Return the content of the file."""
     lines = [HEAD, f"baud = {baud}\n"]
     for servo in servos:
         lines.append(

@@ -1,4 +1,4 @@
-"""What must be so before an arm of servos has torque: a line each, with what to do where it is not."""
+"""Checks before a servo arm gets torque: one line each, with a remedy."""
 
 import contextlib
 import os
@@ -15,37 +15,37 @@ from haptether.dynamixel.models import BAUD_RATES, SERVO_MODELS_BY_NUMBER
 
 LATENCY_MS: Final = 1
 TRIES: Final = 3
-"""Of a ping, before a servo is said not to answer."""
+"""Number of pings before a servo counts as silent."""
 MARGIN_C: Final = 5
-"""Below the temperature limit, at the begin."""
+"""Margin in degrees C below the temperature limit at the start."""
 PROTECTS: Final = 1 << 2 | 1 << 5
-"""Of the shutdown mask: overheating and overload."""
+"""Shutdown mask bits for overheating and overload."""
 TORQUE_BY_GOAL: Final = 1 << 3
-"""Of the drive mode."""
+"""Drive mode bit."""
 TORQUE_AT_START: Final = 1 << 0
-"""Of the startup configuration, which only newer firmware has."""
+"""Startup configuration bit; newer firmware only."""
 UNKNOWN_ADDRESS: Final = "access error"
-"""Error of a servo that does not know an address."""
+"""Error text of a servo without the address."""
 ANSWERS_ALL: Final = 2
-"""Status return level."""
+"""Status return level that answers every instruction."""
 BESIDE_RAD: Final = 0.1
-"""How far beyond its limits a joint may stand at the begin."""
+"""Largest angle in rad beyond its limits for a joint at the start."""
 PROFILES: Final = ("Profile Acceleration", "Profile Velocity")
-"""0 is none: goals are led by the driver, and a profile of another program's would lag behind them."""
+"""0 is no profile; a profile of another program would lag behind the driver's goals."""
 SYSTEM: Final = Path("/sys")
 
 
 class ArmRefusedError(RefusedError):
-    """The arm is not to have torque now."""
+    """The arm must not get torque now."""
 
 
 def check_port(port: str, checklist: Checklist, system: Path = SYSTEM) -> float:
     """Check that the port exists, is accessible and forwards answers at once; return its latency timer in s.
 
     Args:
-        port: Its path.
+        port: Path of the port.
         checklist: Takes the lines.
-        system: Where sysfs is.
+        system: Mount point of sysfs.
     """
     path = Path(port)
     if not path.exists():
@@ -70,7 +70,7 @@ def check_port(port: str, checklist: Checklist, system: Path = SYSTEM) -> float:
 
 
 def answering_rate(settings: ArmSettings, go_on: Callable[[], None]) -> int | None:
-    """Another rate at which a servo of the arm answers; none found: none. `go_on` is called before each, may raise."""
+    """Return another rate at which a servo answers, or None; `go_on` is called before each attempt and may raise."""
     for baud in BAUD_RATES:
         if baud == settings.baud:
             continue
@@ -93,9 +93,9 @@ def answering_rate(settings: ArmSettings, go_on: Callable[[], None]) -> int | No
 def check_present(
     bus: DynamixelBus, settings: ArmSettings, checklist: Checklist, go_on: Callable[[], None]
 ) -> tuple[set[int], dict[int, int]]:
-    """Whether the servos are there and are those that are named; ids that answer, and firmware of each that is right.
+    """Check that the named servos are present; return ids that answer, and firmware of each valid servo.
 
-    `go_on` is called before each, and may raise.
+    `go_on` is called before each servo, and may raise.
 
     Raises:
         OSError: The port is gone.
@@ -128,11 +128,11 @@ def check_present(
 
 
 def _pinged(bus: DynamixelBus, servo_id: int, go_on: Callable[[], None]) -> tuple[tuple[int, int], int]:
-    """Model number and firmware, and at which try: one answer that is lost or late does not say that nobody is there.
+    """Return model number and firmware, and the number of the successful try; one lost or late answer is retried.
 
     Raises:
-        TimeoutError: No answer to any.
-        RuntimeError: The last answer was a wrong one.
+        TimeoutError: No ping was answered.
+        RuntimeError: The last answer was invalid.
         OSError: The port is gone.
     """
     for number in range(1, TRIES):
@@ -144,20 +144,20 @@ def _pinged(bus: DynamixelBus, servo_id: int, go_on: Callable[[], None]) -> tupl
 
 
 def knows_fast_reads(settings: ArmSettings, firmware: dict[int, int]) -> bool:
-    """Whether all servos know fast sync read."""
+    """Return True if all servos support fast sync read."""
     servos = (*settings.servos, *(shadow for shadow, _ in settings.shadows))
     return all(firmware[one.servo_id] >= one.servo.fast_read_firmware for one in servos)
 
 
 def answer_all(bus: DynamixelBus, servo_id: int) -> int:
-    """Has a servo that answers pings answer all instructions; returns its status return level before, in RAM.
+    """Make a servo answer all instructions; return its previous status return level, in RAM.
 
-    At level 0 it answers no read, at 0 and 1 no write, so that it is set by a write that nobody answers.
+    At level 0 it answers no read, and at 0 and 1 no write, so the level is set by an unacknowledged write.
 
     Raises:
-        TimeoutError: It does not answer reads afterwards, either.
+        TimeoutError: It still does not answer reads.
         OSError: The port is gone.
-        RuntimeError: Its answer cannot be read, or it does not take the level.
+        RuntimeError: Its answer is invalid, or it does not accept the level.
     """
     level = 0
     for _ in range(TRIES):
@@ -173,11 +173,11 @@ def answer_all(bus: DynamixelBus, servo_id: int) -> int:
 
 
 class ServoRegisters:
-    """The table of one servo by name, each entry as a number.
+    """Control table of one servo by name, each entry as an integer.
 
     Args:
-        bus: What it is on.
-        servo: Which it is.
+        bus: Bus of the servo.
+        servo: Settings of the servo.
     """
 
     def __init__(self, bus: DynamixelBus, servo: ServoSettings) -> None:
@@ -194,12 +194,12 @@ class ServoRegisters:
         self._bus.write(self._servo_id, item.address, item.encoded(value))
 
     def scaled(self, name: str) -> float:
-        """In the unit of its entry."""
+        """Return an entry in its unit."""
         return self[name] * self._table[name].scale
 
 
 class _ServoLine:
-    """What is found at one servo: one line of what is good, and one of each thing that is not."""
+    """Findings at one servo: one line for valid items, one for each problem."""
 
     def __init__(self, servo: ServoSettings, checklist: Checklist, what: str | None = None) -> None:
         self.what = what or f"servo {servo.servo_id}"
@@ -217,21 +217,21 @@ class _ServoLine:
 
 
 def check_servo(bus: DynamixelBus, servo: ServoSettings, checklist: Checklist, obeys: int | None = None) -> None:
-    """Takes the torque of a servo off, sets its mode, profile and return delay, and looks at what it says of itself.
+    """Turn off a servo's torque, set mode, profile and return delay, and check its state.
 
     Args:
-        bus: What it is on.
-        servo: Which it is.
+        bus: Bus of the servo.
+        servo: Settings of the servo.
         checklist: Takes the lines.
-        obeys: Of a shadow the id that it obeys beside its own.
+        obeys: For a shadow, the id that it obeys in addition to its own.
 
     Raises:
-        OSError: It does not answer, or the port is gone.
-        RuntimeError: It refuses, or its answer cannot be read.
+        OSError: The servo does not answer, or the port is gone.
+        RuntimeError: The servo refuses, or its answer is invalid.
     """
     line = _ServoLine(servo, checklist)
     registers = ServoRegisters(bus, servo)
-    # A write that is not answered is not known to be done.
+    # An unacknowledged write may be lost.
     if (level := answer_all(bus, servo.servo_id)) != ANSWERS_ALL:
         line.check(f"status return level was {level}, and is {ANSWERS_ALL} now")
     if registers["Torque Enable"]:
@@ -268,7 +268,7 @@ def check_servo(bus: DynamixelBus, servo: ServoSettings, checklist: Checklist, o
         )  # fmt: skip
     offset = registers["Homing Offset"]
     if offset or drive_mode & 1:
-        # Present Position has both in it: whoever changes them calibrates anew.
+        # Present Position includes both, so a change requires a new calibration.
         line.check(
             f"homing offset {offset} ticks{', reversed' if drive_mode & 1 else ''} (offset_rad counts from there)"
         )
@@ -276,11 +276,11 @@ def check_servo(bus: DynamixelBus, servo: ServoSettings, checklist: Checklist, o
 
 
 def check_servo_health(registers: ServoRegisters, servo: ServoSettings, checklist: Checklist, what: str) -> None:
-    """Hardware error, supply, temperature and shutdown of a servo that keeps the torque that it has.
+    """Check hardware error, supply, temperature and shutdown of a servo without changing its torque.
 
     Raises:
-        OSError: It does not answer, or the port is gone.
-        RuntimeError: It refuses, or its answer cannot be read.
+        OSError: The servo does not answer, or the port is gone.
+        RuntimeError: The servo refuses, or its answer is invalid.
     """
     line = _ServoLine(servo, checklist, what)
     _check_health(registers, servo, line)
@@ -289,11 +289,11 @@ def check_servo_health(registers: ServoRegisters, servo: ServoSettings, checklis
 
 
 def _startup(registers: ServoRegisters) -> int | None:
-    """Startup Configuration; none of firmware that does not know it.
+    """Return Startup Configuration, or None if the firmware lacks it.
 
     Raises:
-        OSError: It does not answer, or the port is gone.
-        RuntimeError: Its answer cannot be read.
+        OSError: The servo does not answer, or the port is gone.
+        RuntimeError: Its answer is invalid.
     """
     try:
         return registers["Startup Configuration"]
@@ -354,7 +354,7 @@ def _check_health(registers: ServoRegisters, servo: ServoSettings, line: _ServoL
 
 
 def check_place(servo: ServoSettings, q: float, checklist: Checklist) -> None:
-    """Whether a joint stands within its limits."""
+    """Check that a joint is within its limits."""
     beyond = max(servo.low_rad - q, q - servo.high_rad, 0.0)
     checklist.check(
         f"servo {servo.servo_id}", f"stands at {q:+.3f} rad of {servo.low_rad:+.3f} to {servo.high_rad:+.3f}",

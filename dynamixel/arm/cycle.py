@@ -1,4 +1,4 @@
-"""How long the bytes of one cycle of an arm are on its bus."""
+"""Bus time of one cycle of an arm."""
 
 from typing import Final
 
@@ -8,28 +8,28 @@ from haptether.dynamixel.models import OperatingMode
 BITS: Final = 10
 """Bits of a byte on the line: start, eight, stop."""
 REQUEST: Final = 14
-"""Bytes of a sync read or a sync write without what is for each servo."""
+"""Bytes of a sync read or sync write without the part per servo."""
 ANSWER: Final = 11
-"""Bytes of a status without its data."""
+"""Bytes of a status packet without data."""
 FAST_ANSWER: Final = 8
-"""Bytes of a fast answer without the shares of the servos."""
+"""Bytes of a fast answer without the parts of the servos."""
 FAST_SHARE: Final = 4
-"""Bytes of the share of a servo without its data."""
+"""Bytes of the part of a servo without data."""
 MEASURED: Final = 10
 """Bytes of Present Current, Velocity and Position."""
 
 
 def cycle_s(settings: ArmSettings, *, fast: bool, return_delay_s: float = 0.0) -> float:
-    r"""Least time in s of one cycle of an arm: all servos are read, then all are written to.
+    r"""Return the shortest time in s of one cycle of an arm: read all servos, then write to all.
 
     .. math:: T = \frac{10}{R} (B_\mathrm{ask} + B_\mathrm{answer} + B_\mathrm{write}) + n t_\mathrm{delay}
 
     R is the rate in bit/s, n the number of servos, B the bytes of the three parts.
 
     Args:
-        settings: Rate and servos, that of a gripper among them.
+        settings: Rate and servos, including a gripper.
         fast: If true, the servos answer with one common status packet.
-        return_delay_s: How long each servo waits before it answers, in s.
+        return_delay_s: Delay of each servo before its answer in s.
 
     Source: ROBOTIS e-Manual, Protocol 2.0, "Sync Read", "Fast Sync Read", "Sync Write".
     """

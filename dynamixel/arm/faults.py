@@ -1,11 +1,11 @@
-"""What can be wrong with an arm of servos: each fault has a name, and stays until a person acknowledges it."""
+"""Faults of a servo arm; each has a kind and stays until a person acknowledges it."""
 
 from enum import StrEnum
 from typing import Final
 
 
 class FaultKind(StrEnum):
-    """What went wrong."""
+    """Kind of a fault."""
 
     SILENT = "no answer"
     UNPLUGGED = "unplugged"
@@ -32,11 +32,11 @@ HARDWARE_ERRORS: Final = {
     4: (FaultKind.ELECTRICAL_SHOCK, "its circuit had a shock, or too little power: see supply and wiring"),
     5: (FaultKind.OVERLOAD, "take the load off"),
 }
-"""Bits of address 70, each with what to do. Source: ROBOTIS e-Manual, Hardware Error Status."""
+"""Bits of address 70 with remedies. Source: ROBOTIS e-Manual, Hardware Error Status."""
 
 
 class ArmFaultError(RuntimeError):
-    """A fault, with its kind."""
+    """Fault with its kind."""
 
     def __init__(self, kind: FaultKind, text: str) -> None:
         super().__init__(f"{kind}: {text}")
@@ -44,7 +44,7 @@ class ArmFaultError(RuntimeError):
 
 
 def hardware_error(servo_id: int, status: int) -> ArmFaultError:
-    """The fault of an address 70 that is not 0."""
+    """Return the fault for a non-zero address 70."""
     named = [HARDWARE_ERRORS[bit] for bit in HARDWARE_ERRORS if status & (1 << bit)]
     if not named:
         return ArmFaultError(FaultKind.TORQUE_OFF, f"servo {servo_id} has a hardware error of code {status}")

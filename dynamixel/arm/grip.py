@@ -1,8 +1,8 @@
-"""A gripper on a servo of an arm's bus: an opening in, and whether something is between the jaws.
+"""Gripper on a servo of an arm's bus: commanded opening, detected object.
 
-Its servo is in mode 5: it goes to a position with a current of at most its cap, so that jaws that something stops press
-on with that current. It has no bus watchdog and keeps its torque through every fault and every end: one that lost it
-would drop what it holds. Its cap is therefore one at which the motor may stand for long.
+The servo is in mode 5: it moves to a position with a capped current, so that blocked jaws press with that current. It
+has no bus watchdog and keeps its torque through every fault and end, because losing torque would drop the object. The
+cap must therefore be safe for a long stall.
 """
 
 import struct
@@ -28,33 +28,33 @@ from haptether.dynamixel.models import OperatingMode
 GOALS: Final = struct.Struct("<hiIIi")
 """Goal Current, Goal Velocity, Profile Acceleration, Profile Velocity, Goal Position: addresses 102 to 119."""
 TIME_PROFILE: Final = 1 << 2
-"""Of the drive mode: profiles are times rather than speeds."""
+"""Drive mode bit: profiles are times, not speeds."""
 LOOK_S: Final = 0.5
-"""Between two looks at its torque and its temperature."""
+"""Interval in s of torque and temperature checks."""
 PRESSES: Final = 0.8
-"""Share of the cap from which its current is that of jaws that something stops."""
+"""Fraction of the cap above which the current indicates blocked jaws."""
 STANDING: Final = 0.05
-"""Of the way between its ends, per second: jaws that are slower stand."""
+"""Fraction of the travel per second below which the jaws stand."""
 BESIDE: Final = 0.02
-"""Of that way: jaws that are no further from their goal have reached it."""
+"""Fraction of the travel within which the jaws have reached their goal."""
 SLIPPED: Final = 0.05
-"""Of that way: jaws that have gone on so far hold no more what stopped them."""
+"""Fraction of the travel after which the jaws no longer hold the object."""
 STALL_S: Final = 0.1
-"""So long they stand and press until that is an object."""
+"""Time in s of standing and pressing that indicates an object."""
 OUTSIDE: Final = 0.1
-"""Of that way: so far beyond their ends they may stand at the begin."""
+"""Fraction of the travel by which the jaws may be beyond their ends at the start."""
 MARGIN_C: Final = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripSettings:
-    """The servo of a gripper, and how its angle becomes an opening.
+    """Servo of a gripper, and the map from its angle to an opening.
 
-    p = (a - open) / (closed - open), with the angle a from the mechanical centre in the turn that fits; the jaws press
-    with F = K_t i / lever: by the likely K_t as it is told, by the largest as it is commanded.
+    p = (a - open) / (closed - open), with the angle a from the mechanical centre in the fitting turn. The jaws press
+    with F = K_t i / lever: reported with the likely K_t, commanded with the largest.
 
     Raises:
-        ValueError: A setting that cannot be.
+        ValueError: A setting is invalid.
     """
 
     servo: ServoSettings
@@ -62,37 +62,37 @@ class GripSettings:
     open_rad: float
     closed_rad: float
     lever_m: float
-    """From the axis of the servo to where the jaws press."""
+    """Distance in m from the servo axis to the contact of the jaws."""
     max_speed: float
-    """Of the servo, rad/s."""
+    """Largest servo speed in rad/s."""
 
     @property
     def way_rad(self) -> float:
-        """From open to closed, signed."""
+        """Signed angle from open to closed."""
         return self.closed_rad - self.open_rad
 
     @property
     def most_n(self) -> float:
-        """Greatest force of the jaws at the cap."""
+        """Largest force of the jaws at the cap in N."""
         return self.servo.current_cap_a * self.servo.most_nm_per_a / self.lever_m
 
 
 class GripServo:
-    """State of a gripper's servo, whose bus is the arm's; for one thread.
+    """State of a gripper's servo on the arm's bus; for one thread.
 
     Args:
-        settings: Servo, ends, cap.
+        settings: Settings of the gripper.
     """
 
     def __init__(self, settings: GripSettings) -> None:
         self.settings = settings
         self.servo_id = settings.servo.servo_id
         self.position = 0.0
-        """p, 0 (open) to 1 (closed); not cut to that."""
+        """p, 0 (open) to 1 (closed); not clamped."""
         self.velocity = 0.0
-        """In 1/s."""
+        """Velocity in 1/s."""
         self.force_n = 0.0
-        """Of the motor between the jaws, by its current."""
+        """Motor force between the jaws in N, from the current."""
         self.holds_object = False
         self.fault: ArmFaultError | None = None
         self.temperature_c = 0
@@ -112,23 +112,23 @@ class GripServo:
         self._held_at = 0.0
         self._held_side = 1.0
         self._is_sent = True
-        """Whether the servo has the goal."""
+        """True if the servo has the goal."""
         self._are_limits_sent = True
         self._look_at_s = 0.0
         self._looks = 0
         self._is_hot = False
         self._is_mended = False
         self._is_measured = False
-        """Whether anything was, since the begin: else nobody knows what it presses on."""
+        """True after the first measurement; before it, contact is unknown."""
 
     # ------------------------------------------------------------------------------------------------------- begin
 
     def check(self, bus: DynamixelBus, checklist: Checklist) -> None:
-        """Looks at the servo, and sets its mode, torque off, unless it has torque in that mode: it may hold something.
+        """Check the servo and set its mode with torque off, unless it has torque in that mode and may hold an object.
 
         Raises:
-            OSError: It does not answer, or the port is gone.
-            RuntimeError: It refuses, or its answer cannot be read.
+            OSError: The servo does not answer, or the port is gone.
+            RuntimeError: The servo refuses, or its answer is invalid.
         """
         self._is_measured = False
         servo, what = self.settings.servo, f"servo {self.servo_id} (gripper)"
@@ -152,10 +152,10 @@ class GripServo:
         )  # fmt: skip
 
     def place(self, bus: DynamixelBus, checklist: Checklist) -> None:
-        """Finds the turn that it stands in, and whether the jaws are between their ends.
+        """Determine the current turn, and check that the jaws are between their ends.
 
         Raises:
-            OSError, RuntimeError: As `check`.
+            OSError, RuntimeError: Same as `check`.
         """
         self._ticks = ServoRegisters(bus, self.settings.servo)["Present Position"]
         middle = 0.5 * (self.settings.open_rad + self.settings.closed_rad) / RAD_PER_TICK + CENTRE
@@ -167,13 +167,13 @@ class GripServo:
         )  # fmt: skip
 
     def begin(self, bus: DynamixelBus) -> None:
-        """Torque on where the jaws stand, which moves nothing; a servo that has torque keeps its goal and its force.
+        """Turn on torque at the current position, without motion; a servo with torque keeps its goal and force.
 
         Raises:
-            OSError, RuntimeError: As `check`.
+            OSError, RuntimeError: Same as `check`.
         """
         registers = ServoRegisters(bus, self.settings.servo)
-        # Torque that ends with the bus would drop what it holds.
+        # A watchdog would end the torque with the bus, and drop the object.
         registers["Bus Watchdog"] = 0
         if registers["Torque Enable"]:
             self._goal_ticks = registers["Goal Position"]
@@ -199,9 +199,10 @@ class GripServo:
     # -------------------------------------------------------------------------------------------------- every tick
 
     def take(self, measured: tuple[int, int, int], now_s: float) -> None:
-        """Present Current, Velocity and Position of a time in s.
+        """Take Present Current, Velocity and Position at a time in s.
 
-        An object: the jaws stand, not at their goal, and the motor presses towards it with its cap, for `STALL_S`.
+        An object is detected if the jaws stand away from their goal while the motor presses towards it with its cap for
+        `STALL_S`.
         """
         current_units, velocity_units, ticks = measured
         self._is_measured = True
@@ -212,7 +213,7 @@ class GripServo:
         self._current_a = closing * current_units * self._unit_a
         self.force_n = abs(self._current_a) * self.settings.servo.nm_per_a / self.settings.lever_m
         if self.holds_object:
-            # Left behind where it gives way, or where the goal is on its other side.
+            # Release the object if it gives way, or if the goal moves to the other side.
             on = (self.position - self._held_at) * self._held_side
             self.holds_object = (self._goal - self._held_at) * self._held_side > BESIDE and on <= SLIPPED
             self._pressed_s = None
@@ -225,7 +226,7 @@ class GripServo:
             self._held_side = 1.0 if self._goal > self.position else -1.0
 
     def write(self, position: float, speed: float, force_n: float) -> None:
-        """A goal, 0 to 1, with a speed in 1/s and a force in N, which are cut to what it may."""
+        """Set a goal, 0 to 1, with speed in 1/s and force in N, both saturated."""
         settings = self.settings
         way = abs(settings.way_rad)
         speed_units = self._speed_of(min(speed * way, settings.max_speed))
@@ -237,26 +238,26 @@ class GripServo:
         self._go(position)
 
     def hold(self) -> None:
-        """Stops jaws that move; those that press on something keep their goal, and so their force."""
+        """Stop moving jaws; pressing jaws keep their goal and force."""
         if self._is_measured and not (self.holds_object or self._presses(0.5 * PRESSES)):
             self._go(self.position)
 
     @property
     def is_due(self) -> bool:
-        """Whether the servo does not have the newest goal."""
+        """True if the servo lacks the latest goal."""
         return self.fault is None and not (self._is_sent and self._are_limits_sent)
 
     @property
     def goal(self) -> bytes:
-        """Goal Position, for a sync write of address 116; it counts as sent."""
+        """Return Goal Position for a sync write of address 116; it counts as sent."""
         self._is_sent = True
         return self._goal_ticks.to_bytes(4, "little", signed=True)
 
     def send(self, bus: DynamixelBus) -> None:
-        """Sends force, speed and goal in a sync write of its own, where the servo does not have them.
+        """Send force, speed and goal in a separate sync write if the servo lacks them.
 
         Raises:
-            OSError, RuntimeError: Of the bus.
+            OSError, RuntimeError: Errors of the bus.
         """
         if self.is_due:
             goals = GOALS.pack(self._cap_units, 0, 0, self._speed_units, self._goal_ticks)
@@ -265,15 +266,15 @@ class GripServo:
 
     @property
     def are_limits_due(self) -> bool:
-        """Whether the servo does not have force and speed."""
+        """True if the servo lacks force and speed."""
         return self.fault is None and not self._are_limits_sent
 
     # ------------------------------------------------------------------------------------------------------ faults
 
     def look(self, bus: DynamixelBus, now_s: float) -> str | None:
-        """From time to time torque or temperature, in one transaction; a line to report, if there is one.
+        """Check torque or temperature periodically, in one transaction; return a line to report, or None.
 
-        A fault that is acknowledged is mended here: a servo with a hardware error is started anew.
+        Also repairs an acknowledged fault: reboots a servo with a hardware error.
         """
         if now_s < self._look_at_s:
             return None
@@ -286,16 +287,16 @@ class GripServo:
                 return self._look_at_torque(bus)
             return self._look_at_temperature(bus)
         except (OSError, RuntimeError):
-            # The read of all servos says who is silent.
+            # The read of all servos detects silent ones.
             return None
 
     def fail(self, error: ArmFaultError) -> None:
-        """Has a fault; nothing is sent to it any more, and it keeps what torque it has."""
+        """Set a fault; nothing more is sent, and the servo keeps its torque."""
         self.fault, self._is_mended = error, False
         self.velocity, self.holds_object = 0.0, False
 
     def acknowledge(self) -> None:
-        """A person has seen to the fault."""
+        """Acknowledge a fixed fault."""
         self._is_mended = self.fault is not None
         self._look_at_s = 0.0
 
@@ -310,7 +311,7 @@ class GripServo:
 
     def _look_at_temperature(self, bus: DynamixelBus) -> str | None:
         self.temperature_c = bus.read(self.servo_id, PRESENT_TEMPERATURE, 1)[0]
-        # Nobody answers a sync write: what was lost of it is sent again.
+        # Sync writes are not acknowledged, so resend lost data.
         self._are_limits_sent = False
         limit_c = self.settings.servo.servo.table["Temperature Limit"].default
         was_hot, self._is_hot = self._is_hot, self.temperature_c > limit_c - MARGIN_C
@@ -337,7 +338,7 @@ class GripServo:
     # ------------------------------------------------------------------------------------------------------- units
 
     def _presses(self, share: float) -> bool:
-        """Whether the jaws stand away from their goal with at least a share of the cap towards it."""
+        """Return True if the jaws stand away from their goal, with at least a fraction of the cap towards it."""
         left = self._goal - self.position
         towards = self._current_a if left > 0.0 else -self._current_a
         return (
@@ -356,10 +357,10 @@ class GripServo:
         return (ticks + self._turn_ticks - self._begin_ticks) * self._per_tick
 
     def _units_of(self, current_a: float) -> int:
-        # The cap is not rounded up; without a current the jaws would not keep what they hold.
+        # Do not round up the cap; zero current would drop the object.
         return max(1, int(current_a / self._unit_a))
 
     @staticmethod
     def _speed_of(rad_s: float) -> int:
-        # 0 is as fast as it can.
+        # 0 would mean unlimited speed.
         return max(1, int(rad_s / RAD_S_PER_UNIT))

@@ -1,4 +1,4 @@
-"""A person and an arm without torque: where its zero is, which way its joints turn, and how far."""
+"""Calibration dialogue with a person who moves an arm without torque: zero, joint directions and ranges."""
 
 import contextlib
 import math
@@ -16,20 +16,20 @@ from haptether.dynamixel.control_table import CENTRE, HOMING_OFFSET, PRESENT_POS
 from haptether.dynamixel.models import BAUD_RATES, SERVO_MODELS_BY_NUMBER, OperatingMode, ServoModel
 
 STILL_RAD: Final = 0.01
-"""A pose is taken while no joint moves more between two reads."""
+"""Largest joint motion in rad between two reads while a pose is taken."""
 TURNED_RAD: Final = 0.2
-"""So far a joint is turned to show its direction."""
+"""Turn in rad that shows the direction of a joint."""
 BESIDE_RAD: Final = 0.1
-"""At most so far another joint moves meanwhile."""
+"""Largest motion in rad of the other joints meanwhile."""
 SHOWN_S: Final = 0.2
-"""Between two lines of live angles."""
+"""Interval in s of displayed angles."""
 READ_S: Final = 0.01
 QUARTER: Final = 0.5 * math.pi
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FoundServo:
-    """A servo that answers."""
+    """Servo that answers."""
 
     baud: int
     servo_id: int
@@ -38,14 +38,14 @@ class FoundServo:
 
     @property
     def model(self) -> ServoModel | None:
-        """What it is; none of a number that no table here has."""
+        """Model, or None for an unknown number."""
         return SERVO_MODELS_BY_NUMBER.get(self.number)
 
 
 def find_servos(
     port: str, ids: Sequence[int], rates: Sequence[int] = BAUD_RATES, timeout_s: float = 0.01
 ) -> list[FoundServo]:
-    """The servos of these ids that answer at these rates.
+    """Find the servos with the given ids that answer at the given rates.
 
     Raises:
         OSError: The port cannot be opened.
@@ -64,14 +64,14 @@ def find_servos(
 
 
 class Guide:
-    """Asks a person to move an arm, and reads it meanwhile.
+    """Ask a person to move an arm, and read it meanwhile.
 
     Args:
-        bus: Of the servos.
-        servos: In the order of the joints, all of known models.
-        say: Takes a line for the person.
-        answer: The person's next line within so many seconds; none yet: none.
-        forget: Drops what was typed before a question.
+        bus: Bus of the servos.
+        servos: Servos in joint order, all of known models.
+        say: Shows a line to the person.
+        answer: Returns the person's next line within a time in s, or None.
+        forget: Discards input typed before a question.
     """
 
     def __init__(
@@ -91,10 +91,10 @@ class Guide:
         self._last: Vector | None = None
 
     def loosen(self) -> None:
-        """Ends all torque, verified, and names homing offsets.
+        """End all torque, verify it, and report homing offsets.
 
         Raises:
-            OSError: The port, or a servo that does not answer.
+            OSError: The port fails, or a servo does not answer.
             RuntimeError: A servo keeps its torque.
         """
         self._bus.write(DynamixelBus.BROADCAST, TORQUE_ENABLE, b"\0")
@@ -111,7 +111,7 @@ class Guide:
                 )
 
     def pose(self, pose: Sequence[float]) -> Vector:
-        """P of each servo while the arm is in a pose, angles of the joints in rad, that the person puts it into."""
+        """Return p of each servo while the person holds the arm in a pose, given in joint angles in rad."""
         angles = ", ".join(f"{q:g}" for q in pose)
         while True:
             self._ask(f"put the arm into the pose ({angles}) rad and press Enter")
@@ -123,10 +123,10 @@ class Guide:
             self._say("it moved: once more")
 
     def directions(self) -> list[int]:
-        """1 or -1 of each joint, by turning one after the other.
+        """Return 1 or -1 for each joint, from turning them one after the other.
 
-        A joint counts from where it stood at its first prompt, however often it is asked for: who puts it back before
-        another try turns it the wrong way at first. The others may be put back, too, or stay where they were.
+        A joint's reference is its angle at its first prompt, so a person who moves it back before a retry turns it the
+        wrong way first. The other joints may stay or move back.
         """
         signs = []
         for joint, servo in enumerate(self._servos):
@@ -151,7 +151,7 @@ class Guide:
         return signs
 
     def ranges(self) -> tuple[Vector, Vector]:
-        """Least and greatest p of each joint while the person moves all of them."""
+        """Return the smallest and largest p of each joint while the person moves all joints."""
         low, high = self._angles(), self._angles()
 
         def seen(angles: Vector) -> None:
@@ -164,7 +164,7 @@ class Guide:
     # ------------------------------------------------------------------------------------------------------ asking
 
     def _ask(self, what: str, seen: Callable[[Vector], None] | None = None) -> None:
-        """Until the person presses Enter: reads all the time, and shows the angles."""
+        """Read and show the angles until the person presses Enter."""
         self._forget()
         self._say(what)
         passed_s = 0.0
@@ -185,7 +185,7 @@ class Guide:
             self._answer(READ_S)
 
     def _angles(self) -> Vector:
-        """P of each servo in rad, through the end of a turn."""
+        """Return p of each servo in rad, continuous across turns."""
         ticks = np.frombuffer(self._bus.sync_read(self._read), "<i4")
         angles: Vector = (ticks - CENTRE) * RAD_PER_TICK
         if self._last is not None:
@@ -204,19 +204,19 @@ def calibrated(
     rounded: bool,
     margin_rad: float = 0.0,
 ) -> tuple[tuple[ServoSettings, ...], Vector]:
-    """Servos as an arm, and what rounding left over of each offset in rad.
+    """Return the calibrated servos, and the rounding residual of each offset in rad.
 
     Args:
-        servos: In the order of the joints, of known models.
-        pose: q of the pose.
-        at_pose: p in it.
-        signs: 1 or -1 of each.
-        ranges: Least and greatest p; none for a turn about the pose.
-        rounded: Offsets to multiples of pi/2.
-        margin_rad: By which limits are inside of what was shown.
+        servos: Servos in joint order, of known models.
+        pose: Joint angles q of the pose.
+        at_pose: Servo angles p in the pose.
+        signs: Sign of each joint, 1 or -1.
+        ranges: Smallest and largest p; None for one turn around the pose.
+        rounded: True to round offsets to multiples of pi/2.
+        margin_rad: Margin between the shown range and the limits.
 
     Raises:
-        ValueError: A range that is no wider than its margins.
+        ValueError: A range is not wider than its margins.
     """
     settings, left = [], np.zeros(len(servos))
     for joint, servo in enumerate(servos):
@@ -245,7 +245,7 @@ def calibrated(
                 servo_id=servo.servo_id,
                 model=model.name,
                 sign=sign,
-                # The limits say which turn.
+                # The limits determine the turn.
                 offset_rad=math.remainder(offset, TURN),
                 low_rad=low,
                 high_rad=high,

@@ -1,15 +1,15 @@
-"""Which servos of a bus that fell silent still answer."""
+"""Search for the answering servos of a silent bus."""
 
 from haptether._core import DynamixelBus
 from haptether.dynamixel.arm.faults import ArmFaultError, FaultKind
 
 
 class RollCall:
-    """Asks one servo at a time, so that no read of an arm waits for all that are silent.
+    """Ask one servo at a time, so that no read of an arm waits for all silent servos.
 
     Args:
-        lost: The fault, as it is known before.
-        members: Ids of the servos.
+        lost: Fault before the search.
+        members: Servo ids.
     """
 
     def __init__(self, lost: ArmFaultError, members: bytes) -> None:
@@ -20,11 +20,11 @@ class RollCall:
 
     @property
     def is_over(self) -> bool:
-        """Whether all were asked."""
+        """True after all servos were asked."""
         return self._asked >= len(self._members)
 
     def ask(self, bus: DynamixelBus) -> ArmFaultError | None:
-        """Asks the next servo; returns what the fault is, once that is known and more than before."""
+        """Ask the next servo; return a more specific fault once it is known, or None."""
         servo_id = self._members[self._asked]
         self._asked += 1
         try:

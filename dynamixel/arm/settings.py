@@ -1,4 +1,4 @@
-"""What an arm of servos is: its bus, and of each servo how its angle becomes that of a joint."""
+"""Settings of a servo arm: its bus, and the map from servo to joint angles."""
 
 import math
 from dataclasses import dataclass, replace
@@ -10,11 +10,11 @@ TURN: Final = 2.0 * math.pi
 MAX_SERVOS: Final = 32
 MAX_ID: Final = 252
 MAX_ANGLE: Final = 512.0 * math.pi
-"""Where the multi-turn modes end, rad."""
+"""Limit of the multi-turn modes in rad."""
 MAX_CONSTANT: Final = 20.0
-"""N m/A."""
+"""Largest torque constant in N m/A."""
 CAP_SHARE: Final = 0.3
-"""Of the greatest current of a model, where no cap is given: no maker states what a servo bears for long."""
+"""Default cap as a fraction of the model's largest current; makers do not state a continuous rating."""
 ARM_MODES: Final = frozenset(
     {
         OperatingMode.CURRENT,
@@ -26,38 +26,38 @@ ARM_MODES: Final = frozenset(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoSettings:
-    """One servo, and the joint that it turns.
+    """Servo and the joint that it turns.
 
-    q = sign (p - offset) + 2 pi k: p is Present Position in rad from the mechanical centre, with homing offset and
-    direction of the servo's own EEPROM; k is the turn in which q is within its limits, for a servo forgets turns with
-    its supply.
+    q = sign (p - offset) + 2 pi k. p is Present Position in rad from the mechanical centre, with the homing offset and
+    direction in the servo's EEPROM. k is the turn that puts q within its limits, because a servo loses turns at
+    power-off.
 
     Raises:
-        ValueError: A setting that cannot be; names it with the id.
+        ValueError: A setting is invalid; names it with the id.
     """
 
     servo_id: int
     model: str
-    """A name of `SERVO_MODELS`."""
+    """Key of `SERVO_MODELS`."""
     sign: int = 1
     """1 or -1."""
     offset_rad: float = 0.0
-    """p where q is 0."""
+    """p at q = 0."""
     low_rad: float = -math.pi
-    """Least q."""
+    """Smallest q."""
     high_rad: float = math.pi
-    """Greatest q."""
+    """Largest q."""
     near_rad: float | None = None
-    """Where q is about at power-on: decides between turns that both fit; by default the middle of its limits."""
+    """Approximate q at power-on, which selects between two fitting turns; by default the middle of the limits."""
     cap_a: float | None = None
-    """Greatest current in A; by default 0.3 of what the model can."""
+    """Largest current in A; by default 0.3 of the model's largest."""
     torque_constant: float | None = None
-    """K_t of this servo in N m/A, as it was measured; by default what is published of its model."""
+    """Measured K_t of this servo in N m/A; by default the published one of its model."""
     torque_constant_uncertainty: float = 0.0
-    """How far the true one may be from that, in N m/A."""
+    """Largest error of that K_t in N m/A."""
     mode: OperatingMode = OperatingMode.CURRENT
     shadows: tuple[int, ...] = ()
-    """Servos of the same model that turn the same joint, and obey this one's id (address 12 of each)."""
+    """Servos of the same model that turn the same joint and obey this id (address 12 of each)."""
 
     def __post_init__(self) -> None:
         for servo_id in (self.servo_id, *self.shadows):
@@ -95,34 +95,34 @@ class ServoSettings:
 
     @property
     def servo(self) -> ServoModel:
-        """The model."""
+        """Model of the servo."""
         return SERVO_MODELS[self.model]
 
     @property
     def nm_per_a(self) -> float:
-        """The likely K_t: by it a current is told as a torque."""
+        """Likely K_t, which converts a measured current to a torque."""
         return self.servo.nominal_nm_per_a if self.torque_constant is None else self.torque_constant
 
     @property
     def most_nm_per_a(self) -> float:
-        """The largest K_t that it may have: by it a torque is commanded as a current, so that no more is exerted."""
+        """Largest possible K_t, which converts a commanded torque to a current, so that the torque is not exceeded."""
         if self.torque_constant is None:
             return self.servo.largest_nm_per_a
         return self.torque_constant + self.torque_constant_uncertainty
 
     @property
     def middle_rad(self) -> float:
-        """Where q is about at power-on."""
+        """Approximate q at power-on."""
         return 0.5 * (self.low_rad + self.high_rad) if self.near_rad is None else self.near_rad
 
     @property
     def current_cap_a(self) -> float:
-        """Greatest current in A; 0 without current control."""
+        """Largest current in A; 0 without current control."""
         return CAP_SHARE * (self.servo.max_current_a or 0.0) if self.cap_a is None else self.cap_a
 
     @property
     def limits_current(self) -> bool:
-        """Whether its mode holds the current below Goal Current."""
+        """True if its mode limits the current to Goal Current."""
         return self.mode in CURRENT_MODES
 
     @property
@@ -136,33 +136,33 @@ class ServoSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmSettings:
-    """Servos on one bus, in the order of the joints.
+    """Servos on one bus in joint order.
 
     Raises:
-        ValueError: A setting that cannot be.
+        ValueError: A setting is invalid.
     """
 
     port: str
-    """Such as /dev/serial/by-id/usb-FTDI_..."""
+    """Port path, such as /dev/serial/by-id/usb-FTDI_..."""
     servos: tuple[ServoSettings, ...]
     baud: int = 4_000_000
-    """In bit/s."""
+    """Bus rate in bit/s."""
     timeout_s: float = 0.02
-    """How long after its bytes an answer may come."""
+    """Timeout in s of an answer, in addition to its bytes."""
     watchdog_s: float = 0.1
-    """Silence after which the servos themselves end their torque; in steps of 20 ms."""
+    """Silence in s after which the servos end their torque; in steps of 20 ms."""
     lost_after_s: float = 0.06
-    """For so long reads may fail until it is a fault."""
+    """Duration in s of failing reads that counts as a fault."""
     watch_s: float = 0.1
-    """Between two looks at torque, hardware errors and bus watchdog of all servos."""
+    """Interval in s of checks of torque, hardware errors and bus watchdog."""
     ramp_s: float = 1.0
-    """In which the caps rise from 0 after torque is on."""
+    """Rise time in s of the caps from 0 after torque is on."""
     release_s: float = 1.0
-    """In which the arm is let down at the end, where its modes allow it."""
+    """Time in s for lowering the arm at the end, if its modes allow it."""
     release_damping: float = 0.1
-    """Of a joint in mode 0 that is let down: share of its cap per rad/s."""
+    """Damping of a joint in mode 0 while the arm is lowered: fraction of its cap per rad/s."""
     verify_watchdog: bool = True
-    """Let the bus watchdog bite once, with torque on and nothing commanded."""
+    """True to trip the bus watchdog once as a test, with torque on and no command."""
 
     def __post_init__(self) -> None:
         ids = [servo_id for servo in self.servos for servo_id in (servo.servo_id, *servo.shadows)]
@@ -184,12 +184,12 @@ class ArmSettings:
 
     @property
     def watchdog_units(self) -> int:
-        """Address 98, in 20 ms: no longer than is set."""
+        """Value of address 98 in units of 20 ms, rounded down."""
         return max(1, math.floor(self.watchdog_s / 0.02 + 1e-9))
 
     @property
     def shadows(self) -> tuple[tuple[ServoSettings, int], ...]:
-        """Each shadow, with the id that it obeys."""
+        """Each shadow with the id that it obeys."""
         return tuple(
             (replace(servo, servo_id=servo_id, shadows=()), servo.servo_id)
             for servo in self.servos

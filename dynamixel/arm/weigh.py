@@ -1,8 +1,8 @@
-"""The torque constant of one servo, by a known weight on a known lever.
+"""Measurement of a servo's torque constant with a known weight on a known lever.
 
-A servo that stands bears tau = K_t i with an error of its dry friction, up or down. So the joint goes slowly up and
-down through the same angles: the mean of both currents is that of tau alone, whatever friction takes either way. The
-same is done without the weight and with it: the weight of the arm drops out, and
+A standing servo bears tau = K_t i with an error of its dry friction in either direction. Therefore the joint moves
+slowly up and down through the same angles, and the mean of both currents removes the friction. A repetition without the
+weight removes the weight of the arm:
 
     K_t = m g l / |i_with - i_without|
 """
@@ -18,33 +18,33 @@ from haptether.dynamixel.arm.arm import ServoArm
 from haptether.dynamixel.arm.settings import ServoSettings
 
 GRAVITY: Final = 9.81
-"""m/s^2."""
+"""Gravity in m/s^2."""
 SWING_RAD: Final = 0.1
-"""Up and down from where the joint stands."""
+"""Amplitude in rad around the initial angle."""
 SPEED_RAD_S: Final = 0.2
 CYCLES: Final = 4
-"""The first is left out: the gear's teeth come to lie."""
+"""The first cycle is dropped, because the gear teeth settle in it."""
 MIDDLE: Final = 0.6
-"""Of each way, amid it: friction has turned by then."""
+"""Middle fraction of each sweep that is used, after friction has reversed."""
 MOVED: Final = 0.5
-"""Least share of the way that the joint must follow."""
+"""Smallest fraction of the sweep that the joint must follow."""
 TICK_S: Final = 0.004
 LEAST_UNITS: Final = 20
-"""Of the current, between without and with the weight."""
+"""Smallest difference of the current with and without the weight, in units."""
 MOST_SHARE: Final = 0.15
-"""A measurement that is less certain is refused."""
+"""Largest relative uncertainty of a valid measurement."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WeighedConstant:
-    """What was measured of one servo."""
+    """Result for one servo."""
 
     nm_per_a: float
-    """K_t."""
+    """K_t in N m/A."""
     uncertainty_nm_per_a: float
-    """Two standard deviations of the currents, a unit of the current, and the tolerance of the weight."""
+    """Two standard deviations of the currents, one unit of current, and the tolerance of the weight, combined."""
     friction_a: float
-    """Half of what lies between up and down, with the weight, in A."""
+    """Half the difference between upward and downward current with the weight, in A."""
 
 
 def weighed_constant(
@@ -54,17 +54,17 @@ def weighed_constant(
     without: list[tuple[float, float]],
     with_weight: list[tuple[float, float]],
 ) -> WeighedConstant:
-    """K_t of a servo.
+    """Compute K_t of a servo.
 
     Args:
-        servo: One with current control.
-        load_nm: m g l.
-        tolerance: Of that, as a share.
-        without: Mean currents in A upwards and downwards, of each cycle, without the weight.
-        with_weight: The same with it.
+        servo: Servo with current control.
+        load_nm: m g l in N m.
+        tolerance: Relative tolerance of the load.
+        without: Mean upward and downward currents in A of each cycle, without the weight.
+        with_weight: The same with the weight.
 
     Raises:
-        ValueError: Currents that differ too little, or scatter too much: what to do.
+        ValueError: The currents differ too little, or scatter too much; gives a remedy.
     """
     unit_a = servo.servo.current_unit_a
     assert unit_a is not None
@@ -91,11 +91,11 @@ def weighed_constant(
 
 
 class Weighing:
-    """Leads one joint of an open arm that holds all of its joints by goals.
+    """Move one joint of an open arm that holds all joints by goals.
 
     Args:
-        arm: Open, its servos in modes 4 and 5.
-        joint: Its index.
+        arm: Open arm with servos in modes 4 and 5.
+        joint: Index of the joint.
     """
 
     def __init__(self, arm: ServoArm, joint: int) -> None:
@@ -104,23 +104,23 @@ class Weighing:
         self._goals: list[float] | None = None
 
     def hold(self, until: Callable[[], bool]) -> None:
-        """Holds all joints where they are until something is so.
+        """Hold all joints in place until a condition is true.
 
         Raises:
-            RuntimeError: A fault of the arm, which has no torque then.
+            RuntimeError: The arm has a fault, and thus no torque.
         """
         while not until():
             self._tick(0.0)
 
     def swing(self) -> list[tuple[float, float]]:
-        """Mean currents in A of the joint upwards and downwards, of each cycle after the first.
+        """Return mean upward and downward currents of the joint in A for each cycle after the first.
 
         Raises:
-            RuntimeError: A fault of the arm, or a joint that does not follow.
+            RuntimeError: The arm has a fault, or the joint does not follow.
         """
         way_s = 2.0 * SWING_RAD / SPEED_RAD_S
         ways: list[list[tuple[float, float]]] = [[] for _ in range(2 * CYCLES + 1)]
-        # From the middle of the first way to that of the last, so that no goal jumps.
+        # Start and end in the middle of a sweep, so that no goal jumps.
         begin_s = time.monotonic() - 0.5 * way_s
         while (passed := (time.monotonic() - begin_s) / way_s) < len(ways) - 0.5:
             way, share = int(passed), passed % 1.0
@@ -141,7 +141,7 @@ class Weighing:
         return statistics.fmean(current for _, current in way)
 
     def _tick(self, offset_rad: float) -> tuple[float, float] | None:
-        """Leads the joint to a place beside where it stood; its angle and its current."""
+        """Command an offset from the initial angle; return angle and current."""
         arm, measured = self._arm, None
         if arm.read():
             if self._goals is None:

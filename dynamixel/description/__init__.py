@@ -1,4 +1,4 @@
-"""What an arm of servos is made of, in a TOML file, and its kinematics and gravity."""
+"""Description of a servo arm in a TOML file, with kinematics and gravity."""
 
 from haptether.dynamixel.description.kinematics import ArmKinematics
 from haptether.dynamixel.description.load import ArmDescriptionError, arm_names, load_arm

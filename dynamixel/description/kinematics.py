@@ -1,4 +1,4 @@
-"""Where the tool of a described arm is, how it moves, and what gravity does to its joints."""
+"""Kinematics of a described arm: tool pose, velocity and gravity torques."""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -17,7 +17,10 @@ Numbers: TypeAlias = Sequence[float] | Array
 
 
 class _Function:
-    """A CasADi function on memory of ours: `Function.buffer()` takes the addresses once, and no matrix is made."""
+    """CasADi function on preallocated memory.
+
+    `Function.buffer()` takes the addresses once, and no matrix is allocated.
+    """
 
     __slots__ = ("_given", "_kept", "_run", "found")
 
@@ -31,7 +34,7 @@ class _Function:
             buffer.set_arg(index, memoryview(array))
         for index, array in enumerate(found):
             buffer.set_res(index, memoryview(array))
-        # CasADi has their addresses, and does not keep them alive.
+        # CasADi stores the addresses, but does not keep the arrays alive.
         self._kept = (function, buffer, given, found)
         self._given = given
         self.found: tuple[Any, ...] = tuple(memoryview(array) for array in found)
@@ -43,13 +46,13 @@ class _Function:
 
 
 class ArmKinematics:
-    """Functions of the joint angles q of one arm. Not to be shared between threads.
+    """Functions of the joint angles q of one arm. Not thread-safe.
 
-    R_i = R_(i-1) Rot(axis_i, q_i), o_i = o_(i-1) + R_(i-1) xyz_i; the quaternion is composed in the same way, so that
-    it is continuous in q.
+    R_i = R_(i-1) Rot(axis_i, q_i), o_i = o_(i-1) + R_(i-1) xyz_i; the quaternion is composed in the same way, which
+    makes it continuous in q.
 
     Args:
-        arm: The description.
+        arm: Description of the arm.
     """
 
     def __init__(self, arm: ArmDescription) -> None:
@@ -88,13 +91,13 @@ class ArmKinematics:
         self._reflect = _Function("reflect", (q, wrench), (casadi.mtimes(jacobian.T, wrench),))
 
     def state(self, q: Numbers, dq: Numbers) -> tuple[list[float], list[float], list[float]]:
-        """Tool point in m, orientation w, x, y, z, and velocity, linear over angular, in the base frame."""
+        """Return tool point in m, orientation w, x, y, z, and twist (linear, angular) in the base frame."""
         self._state(q, dq)
         position, quat, twist = self._state.found
         return position.tolist(), quat.tolist(), twist.tolist()
 
     def gravity(self, q: Numbers) -> list[float]:
-        """dV/dq in N m: what the joints must exert to hold the arm; links without a mass weigh nothing.
+        """Return dV/dq in N m: joint torques that hold the arm; links without a mass weigh nothing.
 
         Source: B. Siciliano et al., "Robotics: Modelling, Planning and Control", 2009, Eq. 7.39.
         """
@@ -103,15 +106,18 @@ class ArmKinematics:
         return weight
 
     def link_inertia(self, q: Numbers) -> list[float]:
-        """The mass matrix' diagonal in kg m^2, of the links as points of mass: without motors, gears, own inertias."""
+        """Return the diagonal of the mass matrix in kg m^2.
+
+        Links are point masses; motors, gears and own inertia are excluded.
+        """
         self._weight(q)
         inertia: list[float] = self._weight.found[1].tolist()
         return inertia
 
     def torques(self, q: Numbers, wrench: Numbers) -> list[float]:
-        """J^T w in N m, of a wrench at the tool point in the base frame: force over torque.
+        """Return J^T w in N m for a wrench (force, torque) at the tool point in the base frame.
 
-        It exists at singular configurations, too, and is no larger than the wrench and the arm's reach make it.
+        Also valid at singular configurations; bounded by the wrench and the arm's reach.
 
         Source: ibid., Eq. 3.111.
         """
@@ -120,17 +126,20 @@ class ArmKinematics:
         return torques
 
     def jacobian(self, q: Numbers) -> Array:
-        """Geometric, of the tool point in the base frame, shape (6, n): linear over angular. Not for loops."""
+        """Return the geometric Jacobian of the tool point in the base frame, shape (6, n): linear, angular.
+
+        Too slow for loops.
+        """
         self._jacobian(q)
         return np.array(self._jacobian.found[0]).reshape((6, self.joints), order="F")
 
     def energy(self, q: Numbers) -> float:
-        """Potential energy V in J, 0 where all masses are at the base's origin."""
+        """Return the potential energy V in J, 0 with all masses at the base origin."""
         self._jacobian(q)
         return float(self._jacobian.found[1][0])
 
     def most_gravity(self) -> list[float]:
-        """What no gravity torque of a joint exceeds, in N m, at any q: the masses times their greatest distances."""
+        """Return an upper bound of each joint's gravity torque in N m at any q: masses times largest distances."""
         arm = self.arm
         strength = float(np.linalg.norm(arm.gravity_m_s2))
         most = []
@@ -160,6 +169,6 @@ def _rotation(casadi: Any, quat: Symbol) -> Symbol:  # noqa: ANN401  # a module
 
 
 def _product(casadi: Any, one: Symbol, other: Symbol) -> Symbol:  # noqa: ANN401  # a module
-    """Hamilton's product."""
+    """Return the Hamilton product."""
     w, v, s, u = one[0], one[1:4], other[0], other[1:4]
     return casadi.vertcat(w * s - casadi.dot(v, u), w * u + s * v + casadi.cross(v, u))

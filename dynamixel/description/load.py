@@ -1,4 +1,4 @@
-"""Descriptions by name or path."""
+"""Loading of descriptions by name or path."""
 
 import tomllib
 from os import PathLike
@@ -15,22 +15,22 @@ MAX_BYTES: Final = 1 << 16
 
 
 class ArmDescriptionError(ValueError):
-    """A description that there is not, or that cannot be."""
+    """Description that does not exist or is invalid."""
 
 
 def arm_names() -> tuple[str, ...]:
-    """Names of the descriptions that Haptether ships."""
+    """Return the names of the shipped descriptions."""
     return tuple(sorted(path.stem for path in SHIPPED.glob("*.toml")))
 
 
 def load_arm(name_or_path: str | PathLike[str]) -> ArmDescription:
-    """Reads a description.
+    """Read a description.
 
     Args:
         name_or_path: One of `arm_names()`, or the path of a TOML file.
 
     Raises:
-        ArmDescriptionError: Which file, which key, what was seen, what is allowed.
+        ArmDescriptionError: Gives file, key, value seen, values allowed.
     """
     text = str(name_or_path)
     path = SHIPPED / f"{text}.toml" if text in arm_names() else Path(name_or_path)
@@ -40,6 +40,6 @@ def load_arm(name_or_path: str | PathLike[str]) -> ArmDescription:
         message = f"{path}: {error.strerror}: must be a file, or one of {', '.join(arm_names())}"
         raise ArmDescriptionError(message) from None
     except ValueError as error:
-        # Those of msgspec and tomllib are ValueErrors, too.
+        # Errors of msgspec and tomllib are ValueErrors.
         message = f"{path}: {error}"
         raise ArmDescriptionError(message) from None

@@ -1,7 +1,7 @@
-"""The tables of a description.
+"""Tables of a description.
 
-All frames are turned as the base where every q is 0, so that a joint is a point and an axis. Lengths in m, angles in
-rad, masses in kg, torques in N m.
+All frames are parallel to the base at q = 0, so that a joint is a point and an axis. Lengths in m, angles in rad,
+masses in kg, torques in N m.
 """
 
 import math
@@ -16,7 +16,7 @@ MAX_JOINTS = 7
 LENGTH = 2.0
 ANGLE = 4.0 * math.pi
 UNIT = 1e-6
-"""How far the length of an axis or a quaternion may be from 1."""
+"""Allowed deviation of the norm of an axis or quaternion from 1."""
 
 Triple: TypeAlias = tuple[float, float, float]
 Quat: TypeAlias = tuple[float, float, float, float]
@@ -32,15 +32,15 @@ def _check(name: str, value: float, low: float, high: float) -> None:
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Refuses what it does not know."""
+    """Table that refuses unknown keys."""
 
 
 class Link(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a joint moves, up to the next joint."""
+    """Link moved by a joint, up to the next joint."""
 
     mass_kg: Annotated[float, Meta(gt=0.0, le=100.0)]
     com_m: Triple
-    """Its centre of mass, from the joint's point."""
+    """Centre of mass, relative to the joint's point."""
     source: Said
 
     def __post_init__(self) -> None:
@@ -49,35 +49,35 @@ class Link(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Joint(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A joint and the servo that turns it: q = sign (p - offset_rad), p from the servo's mechanical centre."""
+    """Joint and its servo: q = sign (p - offset_rad), with p from the servo's mechanical centre."""
 
     name: str
     servo: ServoId
     model: str
-    """A name of `SERVO_MODELS`."""
+    """Key of `SERVO_MODELS`."""
     sign: int
     xyz_m: Triple
-    """A point on its axis, from that of the joint before it, where every q is 0."""
+    """Point on its axis, relative to the previous joint's point, at q = 0."""
     axis: Triple
-    """Unit vector; a right-handed turn about it is positive."""
+    """Unit axis; a right-handed turn is positive."""
     low_rad: float
     high_rad: float
     offset_rad: float = 0.0
-    """p where q is 0: of one unit, so that a description of many has 0 until it is calibrated."""
+    """p at q = 0 of one unit; 0 in a description of many units until calibration."""
     near_rad: float | None = None
-    """Where q is about when the arm is started; by default the middle of its limits."""
+    """Approximate q at the start of the arm; by default the middle of its limits."""
     shadows: tuple[ServoId, ...] = ()
-    """Servos that obey this one's id and turn the same joint."""
+    """Servos that obey this id and turn the same joint."""
     cap_a: Annotated[float, Meta(gt=0.0, le=10.0)] | None = None
-    """Greatest current of each servo; by default a share of what the model can."""
+    """Largest current of each servo in A; by default a fraction of the model's largest."""
     coulomb_nm: NonNegative | None = None
-    """Friction of the joint; not known by default, and then not compensated."""
+    """Joint friction; by default unknown, and then not compensated."""
     viscous_nm_s: NonNegative | None = None
     inertia_kg_m2: Annotated[float, Meta(gt=0.0, le=10.0)] | None = None
-    """Of rotor and gears at the output; not known by default."""
+    """Inertia of rotor and gears at the output; by default unknown."""
     friction_source: Said | None = None
     link: Link | None = None
-    """None where the mass is not known: then the arm has no gravity compensation."""
+    """Link; None if the mass is unknown, which disables gravity compensation."""
 
     def __post_init__(self) -> None:
         if self.model not in SERVO_MODELS:
@@ -107,30 +107,30 @@ class Joint(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     @property
     def servo_model(self) -> ServoModel:
-        """The model."""
+        """Model of the servo."""
         return SERVO_MODELS[self.model]
 
     @property
     def start_rad(self) -> float:
-        """Where q is about when the arm is started."""
+        """Approximate q at the start of the arm."""
         return 0.5 * (self.low_rad + self.high_rad) if self.near_rad is None else self.near_rad
 
     @property
     def motors(self) -> int:
-        """How many servos turn it."""
+        """Number of servos that turn the joint."""
         return 1 + len(self.shadows)
 
 
 class Trigger(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A servo that a finger turns: 0 open, 1 closed."""
+    """Servo turned by a finger: 0 open, 1 closed."""
 
     servo: ServoId
     model: str
     open_rad: float
-    """p of the servo where it is open."""
+    """p of the servo when open."""
     closed_rad: float
     lever_m: Annotated[float, Meta(gt=0.0, le=0.5)]
-    """From its axis to the finger."""
+    """Distance in m from its axis to the finger."""
     source: Said
     cap_a: Annotated[float, Meta(gt=0.0, le=10.0)] | None = None
 
@@ -146,17 +146,17 @@ class Trigger(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     @property
     def servo_model(self) -> ServoModel:
-        """The model."""
+        """Model of the servo."""
         return SERVO_MODELS[self.model]
 
     @property
     def sign(self) -> int:
-        """1 where closing is positive at the servo."""
+        """1 if closing is positive at the servo, otherwise -1."""
         return 1 if self.closed_rad > self.open_rad else -1
 
 
 class Tool(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Point and frame that the hand leads, from the last joint's point, where every q is 0."""
+    """Tool point and frame, relative to the last joint's point, at q = 0."""
 
     xyz_m: Triple = (0.0, 0.0, 0.0)
     quat_wxyz: Quat = (1.0, 0.0, 0.0, 0.0)
@@ -170,16 +170,16 @@ class Tool(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class ArmDescription(_Table, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An arm of servos."""
+    """Arm of servos."""
 
     name: str
     title: str
     source: Said
-    """Of the geometry."""
+    """Source of the geometry."""
     notes: tuple[str, ...] = ()
-    """What is not known or was chosen."""
+    """Unknown or chosen values."""
     gravity_m_s2: Triple = (0.0, 0.0, -9.81)
-    """In the base frame: of an arm whose base is not level, another."""
+    """Gravity in the base frame; different if the base is not level."""
     joints: Annotated[tuple[Joint, ...], Meta(min_length=1, max_length=MAX_JOINTS)]
     tool: Tool = Tool()
     trigger: Trigger | None = None
@@ -197,10 +197,10 @@ class ArmDescription(_Table, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     @property
     def knows_masses(self) -> bool:
-        """Whether gravity can be compensated."""
+        """True if gravity can be compensated."""
         return all(joint.link is not None for joint in self.joints)
 
     @property
     def knows_friction(self) -> bool:
-        """Whether friction can be compensated."""
+        """True if friction can be compensated."""
         return all(joint.coulomb_nm is not None for joint in self.joints)

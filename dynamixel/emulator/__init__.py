@@ -1,4 +1,4 @@
-"""Emulated servos on a bus, for real clients; `haptether dynamixel-emulator` runs them as a process."""
+"""Emulated servos on a bus for real clients; `haptether dynamixel-emulator` runs them as a process."""
 
 from haptether.dynamixel.emulator.bus import Answer, Bus, Faults
 from haptether.dynamixel.emulator.control import ControlLine, stops_of

@@ -1,4 +1,4 @@
-"""Emulated servos on one bus: who answers what, in which order, and what goes wrong on command."""
+"""Emulated servos on one bus: answers, their order, and faults on command."""
 
 import random
 from collections import deque
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from haptether.dynamixel.emulator.load import ArmLoad
 
 CLEAR_TURNS: Final = b"\x01\x44\x58\x4c\x22"
-"""The parameters of a clear that is meant."""
+"""Required parameters of a Clear instruction."""
 LOG_LINES: Final = 1000
 OVERHEAD: Final = 8
 """Bytes of a fast answer before the part of the first servo."""
@@ -32,17 +32,17 @@ OVERHEAD: Final = 8
 
 @dataclass(slots=True)
 class Faults:
-    """What goes wrong with the next answers."""
+    """Faults of the next answers."""
 
     drop: int = 0
-    """Of so many answers one byte is lost."""
+    """Number of answers that lose one byte."""
     corrupt: int = 0
-    """In so many answers one bit is wrong."""
+    """Number of answers with one wrong bit."""
     mute: int = 0
-    """So many answers do not come at all."""
+    """Number of suppressed answers."""
 
     def reset(self) -> None:
-        """Nothing goes wrong any more."""
+        """Clear all faults."""
         self.drop = self.corrupt = self.mute = 0
 
 
@@ -51,7 +51,7 @@ class Answer:
     """Bytes for the client.
 
     Args:
-        sent: The bytes.
+        sent: Bytes sent.
         delay_s: Return delay of the servos that sent them.
     """
 
@@ -60,15 +60,15 @@ class Answer:
 
 
 class Bus:
-    """Servos that hear the same bytes.
+    """Servos on the same bus.
 
     Args:
-        servos: Of different ids.
-        seed: Of which byte of an answer is lost or wrong.
-        load: The arm that they move, if they move one.
+        servos: Servos with distinct ids.
+        seed: Seed for the choice of lost or wrong bytes.
+        load: Load of an arm that they move, if any.
 
     Raises:
-        ValueError: No servo, or two of one id.
+        ValueError: No servo, or duplicate ids.
     """
 
     def __init__(self, servos: Iterable[Servo], seed: int = 0, load: "ArmLoad | None" = None) -> None:
@@ -85,22 +85,22 @@ class Bus:
         self.faults = Faults()
         self.reader = InstructionReader()
         self.instructions = 0
-        """Received, with a right checksum."""
+        """Number of received instructions with a valid checksum."""
         self.refused = 0
-        """Received with a wrong one."""
+        """Number of received instructions with an invalid checksum."""
         self.log: deque[str] = deque(maxlen=LOG_LINES)
         self._random = random.Random(seed)
         self._hearing: list[Servo] = []
-        """Those that understand what is being received."""
+        """Servos that understand the current instruction."""
         self._obeying: dict[int, list[Servo]] = {}
-        """Of those, by the ids that they obey: their own and their shadow's."""
+        """The same servos by the ids that they obey: own and shadow ids."""
         self._handlers: dict[int, Callable[[Instruction, float], list[Answer]]] = {
             Code.PING: self._ping,
             Code.READ: self._read,
             Code.WRITE: lambda i, now_s: self._write(i, lambda servo, at, raw: servo.write(at, raw, now_s)),
             Code.REG_WRITE: lambda i, _now_s: self._write(i, lambda servo, at, raw: servo.register(at, raw)),
             Code.ACTION: lambda i, now_s: self._each(i, lambda servo: servo.act(now_s)),
-            # Refused: nobody wants to find ids and rates of an arm changed.
+            # Refused, because ids and rates of an arm must not change.
             Code.FACTORY_RESET: lambda i, _now_s: self._each(i, lambda _servo: ErrorNumber.RESULT_FAIL),
             Code.REBOOT: self._reboot,
             Code.CLEAR: lambda i, _now_s: self._each(i, lambda servo: _clear(servo, i.parameters)),
@@ -115,19 +115,19 @@ class Bus:
     # ------------------------------------------------------------------------------------------------ over time
 
     def advance(self, now_s: float) -> None:
-        """Moves all servos on to a time."""
+        """Advance all servos to a time."""
         if self._load is not None:
             self._load.advance(now_s)
         for servo in self.servos:
             servo.move(now_s)
 
     def receive(self, received: bytes, now_s: float, baud: int | None = None) -> list[Answer]:
-        """What the servos answer to bytes.
+        """Return the answers of the servos to received bytes.
 
         Args:
-            received: The bytes.
+            received: Received bytes.
             now_s: Time in s.
-            baud: Rate at which they came; servos of another rate do not understand them. None for that of each.
+            baud: Rate of the bytes in bit/s; servos at another rate ignore them. None matches every servo.
         """
         answers = []
         for instruction in self.reader.receive(received, now_s):
@@ -140,16 +140,16 @@ class Bus:
         return answers
 
     def brown_out(self, silent_s: float, now_s: float) -> None:
-        """Takes the supply away from all servos for a while: they start anew."""
+        """Cut the supply of all servos for a time in s; they restart."""
         for servo in self.servos:
             servo.reboot(now_s, silent_s)
         self.write_log(f"brown-out of {silent_s:g} s")
 
     def servo(self, servo_id: int) -> Servo:
-        """The servo of an id.
+        """Return a servo by id.
 
         Raises:
-            ValueError: There is none.
+            ValueError: The id does not exist.
         """
         for servo in self.servos:
             if servo.id == servo_id:
@@ -158,7 +158,7 @@ class Bus:
         raise ValueError(message)
 
     def figures(self) -> dict[str, Any]:
-        """State of bus and servos."""
+        """Return the state of bus and servos."""
         return {
             "instructions": self.instructions,
             "refused_instructions": self.refused,
@@ -168,7 +168,7 @@ class Bus:
         }
 
     def write_log(self, line: str) -> None:
-        """Keeps a line for whoever asks."""
+        """Append a line to the log."""
         self.log.append(line)
 
     # --------------------------------------------------------------------------------------------- instructions
@@ -188,7 +188,7 @@ class Bus:
         return self._answered(handler(instruction, now_s))
 
     def _answered(self, answers: list[Answer]) -> list[Answer]:
-        """The answers with what goes wrong on command."""
+        """Apply the commanded faults to answers."""
         out = []
         for answer in answers:
             sent = bytearray(answer.sent)
@@ -205,15 +205,15 @@ class Bus:
         return out
 
     def _addressed(self, instruction: Instruction) -> list[Servo]:
-        """Who obeys: all, or those of this id or shadow id."""
+        """Return the addressed servos: all, or those with this id or shadow id."""
         if instruction.id == BROADCAST:
             return self._hearing
         return self._obeying.get(instruction.id, [])
 
     def _each(self, instruction: Instruction, do: Callable[[Servo], ErrorNumber]) -> list[Answer]:
-        """Has each addressed servo do something, and answer where it is the one that is meant.
+        """Apply an action to each addressed servo, and return the answer of the servo with the id.
 
-        An id or a return level that this sets counts from the next instruction on.
+        A changed id or return level takes effect from the next instruction on.
         """
         before = [(servo, servo.id, servo.return_level) for servo in self._addressed(instruction)]
         answers = []
@@ -275,7 +275,7 @@ class Bus:
         return self._read_all(reads, instruction.code == Code.FAST_BULK_READ)
 
     def _read_all(self, reads: list[tuple[int, int, int]], fast: bool) -> list[Answer]:
-        """What several servos answer: each waits for the one before it, so that after one that is silent none does."""
+        """Return the answers of several servos; each waits for the previous one, so none follows a silent servo."""
         answers = []
         sent = b""
         delay_s = 0.0
@@ -292,7 +292,7 @@ class Bus:
             if index == 0:
                 sent = fast_header([one[2] for one in reads])
                 delay_s = servo.return_delay_s
-            # Of one that refuses, as long a part as the others expect.
+            # A refusing servo sends a part of the expected length.
             sent += bytes((error | servo.alert, servo.id)) + found.ljust(length, b"\0")
             sent += crc16(sent).to_bytes(2, "little")
         return [Answer(sent, delay_s)] if sent else answers
@@ -319,11 +319,11 @@ class Bus:
         for servo in self._obeying.get(servo_id, []):
             error = servo.write(address, written, now_s)
             if error != ErrorNumber.NONE:
-                # The client does not learn of it.
+                # The client is not informed.
                 self.write_log(f"id {servo.id} refused a write to {address}: {error.name.lower()}")
 
     def _answering(self, servo_id: int) -> Servo | None:
-        """The servo of an id, if it answers reads."""
+        """Return the servo with an id if it answers reads."""
         for servo in self._obeying.get(servo_id, []):
             if servo.id == servo_id and not servo.silent and servo.return_level >= 1:
                 return servo

@@ -1,4 +1,4 @@
-"""The control line: commands to the emulated bus, each a line and answered by a line."""
+"""Control line of the emulated bus: one-line commands with one-line answers."""
 
 import json
 import math
@@ -19,24 +19,24 @@ if TYPE_CHECKING:
 
 MAX_TORQUE_NM: Final = 1000.0
 MAX_STIFFNESS: Final = 1e4
-"""Of a hand, N m/rad and N m s/rad."""
+"""Largest stiffness and damping of a hand, in N m/rad and N m s/rad."""
 MAX_STOP_RAD: Final = 1000.0
 MAX_PATH_BYTES: Final = 1 << 22
 MAX_LINE: Final = 1 << 12
-"""Characters of a line of a path that are read."""
+"""Longest line of a path file that is read."""
 MAX_COUNT: Final = 1_000_000
 MAX_DURATION_S: Final = 3600.0
 SHOWN_LINES: Final = 20
-"""Lines of the log where no number is given."""
+"""Default number of log lines shown."""
 
 
 class ControlLine:
     """Commands of an operator or a test to the emulator.
 
     Args:
-        bus: The servos.
-        process: The process that the bus runs in, if any.
-        made: Makes the bus as it was at the start, for `reset`.
+        bus: Bus with the servos.
+        process: Process of the bus, if any.
+        made: Factory of the initial bus, for `reset`.
     """
 
     def __init__(self, bus: "Bus", process: "Server | None" = None, made: "Callable[[], Bus] | None" = None) -> None:
@@ -44,7 +44,7 @@ class ControlLine:
         self._process = process
         self._made = made
         self.quit = False
-        """Whether the process is to end."""
+        """True if the process must end."""
         self._commands: dict[str, Callable[[list[str], float], str | None]] = {
             "help": lambda _a, _t: " ".join(sorted(self._commands)),
             "status": lambda _a, now_s: json.dumps(self.status(now_s)),
@@ -69,10 +69,10 @@ class ControlLine:
         }
 
     def answer(self, line: str, now_s: float) -> str:
-        """The answer to a line: `ok`, `ok RESULT`, or `error: WHY`.
+        """Return the answer to a line: `ok`, `ok RESULT`, or `error: WHY`.
 
         Args:
-            line: The command with its arguments.
+            line: Command with its arguments.
             now_s: Time of the process in s.
         """
         name, *arguments = line.split() or [""]
@@ -87,7 +87,7 @@ class ControlLine:
         return f"ok {result}" if result else "ok"
 
     def status(self, now_s: float) -> dict[str, Any]:
-        """State and figures."""
+        """Return state and figures."""
         self._bus.advance(now_s)
         return {**self._bus.figures(), **(self._process.figures() if self._process is not None else {})}
 
@@ -227,10 +227,10 @@ class ControlLine:
 
 
 def stops_of(ends: list[str]) -> tuple[float, float]:
-    """What stops an output at two angles in rad, in either order.
+    """Parse two angles in rad, in either order, as end stops.
 
     Raises:
-        ValueError: Ends that cannot be.
+        ValueError: The angles are invalid.
     """
     low, high = sorted(_numbers(ends, 2))
     if not (low < high and max(-low, high) <= MAX_STOP_RAD):
@@ -253,7 +253,7 @@ def _numbers(arguments: list[str], count: int) -> list[float]:
 
 
 def _path(path: Path) -> tuple[tuple[float, ...], dict[int, tuple[float, ...]]]:
-    """Times from the first row on, and places of each servo, of a CSV with the header `time_s,ID,...`."""
+    """Read times, relative to the first row, and angles of each servo from a CSV with the header `time_s,ID,...`."""
     try:
         text = read_text(path, MAX_PATH_BYTES)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""An arm on emulated servos: gravity of the whole chain acts on each joint."""
+"""Arm on emulated servos: gravity of the whole chain acts on each joint."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -13,17 +13,17 @@ MAX_START_RAD: Final = 13.0
 
 
 def mounted(arm: ArmDescription, offsets: Sequence[float] = (), signs: Sequence[int] = ()) -> ArmDescription:
-    """An arm as it is described, whose servos are built in otherwise: what a calibration of this unit has to find.
+    """Return a described arm with differently mounted servos, for a calibration to detect.
 
-    p = sign_0 sign q + offset_0 + offset, with sign_0 and offset_0 of the description.
+    p = sign_0 sign q + offset_0 + offset, with sign_0 and offset_0 from the description.
 
     Args:
-        arm: The description.
-        offsets: Of each joint in rad; by default 0.
-        signs: 1 or -1 of each; by default 1.
+        arm: Description of the arm.
+        offsets: Offset of each joint in rad; by default 0.
+        signs: Sign of each joint, 1 or -1; by default 1.
 
     Raises:
-        ValueError: Another number of them, or one that cannot be.
+        ValueError: The number of values differs from the number of joints, or a value is invalid.
     """
     count = len(arm.joints)
     for name, values in (("offsets", offsets), ("signs", signs)):
@@ -49,19 +49,19 @@ def mounted(arm: ArmDescription, offsets: Sequence[float] = (), signs: Sequence[
 
 
 def servos_of(arm: ArmDescription, *, baud: int, firmware: int, start: Sequence[float] = ()) -> list[Servo]:
-    """The servos of a description with their loads, that of its trigger, open, and the shadows.
+    """Return the servos of a description with their loads, the open trigger, and the shadows.
 
-    A joint's inertia is that of motor and gears, by default what a servo of its model moves well, and that of the links
-    at the start, which stays as it is: joints are coupled by gravity alone.
+    A joint's inertia is that of motor and gears (default: suited to the model) plus that of the links at the start. It
+    stays constant: joints are coupled by gravity only.
 
     Args:
-        arm: The description.
-        baud: In bit/s.
-        firmware: Their version.
-        start: Angles of the joints in rad; by default those about which the arm is started.
+        arm: Description of the arm.
+        baud: Bus rate in bit/s.
+        firmware: Firmware version.
+        start: Joint angles in rad; by default the start angles of the description.
 
     Raises:
-        ValueError: Another number of angles, or one that cannot be.
+        ValueError: The number of angles is wrong, or an angle is invalid.
     """
     q = list(start) or [joint.start_rad for joint in arm.joints]
     if len(q) != len(arm.joints):
@@ -105,7 +105,7 @@ def servos_of(arm: ArmDescription, *, baud: int, firmware: int, start: Sequence[
     for joint, servo in zip(arm.joints, list(servos), strict=False):
         for servo_id in joint.shadows:
             shadow = Servo(joint.servo_model, servo_id, baud=baud, firmware=firmware)
-            # The other is driven for all that turn the joint.
+            # The main servo drives the joint for all.
             shadow.joint = servo.joint
             item = shadow.model.table["Secondary(Shadow) ID"]
             shadow.write(item.address, item.encoded(joint.servo), 0.0)
@@ -114,12 +114,12 @@ def servos_of(arm: ArmDescription, *, baud: int, firmware: int, start: Sequence[
 
 
 class ArmLoad:
-    """Lets gravity act on the servos of an arm, in steps of `STEP_S`.
+    """Apply gravity to the servos of an arm in steps of `STEP_S`.
 
     Args:
-        arm: The description.
-        servos: As `servos_of` made them.
-        mass_scale: What its masses weigh, of what the description says.
+        arm: Description of the arm.
+        servos: Servos from `servos_of`.
+        mass_scale: Factor of the described masses.
     """
 
     def __init__(self, arm: ArmDescription, servos: Sequence[Servo], *, mass_scale: float = 1.0) -> None:
@@ -132,7 +132,7 @@ class ArmLoad:
         self._time_s: float | None = None
 
     def advance(self, now_s: float) -> None:
-        """Moves the servos on to a time, all of them step by step."""
+        """Advance all servos to a time, step by step."""
         if self._time_s is None or now_s - self._time_s > MAX_CATCH_UP_S:
             self._time_s = now_s if self._time_s is None else now_s - MAX_CATCH_UP_S
         while self._time_s + STEP_S <= now_s:

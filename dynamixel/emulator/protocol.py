@@ -1,6 +1,6 @@
-"""Protocol 2.0 as a servo speaks it: instructions out of bytes, answers into bytes.
+"""Protocol 2.0 of a servo: parse instructions, encode answers.
 
-It shares nothing with the codec of the crate, so that the two are a test of each other.
+Independent of the crate's codec, so that each tests the other.
 
 Source: ROBOTIS e-Manual, Protocol 2.0.
 """
@@ -17,11 +17,11 @@ MAX_PACKET: Final = 1024
 STATUS: Final = 0x55
 ALERT: Final = 0x80
 SILENCE_S: Final = 0.1
-"""After so long without a byte, what was begun is no packet any more."""
+"""Silence in s after which an incomplete packet is dropped."""
 
 
 class Code(IntEnum):
-    """What an instruction asks for."""
+    """Instruction code."""
 
     PING = 0x01
     READ = 0x02
@@ -40,7 +40,7 @@ class Code(IntEnum):
 
 
 class ErrorNumber(IntEnum):
-    """Why a servo refuses, the low seven bits of the error byte."""
+    """Reason of a refusal, the low seven bits of the error byte."""
 
     NONE = 0
     RESULT_FAIL = 1
@@ -66,44 +66,44 @@ _TABLE: Final = _crc_table()
 
 
 def crc16(packet: bytes, crc: int = 0) -> int:
-    """CRC-16 of polynomial 0x8005, most significant bit first, of `packet` after bytes of which it was `crc`."""
+    """Return the CRC-16 with polynomial 0x8005, most significant bit first, continued from `crc`."""
     for byte in packet:
         crc = ((crc << 8) & 0xFFFF) ^ _TABLE[(crc >> 8) ^ byte]
     return crc
 
 
 def stuffed(body: bytes) -> bytes:
-    """The bytes from the instruction on, with FD after each FF FF FD."""
+    """Stuff the bytes from the instruction on: FD after each FF FF FD."""
     return body.replace(MARK, MARK + b"\xfd")
 
 
 def unstuffed(body: bytes) -> bytes:
-    """The bytes without stuffing; a mark that is not followed by FD stays, as the vendor's client sends it."""
+    """Remove stuffing; a mark without a following FD, as the vendor's client sends it, stays."""
     return body.replace(MARK + b"\xfd", MARK)
 
 
 def status(servo_id: int, error: int, parameters: bytes = b"") -> bytes:
-    """The packet in which one servo answers."""
+    """Return the status packet of one servo."""
     body = stuffed(bytes((STATUS, error)) + parameters)
     packet = HEADER + bytes((servo_id,)) + (len(body) + 2).to_bytes(2, "little") + body
     return packet + crc16(packet).to_bytes(2, "little")
 
 
 def fast_header(lengths: list[int]) -> bytes:
-    """What the first servo of a fast read sends before its part: the length is that of the parts of all."""
+    """Return the header of a fast read, sent by the first servo; its length covers the parts of all."""
     total = 1 + sum(length + 4 for length in lengths)
     return HEADER + bytes((BROADCAST,)) + total.to_bytes(2, "little") + bytes((STATUS,))
 
 
 @dataclass(frozen=True, slots=True)
 class Instruction:
-    """A packet that was received whole.
+    """Packet that was received completely.
 
     Args:
-        id: The servo, or `BROADCAST`.
-        code: What is asked for; also one that Protocol 2.0 does not have.
-        parameters: Without stuffing.
-        valid: Whether its checksum is right.
+        id: Servo id, or `BROADCAST`.
+        code: Instruction code, possibly unknown to Protocol 2.0.
+        parameters: Parameters without stuffing.
+        valid: True if its checksum is valid.
         size: Bytes on the wire.
     """
 
@@ -115,18 +115,18 @@ class Instruction:
 
 
 class InstructionReader:
-    """Turns bytes into instructions; goes by the length, so that stuffing that a client leaves out costs nothing."""
+    """Parser of instructions; it uses the length field, so that missing stuffing does no harm."""
 
     def __init__(self) -> None:
         self._waiting = b""
         self._last_s = 0.0
         self.unstuffed = 0
-        """Packets with a mark inside that its sender did not stuff."""
+        """Packets with an unstuffed mark inside."""
         self.dropped = 0
-        """Bytes that belonged to no packet."""
+        """Bytes outside any packet."""
 
     def receive(self, received: bytes, now_s: float) -> list[Instruction]:
-        """The instructions that are complete with these bytes."""
+        """Return the instructions completed by these bytes."""
         if now_s - self._last_s > SILENCE_S:
             self.dropped += len(self._waiting)
             self._waiting = b""
@@ -141,7 +141,7 @@ class InstructionReader:
         while True:
             begin = self._waiting.find(HEADER)
             if begin < 0:
-                # The end may be the beginning of a header.
+                # The end may be a partial header.
                 keep = next((n for n in (3, 2, 1) if self._waiting.endswith(HEADER[:n])), 0)
                 begin = len(self._waiting) - keep
                 self._drop(begin)

@@ -1,4 +1,4 @@
-"""The process of an emulated bus: its pseudo-terminal, its TCP port and its clock."""
+"""Process of an emulated bus: pseudo-terminal, TCP port and clock."""
 
 import fcntl
 import os
@@ -19,29 +19,29 @@ if TYPE_CHECKING:
 
 RECEIVE: Final = 4096
 WATCH_S: Final = 0.01
-"""At most so long until the servos are moved on, for watchdogs and limits."""
+"""Largest interval in s between servo updates, for watchdogs and limits."""
 BITS_PER_BYTE: Final = 10
-"""With start and stop bit."""
+"""Includes start and stop bit."""
 TCGETS2: Final = 0x802C542A
-"""Asks for `struct termios2`, whose rates are numbers and not codes. Source: Linux, asm-generic/ioctls.h."""
+"""Requests `struct termios2`, which holds rates as numbers. Source: Linux, asm-generic/ioctls.h."""
 TERMIOS2: Final = struct.Struct("4I20B2I")
 
 
 class Server:
-    """Serves a bus behind a pseudo-terminal, as a USB adapter does.
+    """Server of a bus behind a pseudo-terminal, like a USB adapter.
 
     Args:
-        bus: The servos.
-        link: Path of a symbolic link to the terminal, whose own name changes with each plug; by default none.
-        wire_time: Have answers take as long as their bytes and those of the instruction do at the client's rate, and as
-            the return delay of each servo says; without it they come at once.
-        latency_s: Of the adapter's latency timer, added to each answer.
-        any_rate: Have servos understand every rate of the client.
-        tcp: A second way to the same bus.
+        bus: Bus with the servos.
+        link: Path of a symbolic link to the terminal, whose name changes on each plug; by default none.
+        wire_time: True to delay answers by the wire time of instruction and answer at the client's rate, plus the
+            return delays; False answers at once.
+        latency_s: Latency timer of the adapter in s, added to each answer.
+        any_rate: True to accept every client rate.
+        tcp: Second access to the same bus.
 
     Raises:
-        OSError: No terminal, or a link that cannot be made.
-        ValueError: A latency that cannot be.
+        OSError: The terminal or the link cannot be created.
+        ValueError: The latency is invalid.
     """
 
     def __init__(
@@ -59,9 +59,9 @@ class Server:
             raise ValueError(message)
         self.bus = bus
         self.channel: ControlChannel | None = None
-        """A further source of input of its loop."""
+        """Additional input of its loop."""
         self.port: str | None = None
-        """Path of the terminal; none while unplugged."""
+        """Path of the terminal; None while unplugged."""
         self._link = link
         self._wire_time = wire_time
         self._latency_s = latency_s
@@ -69,16 +69,16 @@ class Server:
         self._tcp = tcp
         self._descriptors: tuple[int, int] | None = None
         self._due: list[tuple[float, bytes, Callable[[bytes], int]]] = []
-        """When, what, and to whom."""
+        """Pending answers: time, bytes, recipient."""
         self._free_s = 0.0
-        """When the line is free of what was on it before."""
+        """Time at which the line is free."""
         self._lost_bytes = 0
         self.plug()
 
     def plug(self) -> str:
-        """Makes a terminal, if there is none; its path, or that of the link."""
+        """Create a terminal if needed; return its path, or that of the link."""
         if self._descriptors is None:
-            # The other end is kept open, or reading fails while no client is there.
+            # Keep the other end open, because reading fails without a client.
             adapter, terminal = os.openpty()
             try:
                 tty.setraw(terminal)
@@ -96,7 +96,7 @@ class Server:
         return str(self._link or self.port)
 
     def unplug(self) -> None:
-        """Takes the terminal away: a client reads an error from now on."""
+        """Remove the terminal; a client then reads an error."""
         if self._descriptors is not None:
             if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self.port:
                 self._link.unlink()
@@ -109,12 +109,12 @@ class Server:
                 self._tcp.hang_up()
 
     def figures(self) -> dict[str, Any]:
-        """The terminal, for `status`."""
+        """Return the terminal data for `status`."""
         tcp = None if self._tcp is None else self._tcp.address
         return {"port": self.port, "baud": self._client_baud(), "tcp": tcp, "lost_bytes": self._lost_bytes}
 
     def run(self, stopped: "Callable[[], bool]") -> None:
-        """Serves until `stopped`."""
+        """Serve until `stopped` returns True."""
         while not stopped():
             self._wait()
             now_s = time.monotonic()
@@ -122,7 +122,7 @@ class Server:
             self.bus.advance(now_s)
 
     def close(self) -> None:
-        """Takes terminal, link and port away."""
+        """Remove terminal, link and port."""
         self.unplug()
         if self._tcp is not None:
             self._tcp.close()
@@ -142,7 +142,7 @@ class Server:
                 if self.channel is not None:
                     self.channel.serve(descriptor)
             elif self._descriptors is not None and descriptor == self._descriptors[0]:
-                # Not unplugged by a control line meanwhile.
+                # A control line may have unplugged it meanwhile.
                 self._read(descriptor)
 
     def _read(self, descriptor: int) -> None:
@@ -153,7 +153,7 @@ class Server:
         self._take(received, self._client_baud(), self._write, understood=self._any_rate)
 
     def _take(self, received: bytes, baud: int | None, write: "Callable[[bytes], int]", *, understood: bool) -> None:
-        """Hands bytes of a client to the servos, and queues what they answer it."""
+        """Pass client bytes to the servos, and queue their answers."""
         if not received:
             return
         now_s = time.monotonic()
@@ -171,7 +171,7 @@ class Server:
     def _send(self, now_s: float) -> None:
         while self._due and self._due[0][0] <= now_s:
             _, sent, write = self._due.pop(0)
-            # A client that does not read loses what does not fit, as an adapter does.
+            # As with an adapter, a client that does not read loses data.
             self._lost_bytes += len(sent) - write(sent)
 
     def _write(self, sent: bytes) -> int:
@@ -188,17 +188,17 @@ class Server:
         try:
             answer = fcntl.ioctl(self._descriptors[0], TCGETS2, bytes(TERMIOS2.size))
         except OSError:
-            # Not this system's: the codes then.
+            # Rate outside this interface: use the codes.
             codes = {getattr(termios, name): int(name[1:]) for name in dir(termios) if name[1:].isdecimal()}
             return codes.get(termios.tcgetattr(self._descriptors[0])[5])
         return int(TERMIOS2.unpack(answer)[-1])
 
 
 def _link(path: Path, port: str) -> None:
-    """Makes the link, in the place of one that a killed emulator has left behind, whose terminal is gone.
+    """Create the link, replacing a dangling one of a killed emulator.
 
     Raises:
-        FileExistsError: One that leads to something, such as the terminal of another emulator, or anything else.
+        FileExistsError: The path is a link in use, such as that of another emulator, or another file.
     """
     if path.is_symlink():
         if path.exists():

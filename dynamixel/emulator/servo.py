@@ -1,4 +1,4 @@
-"""One emulated servo: its control table, and what writing to it does."""
+"""Emulated servo: its control table and the effects of writes."""
 
 import struct
 from enum import IntFlag
@@ -13,24 +13,24 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 FIRMWARE: Final = 52
-"""By default: the addresses of 330 models are those of this version, and it knows fast reads."""
+"""Default firmware version: matches the 330 addresses and supports fast reads."""
 REBOOT_S: Final = 0.2
-"""For which a servo that starts is silent; the maker states no time."""
+"""Silent time in s of a starting servo; the maker states none."""
 ROOM_C: Final = 30.0
 GOALS: Final = ("Goal PWM", "Goal Current", "Goal Velocity", "Goal Position")
 REVERSE: Final = 1
-"""Bit of the drive mode."""
+"""Drive mode bit."""
 IN_POSITION, FOLLOWING = 0x01, 0x02
 IN_POSITION_TICKS: Final = 20
 FORMATS: Final = {(1, False): "B", (1, True): "b", (2, False): "H", (2, True): "h", (4, False): "I", (4, True): "i"}
-"""Of an entry, by its bytes and whether it is signed."""
+"""Struct format of an entry by size and sign."""
 MEASURED: Final = struct.Struct("<HBBhhiiiiHB")
-"""What stands at addresses 120 to 146 of every model."""
+"""Layout of addresses 120 to 146 of every model."""
 SHOWN: Final = range(120, 147)
 
 
 class HardwareError(IntFlag):
-    """What is wrong with a servo, address 70; those of its shutdown mask switch the torque off."""
+    """Hardware errors, address 70; those in the shutdown mask turn torque off."""
 
     INPUT_VOLTAGE = 1 << 0
     OVERHEATING = 1 << 2
@@ -40,19 +40,19 @@ class HardwareError(IntFlag):
 
 
 class Servo:
-    """A servo as its client sees it, in time that is an argument.
+    """Servo as its client sees it; time is an argument.
 
     Args:
-        model: What it is.
-        servo_id: Its id.
-        baud: In bit/s, one of `BAUD_RATES`.
-        firmware: Its version; fast reads are known from 45 or 46 on.
-        position_rad: Where it stands, from the mechanical centre.
-        joint: What it moves; by default a load that it moves well.
-        motors: How many servos turn the joint, of which this one answers for all.
+        model: Model of the servo.
+        servo_id: Id of the servo.
+        baud: Bus rate in bit/s, one of `BAUD_RATES`.
+        firmware: Firmware version; fast reads from 45 or 46 on.
+        position_rad: Initial angle, from the mechanical centre.
+        joint: Load; by default one suited to the model.
+        motors: Number of servos that turn the joint; this one answers for all.
 
     Raises:
-        ValueError: An id, a rate or a version that no such servo has.
+        ValueError: Id, rate or version is invalid.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class Servo:
         self.voltage_v = model.recommended.voltage_v
         self.temperature_c = ROOM_C
         self.silent = False
-        """Whether it hears and does, but does not answer."""
+        """True to execute but not answer."""
         self.restarts = 0
         self._memory = bytearray(model.table.size)
         self._decoded = {
@@ -97,14 +97,14 @@ class Servo:
         }
         self._indirect_from = min(self._indirect, default=len(self._memory))
         self._is_changed = True
-        """Whether the table was written to since what follows was taken from it."""
+        """True if the table changed since the cached values below."""
         self._driven: Drive | None = None
         self._watchdog_s = 0.0
         self._voltages = 0.0, 0.0
         self._hottest_c = 0.0
         self._moved_s = 0.0
         self._is_shown = False
-        """Whether the table has what is measured now."""
+        """True if the table holds the current measurements."""
         self._registered: tuple[int, bytes] | None = None
         self._silent_until_s = -float("inf")
         self._heard_s = 0.0
@@ -129,52 +129,52 @@ class Servo:
 
     @property
     def baud(self) -> int:
-        """In bit/s."""
+        """Bus rate in bit/s."""
         return BAUD_RATES[self.value("Baud Rate")]
 
     @property
     def return_delay_s(self) -> float:
-        """How long it waits before an answer."""
+        """Delay before an answer in s."""
         return self.value("Return Delay Time") * self.model.table["Return Delay Time"].scale
 
     @property
     def return_level(self) -> int:
-        """What it answers: 0 pings, 1 pings and reads, 2 all."""
+        """Answered instructions: 0 pings, 1 pings and reads, 2 all."""
         return self.value("Status Return Level")
 
     @property
     def knows_fast_reads(self) -> bool:
-        """Whether its firmware does."""
+        """True if the firmware supports fast reads."""
         return self.value("Firmware Version") >= self.model.fast_read_firmware
 
     @property
     def alert(self) -> int:
-        """The bit of the error byte that says that address 70 has something."""
+        """Bit of the error byte that signals a non-zero address 70."""
         return ALERT if self.value("Hardware Error Status") else 0
 
     @property
     def torque(self) -> bool:
-        """Whether it is on."""
+        """True if torque is on."""
         return bool(self.value("Torque Enable"))
 
     @property
     def mode(self) -> OperatingMode:
-        """What it controls."""
+        """Operating mode."""
         return OperatingMode(self.value("Operating Mode"))
 
     def is_listening(self, now_s: float) -> bool:
-        """Whether it has power and has started."""
+        """Return True if the servo has power and has started."""
         return now_s >= self._silent_until_s
 
     def value(self, name: str) -> int:
-        """An entry of its table."""
+        """Return an entry of the table."""
         unpack, address = self._decoded[name]
         if not self._is_shown and address in SHOWN:
             self._show(self._moved_s)
         return int(unpack(self._memory, address)[0])
 
     def figures(self) -> dict[str, Any]:
-        """State, for people and tests."""
+        """Return the state for people and tests."""
         return {
             "id": self.id,
             "model": self.model.name,
@@ -197,16 +197,16 @@ class Servo:
     # ------------------------------------------------------------------------------------------------- over time
 
     def heard(self, now_s: float) -> None:
-        """An instruction was on the bus, for whomever: the bus watchdog waits anew."""
+        """Restart the bus watchdog, because an instruction was on the bus."""
         self._heard_s = now_s
 
     def advance(self, now_s: float) -> None:
-        """Moves on to a time."""
+        """Advance to a time."""
         self.move(now_s)
         self._show(now_s)
 
     def move(self, now_s: float) -> None:
-        """Moves on to a time; its table shows what is measured when it is read."""
+        """Advance to a time; the table is updated when it is read."""
         self._consult()
         allowed_s = self._watchdog_s
         if self._driven is not None and allowed_s > 0.0 and now_s - self._heard_s > allowed_s:
@@ -219,13 +219,13 @@ class Servo:
         self._moved_s, self._is_shown = now_s, False
 
     def fail(self, error: HardwareError) -> None:
-        """Has a hardware error, until it starts anew."""
+        """Set a hardware error until the servo restarts."""
         self._set_named("Hardware Error Status", self.value("Hardware Error Status") | error)
         if error & self.value("Shutdown"):
             self._set_named("Torque Enable", 0)
 
     def reboot(self, now_s: float, silent_s: float = REBOOT_S) -> None:
-        """Starts anew after a while without power: what is no EEPROM is as at first."""
+        """Restart after a time without power; RAM entries get their defaults."""
         for item in self.model.table.items:
             if not item.is_eeprom:
                 self._set(item, item.default)
@@ -236,7 +236,7 @@ class Servo:
         self._start()
 
     def clear_turns(self) -> ErrorNumber:
-        """Forgets whole turns, if it stands."""
+        """Drop whole turns while standing."""
         if self.value("Moving"):
             return ErrorNumber.RESULT_FAIL
         self._wrap()
@@ -254,7 +254,7 @@ class Servo:
             self.fail(HardwareError.OVERHEATING)
 
     def _consult(self) -> None:
-        """Takes from the table what each step needs, where it was written to."""
+        """Update cached values from a changed table."""
         if self._is_changed:
             self._is_changed = False
             self._driven = self._drive()
@@ -277,12 +277,12 @@ class Servo:
             return Drive(mode=mode, goal=sign * self.value("Goal PWM") / 885.0, limit_a=limit_a)
         if mode == OperatingMode.CURRENT_BASED_POSITION:
             limit_a = min(limit_a, abs(self._scaled("Goal Current")))
-        # 0 is as fast as it can.
+        # 0 means unlimited speed.
         speed = self._scaled("Profile Velocity") or float("inf")
         return Drive(mode=mode, goal=self._goal_rad(), limit_a=limit_a, speed_rad_s=speed)
 
     def _stop(self) -> None:
-        """What the bus watchdog does: no current, no velocity, and the place where it is."""
+        """Apply the bus watchdog: no current, no velocity, hold position."""
         for name in ("Goal PWM", "Goal Current", "Goal Velocity"):
             if name in self.model.table and self.mode != OperatingMode.CURRENT_BASED_POSITION:
                 self._set_named(name, 0)
@@ -292,7 +292,7 @@ class Servo:
     # ---------------------------------------------------------------------------------------------- the table
 
     def read(self, address: int, length: int) -> tuple[ErrorNumber, bytes]:
-        """Bytes from an address on; those that belong to no entry, between two, are 0."""
+        """Read bytes from an address on; gaps between entries read as 0."""
         if length == 0:
             return ErrorNumber.DATA_LENGTH, b""
         if address + length > len(self._memory) or address not in self.model.table.by_address:
@@ -304,7 +304,7 @@ class Servo:
         return ErrorNumber.NONE, bytes(self._memory[self._target(at)] for at in range(address, address + length))
 
     def write(self, address: int, written: bytes, now_s: float) -> ErrorNumber:
-        """Sets bytes from an address on: all of them, or none with the reason."""
+        """Write all bytes from an address on, or none and return the reason."""
         error, values = self._checked(address, written)
         if error == ErrorNumber.NONE:
             for item, value in values:
@@ -314,7 +314,7 @@ class Servo:
         return error
 
     def register(self, address: int, written: bytes) -> ErrorNumber:
-        """Keeps a write for `act`."""
+        """Store a write for `act`."""
         error, _ = self._checked(address, written)
         if error == ErrorNumber.NONE:
             self._registered = address, written
@@ -322,7 +322,7 @@ class Servo:
         return error
 
     def act(self, now_s: float) -> ErrorNumber:
-        """Does the write that was kept."""
+        """Execute the stored write."""
         if self._registered is None:
             return ErrorNumber.INSTRUCTION
         address, written = self._registered
@@ -331,7 +331,7 @@ class Servo:
         return self.write(address, written, now_s)
 
     def _target(self, address: int) -> int:
-        """The byte that is read and written at an address: that of an indirect datum is elsewhere."""
+        """Return the accessed byte of an address, resolving indirect data."""
         indirect = self._indirect.get(address)
         return address if indirect is None else self.value(indirect)
 
@@ -389,11 +389,11 @@ class Servo:
         if value:
             if self.mode == OperatingMode.POSITION:
                 self._wrap()
-            # It stays where it is, whatever the goal was before.
+            # Hold the position, whatever the previous goal.
             self._set_named("Goal Position", self._ticks())
 
     def _reset_loops(self) -> None:
-        """What a change of the mode does: gains and profile as at first, goals of PWM and current at their limits."""
+        """Apply a mode change: default gains and profile, PWM and current goals at their limits."""
         table = self.model.table
         for item in table.items:
             if item.name.endswith("Gain") or item.name.startswith("Profile"):
@@ -416,11 +416,11 @@ class Servo:
         return round(self._sign * self.joint.position_rad / RAD_PER_TICK) + CENTRE
 
     def _ticks(self) -> int:
-        """Present Position, with turns and homing offset."""
+        """Return Present Position with turns and homing offset."""
         return self._raw_ticks() + TICKS_PER_TURN * self._offset_turns + self.value("Homing Offset")
 
     def _wrap(self) -> None:
-        """Forgets whole turns: the encoder knows one."""
+        """Drop whole turns, because the encoder covers one."""
         self._offset_turns = -(self._raw_ticks() // TICKS_PER_TURN)
         self._is_changed = True
 
@@ -429,7 +429,7 @@ class Servo:
         return self._sign * (ticks - CENTRE) * RAD_PER_TICK
 
     def _show(self, now_s: float) -> None:
-        """Writes what is measured into the table, from Realtime Tick to Present Temperature."""
+        """Write the measurements, Realtime Tick to Present Temperature, into the table."""
         self._is_shown = True
         joint, sign = self.joint, self._sign
         velocity, position, goal = (

@@ -1,4 +1,4 @@
-"""An emulated bus over a socket: raw bytes either way, as ser2net hands them on."""
+"""Emulated bus over a socket: raw bytes in both directions, like ser2net."""
 
 import contextlib
 import socket
@@ -9,12 +9,12 @@ RECEIVE: Final = 4096
 
 
 class StreamLine:
-    """Listens for one client at a time; one that comes while another is connected is closed at once.
+    """Server for one client at a time; a second client is disconnected at once.
 
     Args:
-        listening: Where.
-        address: As it is shown.
-        baud: Rate of the wire behind it in bit/s, for a client says none.
+        listening: Listening socket.
+        address: Address for display.
+        baud: Rate of the emulated wire in bit/s, because a client states none.
     """
 
     def __init__(self, listening: socket.socket, address: str, baud: int) -> None:
@@ -31,7 +31,7 @@ class StreamLine:
         return [self._listening.fileno(), *client]
 
     def read(self, descriptor: int) -> bytes:
-        """What a client has sent; nothing where one has come or gone."""
+        """Return received bytes; empty after a connect or disconnect."""
         if descriptor == self._listening.fileno():
             self._accept()
         elif self._client is not None and descriptor == self._client.fileno():
@@ -45,7 +45,7 @@ class StreamLine:
         return b""
 
     def write(self, sent: bytes) -> int:
-        """How many bytes the client takes without waiting."""
+        """Return the number of bytes that the client accepts without blocking."""
         if self._client is None:
             return 0
         try:
@@ -57,13 +57,13 @@ class StreamLine:
             return 0
 
     def hang_up(self) -> None:
-        """Closes the connection, if there is one."""
+        """Close the connection, if any."""
         if self._client is not None:
             self._client.close()
             self._client = None
 
     def close(self) -> None:
-        """Closes the connection and listens no longer."""
+        """Close the connection and the listening socket."""
         self.hang_up()
         self._listening.close()
 
@@ -80,7 +80,7 @@ class StreamLine:
             self._client = client
 
     def _forget_gone(self) -> None:
-        """The end of a connection may be read after the beginning of the next."""
+        """Detect a closed connection, which may be read after the next one begins."""
         if self._client is not None:
             with contextlib.suppress(BlockingIOError):
                 received = b""
@@ -91,15 +91,15 @@ class StreamLine:
 
 
 class TcpLine(StreamLine):
-    """Over TCP.
+    """Line over TCP.
 
     Args:
-        address: Where it listens, `HOST:PORT`; port 0 is any free one.
-        baud: Of the wire behind it.
+        address: Listening address, `HOST:PORT`; port 0 selects a free one.
+        baud: Rate of the emulated wire.
 
     Raises:
-        ValueError: No such form of address.
-        OSError: An address that cannot be used.
+        ValueError: The address has another form.
+        OSError: The address cannot be used.
     """
 
     def __init__(self, address: str, baud: int) -> None:
@@ -112,14 +112,14 @@ class TcpLine(StreamLine):
 
 
 class UnixLine(StreamLine):
-    """Over a Unix socket, which `DynamixelBus` takes for a port.
+    """Line over a Unix socket, which `DynamixelBus` accepts as a port.
 
     Args:
-        path: Where it is made; nothing must be there.
-        baud: Of the wire behind it.
+        path: Path of the socket; it must not exist.
+        baud: Rate of the emulated wire.
 
     Raises:
-        OSError: A path that cannot be used.
+        OSError: The path cannot be used.
     """
 
     def __init__(self, path: Path, baud: int) -> None:
@@ -135,6 +135,6 @@ class UnixLine(StreamLine):
         super().__init__(listening, str(path), baud)
 
     def close(self) -> None:
-        """As of any; the path is free again."""
+        """Close, and remove the socket file."""
         super().close()
         self._path.unlink(missing_ok=True)

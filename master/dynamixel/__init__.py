@@ -1,4 +1,4 @@
-"""A leader arm of Dynamixel servos, which the hand leads and which pushes back by current."""
+"""Leader arm of Dynamixel servos with force feedback by current."""
 
 from haptether.master.dynamixel.compensation import Compensation
 from haptether.master.dynamixel.driver import DynamixelMaster

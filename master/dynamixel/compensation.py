@@ -1,9 +1,9 @@
-"""Torques that make a leader light: gravity, friction, and springs before its limits.
+"""Torques that make a leader light: gravity, friction, and springs at its limits.
 
-None of them is a push that the hand does not lead. Gravity's is the gradient of an energy, times a gain of at most 1:
-on a way that returns to where it began it does no work. Friction's has the direction of the motion, falls to 0 with it,
-and is at most 0.9 of what friction is said to take: what is left brakes. Springs and damping oppose the joint. Their
-sum is bounded, and while the arm has a fault none of it is commanded.
+None of them pushes without motion by the hand. The gravity torque is the gradient of an energy, times a gain of at most
+1, so it does no work on a closed path. The friction torque follows the motion, vanishes with it, and is at most 0.9 of
+the described friction, so the rest still brakes. Springs and damping oppose the joint. Their sum is bounded, and none
+is commanded during a fault.
 """
 
 import math
@@ -15,15 +15,15 @@ from haptether.master.dynamixel.options import LeaderOptions
 
 
 class Compensation:
-    """What the joints exert besides the reflected force.
+    """Joint torques in addition to the reflected force.
 
     tau = k_g dV/dq + k_f (c tanh(w / w_0) + b w) - d w + limits, within `most` of each joint.
 
     Args:
         options: Gains, springs and damping.
-        arm: The description.
-        kinematics: Of the same arm.
-        most: N m of each joint, that the sum never exceeds.
+        arm: Description of the arm.
+        kinematics: Kinematics of the same arm.
+        most: Bound of the sum for each joint in N m.
     """
 
     def __init__(
@@ -40,14 +40,14 @@ class Compensation:
                 options.friction_gain * (joint.coulomb_nm or 0.0),
                 options.friction_gain * (joint.viscous_nm_s or 0.0) - options.damping,
                 joint.low_rad, joint.high_rad, bound,
-                # Two that met would leave a step between them.
+                # Overlapping springs would leave a step between them.
                 min(options.limit_margin, 0.5 * (joint.high_rad - joint.low_rad)),
             )
             for joint, bound in zip(arm.joints, most, strict=True)
         ]  # fmt: skip
 
     def torques(self, q: Numbers, w: Numbers) -> list[float]:
-        """N m of each joint, at its angle and velocity."""
+        """Return the torque in N m of each joint at its angle and velocity."""
         found = []
         for angle, speed, weight, (coulomb, viscous, low, high, most, margin) in zip(
             q, w, self._gravity(q), self._joints, strict=True

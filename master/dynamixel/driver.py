@@ -1,8 +1,8 @@
-"""The driver `dynamixel`: a leader arm of 1 to 7 joints, and a trigger.
+"""Driver `dynamixel`: a leader arm of 1 to 7 joints, and a trigger.
 
-The safety layer decides F_device; what `Compensation` adds comes after it, and is no part of what the estimate of the
-grasp takes for F_device. That estimate holds m A + b V + c sign(V) = F_device + F_h: gravity is not in it, and gravity
-with its compensation is not either. What is left of the two, and the springs before the limits, it takes for the hand.
+The safety layer decides F_device. `Compensation` is added afterwards and is not part of the F_device in the grasp
+estimate. That estimate assumes m A + b V + c sign(V) = F_device + F_h, without gravity and without gravity
+compensation. The residual of the two, and the limit springs, are attributed to the hand.
 """
 
 from collections.abc import Sequence
@@ -16,15 +16,15 @@ from haptether.master.dynamixel.options import arm_settings, leader_options, spe
 
 
 class DynamixelMaster:
-    """A leader arm on a bus of Dynamixel servos in current mode; see `LeaderOptions`.
+    """Leader arm on a bus of Dynamixel servos in current mode; see `LeaderOptions`.
 
     Raises:
-        ValueError: An option that there is not, or that cannot be.
+        ValueError: An option is unknown or invalid.
     """
 
     paces = False
     exerts_by_itself = True
-    """Compensation, springs and damping, with zero written, too."""
+    """Compensation, springs and damping act even while zero is written."""
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # checked by leader_options
         self.options, self.arm = with_unit(*leader_options(options))
@@ -38,24 +38,24 @@ class DynamixelMaster:
         self.axes = 3 if self._poses else self._joints
         """Of its samples."""
         self.max_speed = speed_limits(self.options, arm)
-        """Of each joint in rad/s; beyond it is a fault."""
+        """Largest speed of each joint in rad/s; beyond it is a fault."""
         if self.options.kind == "joints":
             self.speed_bound = max(self.max_speed)
-            """In rad/s."""
-        # By the largest constant that a servo may have: no joint exerts more than its limit in N m.
+            """Speed bound in rad/s."""
+        # Uses the largest torque constant, so that no joint exceeds its limit in N m.
         self._amperes = [1.0 / servo.most_nm_per_a for servo in settings.servos]
         for index, joint in enumerate(arm.joints):
             self._amperes[index] /= joint.motors
         greatest = [servo.current_cap_a / per_nm for servo, per_nm in zip(settings.servos, self._amperes, strict=True)]
         self.most_nm = tuple(greatest)
-        """Greatest torque of each joint, and of the trigger, by the caps of current and the largest constants."""
+        """Largest torque of each joint and of the trigger, from current caps and largest constants."""
         left = 1.0 - self.options.force_share
         bounds = [left * most for most in greatest[: self._joints]]
         self.compensation = Compensation(self.options, arm, self._kinematics, bounds)
         self.compensated_nm = [0.0] * self._joints
-        """What compensation and springs exerted with the last force."""
+        """Compensation and spring torques of the last force."""
         self.cut_ticks = 0
-        """How often a joint's sum was more than its cap, so that not all of the force was exerted."""
+        """Number of ticks in which a joint saturated, so that the force was exerted only in part."""
         trigger = arm.trigger
         self._range = 0.0 if trigger is None else abs(trigger.closed_rad - trigger.open_rad)
         self._lever_m = 0.0 if trigger is None else trigger.lever_m
@@ -65,39 +65,39 @@ class DynamixelMaster:
         self._w: list[float] = []
         self._sample: MasterSample | None = None
         self._shown: str | None = None
-        """The fault of the last sample."""
+        """Fault of the last sample."""
         if trigger is not None:
             self.write_trigger = self._write_trigger
 
     @property
     def cycle_s(self) -> float | None:
-        """Least time in s of a cycle on its bus, once it is open."""
+        """Shortest bus cycle in s, once open."""
         return self.servos.cycle_s
 
     def open(self) -> None:
-        """Goes through the checklist of the bus; torque comes with the first `read`, and rises from 0.
+        """Run the checklist of the bus; torque starts with the first `read`, and rises from 0.
 
         Raises:
-            ArmRefusedError: What is wrong, each with what to do.
+            ArmRefusedError: Lists every problem with its remedy.
         """
         self._sample = self._shown = None
         self._trigger_nm = 0.0
         self.servos.open(give_torque=False)
 
     def close(self) -> None:
-        """Damps the arm down and ends its torque."""
+        """Lower the arm with damping and end its torque."""
         self.servos.close()
 
     def acknowledge(self) -> None:
-        """A person has mended the fault: the checklist runs again."""
-        # One since the last sample was not shown to anybody.
+        """Acknowledge a fixed fault: the checklist runs again."""
+        # A fault since the last sample has not been shown yet.
         self.servos.acknowledge(self._shown)
 
     def read(self) -> MasterSample:
-        """The newest sample; what is not measured now is not returned as if it were: it is measured, or a fault.
+        """Return the latest sample; a value that cannot be measured now is a fault, never an old value.
 
         Raises:
-            RuntimeError: A fault before anything was measured.
+            RuntimeError: A fault occurred before the first measurement.
         """
         servos = self.servos
         if self._sample is None:
@@ -113,9 +113,9 @@ class DynamixelMaster:
         return self._sample._replace(fault=self._shown)
 
     def write(self, force: Sequence[float], torque: Sequence[float] | None = None) -> None:
-        """Exerts F_device, in N m at the joints, or in N and N m at the tool point, until the next call.
+        """Exert F_device until the next call, in N m at the joints, or in N and N m at the tool point.
 
-        Nothing before the first `read`: the arm has no torque yet.
+        No effect before the first `read`, because the arm has no torque yet.
         """
         if self._sample is None:
             return
@@ -136,7 +136,7 @@ class DynamixelMaster:
         self.servos.write_currents(currents)
 
     def _write_trigger(self, force_n: float) -> None:
-        """Exerts a force in N at the finger, positive closing: with the next `write`, and none at once."""
+        """Set the finger force in N, positive closing; applied with the next `write`, zero at once."""
         before, self._trigger_nm = self._trigger_nm, force_n * self._lever_m
         if force_n == 0.0 and before != 0.0:
             self._currents[-1] = 0.0

@@ -1,4 +1,4 @@
-"""What the safety layer takes a leader for: m, b and c of `[master]`, from its description."""
+"""Model of a leader for the safety layer: m, b and c of `[master]`, from its description."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from haptether.dynamixel.description import ArmDescription, ArmKinematics
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointModel:
-    """Of each joint, for kind "joints"."""
+    """Model of each joint, for kind "joints"."""
 
     mass_kg: tuple[float, ...]
     """Inertia in kg m^2."""
@@ -22,28 +22,28 @@ class JointModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseModel:
-    """At the tool point, for kind "pose"; of one posture, and another in each."""
+    """Model at the tool point, for kind "pose"; valid for one posture."""
 
     mass_kg: tuple[float, float, float]
-    """Along x, y, z of the base."""
+    """Mass along x, y, z of the base."""
     inertia_kg_m2: tuple[float, float, float]
-    """About them."""
+    """Inertia about x, y, z."""
 
 
 def joint_model(
     arm: ArmDescription, q: Sequence[float] | None = None, *, inertia: Sequence[float] | None = None,
     friction_gain: float = 0.0,
 ) -> JointModel:  # fmt: skip
-    """Inertia and friction of the joints at a posture, of which compensation leaves the rest.
+    """Return inertia and friction of the joints at a posture, with compensated friction removed.
 
     Args:
-        arm: The description.
-        q: The posture; by default where the arm is started.
-        inertia: Of each joint's motors and gears at the output, in kg m^2; by default the description's.
-        friction_gain: Share of the friction that is compensated.
+        arm: Description of the arm.
+        q: Posture; by default the start posture.
+        inertia: Inertia of each joint's motors and gears at the output in kg m^2; by default from the description.
+        friction_gain: Compensated fraction of the friction.
 
     Raises:
-        ValueError: The description lacks a number: no source is known, so it must be identified.
+        ValueError: The description lacks a value, which must be identified.
     """
     own = _motor_inertia(arm, inertia)
     if not arm.knows_friction:
@@ -61,14 +61,14 @@ def joint_model(
 def pose_model(
     arm: ArmDescription, q: Sequence[float] | None = None, *, inertia: Sequence[float] | None = None
 ) -> PoseModel:
-    """What a force or a torque at the tool point accelerates along its own direction: 1 / diag(J M^-1 J^T).
+    """Return the effective mass and inertia at the tool point along each direction: 1 / diag(J M^-1 J^T).
 
-    M is taken as diagonal, as in `ArmKinematics.link_inertia`.
+    M is diagonal, as in `ArmKinematics.link_inertia`.
 
     Source: O. Khatib, IEEE J. Robotics and Automation 3(1), 1987, section IV: effective mass.
 
     Raises:
-        ValueError: As `joint_model`, of inertia alone.
+        ValueError: Same as for `joint_model`, for inertia only.
     """
     own = _motor_inertia(arm, inertia)
     posture = _posture(arm, q)
@@ -76,7 +76,7 @@ def pose_model(
     joints = np.array(own) + kinematics.link_inertia(posture)
     jacobian = kinematics.jacobian(posture)
     mobility = np.diag(jacobian @ np.diag(1.0 / joints) @ jacobian.T)
-    # A direction that no joint moves has no mobility: it is as heavy as the heaviest other.
+    # A direction that no joint moves counts as heavy as the heaviest other one.
     lightest = np.maximum(mobility, 1e-3 * mobility.max())
     x, y, z, rx, ry, rz = (1.0 / lightest).tolist()
     return PoseModel(mass_kg=(x, y, z), inertia_kg_m2=(rx, ry, rz))

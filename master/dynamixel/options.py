@@ -1,4 +1,4 @@
-"""What the driver of a leader arm is called with: `[master.options]` of a scene."""
+"""Options of a leader arm's driver: `[master.options]` of a scene."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,67 +14,70 @@ from haptether.options import converted, refused
 
 DRIVER: Final = "driver = dynamixel"
 SPEED_SHARE: Final = 0.7
-"""Of the no-load speed: a motor that drives nothing but its joint goes on to all of it."""
+"""Fraction of the no-load speed; a motor that drives only its joint reaches all of it."""
 DEFAULT_BAUD: Final = 4_000_000
 BEYOND_RAD: Final = 0.5
-"""How far a trigger may be beyond its ends."""
+"""Largest valid angle in rad of a trigger beyond its ends."""
 
 
 class LeaderOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Options of the driver `dynamixel`, in SI units."""
 
     port: str
-    """Such as /dev/serial/by-id/usb-FTDI_..."""
+    """Port path, such as /dev/serial/by-id/usb-FTDI_..."""
     arm: str
-    """A shipped description, which needs `calibration`, or `offsets` and `signs`; or the path of one."""
+    """Name of a shipped description, which requires `calibration`, or `offsets` and `signs`; or the path of a
+    description.
+    """
     kind: Literal["joints", "pose"] = "joints"
-    """That of the scene: angles of the joints, or place and orientation of the tool by forward kinematics."""
+    """Kind of the scene: joint angles, or tool position and orientation by forward kinematics."""
     baud: int | None = None
-    """In bit/s, as the servos are set; by default that of the calibration, or 4 Mbit/s."""
+    """Bus rate of the servos in bit/s; by default from the calibration, or 4 Mbit/s."""
     offsets: tuple[float, ...] | None = None
-    """Angle of each joint's servo in rad where q is 0, of this unit; by default those of a description of your own."""
+    """Servo angle of each joint in rad at q = 0 of this unit; by default from a custom description."""
     signs: tuple[Literal[-1, 1], ...] | None = None
-    """Direction of each joint's servo; by default those of a description of your own."""
+    """Direction of each joint's servo; by default from a custom description."""
     calibration: str | None = None
-    """File of this unit that `haptether dynamixel calibrate` wrote: by the ids of its servos signs and offsets, limits
-    and caps beside those of the description; and its rate."""
+    """Calibration file of this unit from `haptether dynamixel calibrate`. By servo id it gives signs and offsets,
+    limits and caps in addition to those of the description, and the rate.
+    """
     torque_constant: tuple[Annotated[float, Meta(gt=0.0, le=20.0, extra={"unit": "N m/A"})], ...] | None = None
-    """Largest torque at the output per ampere that each joint's servo may have; by default what `calibrate` measured,
-    or the largest that is published of its model."""
+    """Largest possible torque constant at the output of each joint's servo; by default the calibrated one, or the
+    largest published one of its model.
+    """
     gravity_gain: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
-    """Share of the described gravity that is compensated; by default 1 where the masses are known."""
+    """Compensated fraction of gravity; by default 1 if the masses are known."""
     friction_gain: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.0
-    """Share of the described friction that is compensated."""
+    """Compensated fraction of friction."""
     friction_speed: Annotated[float, Meta(ge=0.01, le=1.0, extra={"unit": "rad/s"})] = 0.1
-    """Below it the share falls to 0, in rad/s."""
+    """Speed in rad/s below which the fraction decreases to 0."""
     limit_margin: Annotated[float, Meta(ge=0.0, le=1.0, extra={"unit": "rad"})] = 0.1
-    """Before a joint's limits, where the spring begins, in rad."""
+    """Distance in rad from a joint's limit at which the spring starts."""
     limit_stiffness: Annotated[float, Meta(ge=0.0, le=20.0, extra={"unit": "N m/rad"})] = 1.0356
-    """Of that spring; FACTR's joint_limit_barrier."""
+    """Stiffness of that spring; FACTR's joint_limit_barrier."""
     limit_damping: Annotated[float, Meta(ge=0.0, le=1.0, extra={"unit": "N m s/rad"})] = 0.0432
-    """Within the spring, on the way in; ibid."""
+    """Damping within the spring in inward direction; same source."""
     damping: Annotated[float, Meta(ge=0.0, le=1.0, extra={"unit": "N m s/rad"})] = 0.0
-    """Of each joint, everywhere."""
+    """Damping of each joint at every angle."""
     force_share: Annotated[float, Meta(ge=0.1, le=1.0)] = 0.3
-    """Of each joint's greatest torque, what compensation and springs leave to the reflected force."""
+    """Fraction of each joint's largest torque that is reserved for the reflected force."""
     max_speed: tuple[Annotated[float, Meta(ge=0.1, le=60.0, extra={"unit": "rad/s"})], ...] | None = None
-    """Of each joint in rad/s, beyond which it is a fault that ends all torque; by default 0.7 of its servo's no-load
-    speed."""
+    """Largest speed of each joint in rad/s; beyond it a fault ends all torque; by default 0.7 of the no-load speed."""
     ramp_s: Annotated[float, Meta(ge=0.1, le=10.0, extra={"unit": "s"})] = 1.0
-    """In which all torque rises from 0 after the start, and after a fault, in s."""
+    """Rise time in s of all torque from 0 after the start and after a fault."""
     timeout_s: Annotated[float, Meta(ge=0.001, le=0.1, extra={"unit": "s"})] = 0.02
-    """How long an answer may take beyond its bytes, in s."""
+    """Timeout in s of an answer in addition to its bytes."""
     watchdog_s: Annotated[float, Meta(ge=0.02, le=0.5, extra={"unit": "s"})] = 0.1
-    """Silence after which the servos end their torque themselves, in s."""
+    """Silence in s after which the servos end their torque."""
     verify_watchdog: bool = True
-    """Let it bite once before the first force."""
+    """True to trip the watchdog once as a test before the first force."""
 
 
 def leader_options(given: Mapping[str, Any]) -> tuple[LeaderOptions, ArmDescription]:
-    """The options from what a scene has, and the arm that they name.
+    """Convert the options of a scene, and load the arm that they name.
 
     Raises:
-        ValueError: A key that there is not or that is missing, or a value that it cannot have; names the key.
+        ValueError: A key is unknown or missing, or a value is invalid; names the key.
     """
     required = {"port": "the port of the arm's adapter", "arm": "a shipped description, or the path of one"}
     options = converted(LeaderOptions, given, DRIVER, required)
@@ -105,7 +108,7 @@ def leader_options(given: Mapping[str, Any]) -> tuple[LeaderOptions, ArmDescript
             if getattr(options, key) is not None:
                 raise refused(DRIVER, key, getattr(options, key), "must not be given where the calibration has them")
     elif options.arm in arm_names() and not given_both:
-        # Weight, springs and the direction of each force go by where the zeros are.
+        # The zeros determine gravity, springs and the direction of each force.
         text = (
             "its zeros are of one build, not of this unit: give calibration, the file that `haptether dynamixel"
             " calibrate` writes, or offsets and signs"
@@ -115,10 +118,10 @@ def leader_options(given: Mapping[str, Any]) -> tuple[LeaderOptions, ArmDescript
 
 
 def with_unit(options: LeaderOptions, arm: ArmDescription) -> tuple[LeaderOptions, ArmDescription]:
-    """The description with what is known of this unit: offsets and signs, closer limits and lower caps, and its rate.
+    """Merge the data of this unit into the description: offsets, signs, narrower limits, lower caps, rate.
 
     Raises:
-        ValueError: A calibration that cannot be read, or that lacks a servo or has another model of it.
+        ValueError: The calibration cannot be read, lacks a servo, or has another model.
     """
     joints = list(arm.joints)
     if options.calibration is not None:
@@ -157,10 +160,10 @@ def with_unit(options: LeaderOptions, arm: ArmDescription) -> tuple[LeaderOption
 
 
 def _of_unit(file: str, joint: Joint, servo: ServoSettings) -> Joint:
-    """A joint as it is described, with the servo that this unit has there.
+    """Merge the servo of this unit into a described joint.
 
     Raises:
-        ValueError: Both cannot be.
+        ValueError: The two contradict each other.
     """
     if servo.shadows and servo.shadows != joint.shadows:
         message = f"servo {servo.servo_id}: shadows {list(servo.shadows)}: the description has {list(joint.shadows)}"
@@ -181,12 +184,12 @@ def _of_unit(file: str, joint: Joint, servo: ServoSettings) -> Joint:
 
 
 def speed_limits(options: LeaderOptions, arm: ArmDescription) -> tuple[float, ...]:
-    """In rad/s of each joint."""
+    """Return the speed limit of each joint in rad/s."""
     return options.max_speed or tuple(SPEED_SHARE * joint.servo_model.no_load_rad_s for joint in arm.joints)
 
 
 def arm_settings(options: LeaderOptions, arm: ArmDescription) -> ArmSettings:
-    """The servos as a bus knows them: those of the joints, and that of the trigger, whose q is 0 where it is open."""
+    """Return the bus settings of all servos: joints and trigger, whose q is 0 when open."""
     constants = options.torque_constant or (None,) * len(arm.joints)
     servos = [
         ServoSettings(

@@ -1,4 +1,4 @@
-"""Force Dimension omega, delta and sigma through the vendor's SDK: the driver `force-dimension`."""
+"""Force Dimension omega, delta and sigma through the vendor's SDK: driver `force-dimension`."""
 
 from haptether.master.force_dimension.driver import ForceDimension
 

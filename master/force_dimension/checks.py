@@ -1,4 +1,4 @@
-"""The checklist before a Force Dimension device exerts a force, and what its status says in a run."""
+"""Checklist before a Force Dimension device exerts a force, and evaluation of its status during a run."""
 
 import math
 from ctypes import CDLL
@@ -18,7 +18,7 @@ STATUS: Final = (
     (RESET, 0, "not calibrated", "put its end-effector into its rest position, until its light stops blinking"),
     (ERROR, 0, "error of its controller", "switch it off and on"),
 )
-"""What each number must be, the fault where it is not, and the remedy."""
+"""Required value of each status number, fault otherwise, and remedy."""
 OFF_CAUSES: Final = {
     1: "force button: forces were switched off at the device: switch them on there, acknowledge",
     2: "over-speed: it braked, as it was faster than its own limit: hold it, acknowledge",
@@ -27,19 +27,19 @@ OFF_CAUSES: Final = {
     5: "USB: its controller saw the connection end: see the cable, acknowledge",
     6: "dead-man switch: press it, acknowledge",
 }
-"""By the cause that the status has: dhdc.h, `DHD_FORCE_OFF_`."""
+"""Faults by the cause in the status: dhdc.h, `DHD_FORCE_OFF_`."""
 
 
 class Abilities(NamedTuple):
-    """What was found."""
+    """Detected abilities."""
 
     model: Model
     wrist: bool
     active_wrist: bool
     gripper: bool
-    """Whether it is the trigger."""
+    """True if the gripper is the trigger."""
     has_wrench: bool
-    """Whether forces go by the call that takes torque and gripper, too."""
+    """True if forces use the call that also takes torque and gripper force."""
     watchdog: bool
     max_force_n: float
     max_torque_n_m: float
@@ -47,11 +47,11 @@ class Abilities(NamedTuple):
 
 
 def status_fault(status: list[int], *, exerts: bool) -> str | None:
-    """What is wrong with the device, if anything.
+    """Return the fault of the device, or None.
 
     Args:
-        status: As `dhdGetStatus` fills it.
-        exerts: Whether its forces were switched on.
+        status: Numbers from `dhdGetStatus`.
+        exerts: True if its forces were switched on.
     """
     for index, wanted, fault, remedy in STATUS:
         if status[index] != wanted:
@@ -62,10 +62,10 @@ def status_fault(status: list[int], *, exerts: bool) -> str | None:
 
 
 def opened(library: CDLL, options: ForceDimensionOptions, checklist: Checklist) -> Dhd:
-    """The device that is meant, open and without force.
+    """Open the selected device without force.
 
     Raises:
-        RefusedError: There is none, it is not clear which, or it cannot be opened.
+        RefusedError: There is no device, the selection is ambiguous, or it cannot be opened.
     """
     count = library.dhdGetDeviceCount()
     if options.serial is None:
@@ -88,11 +88,11 @@ def opened(library: CDLL, options: ForceDimensionOptions, checklist: Checklist) 
 
 
 def examined(device: Dhd, options: ForceDimensionOptions, checklist: Checklist) -> Abilities:
-    """What it is and can do, and that it is ready; its forces are off after this.
+    """Check identity, abilities and readiness; forces are off afterwards.
 
     Raises:
-        RefusedError: It is not ready, or cannot do what the options ask for.
-        DhdError: It does not answer.
+        RefusedError: The device is not ready, or lacks an ability that the options require.
+        DhdError: The device does not answer.
     """
     device.call("dhdEnableForce", OFF)
     model = MODELS.get(device.call("dhdGetSystemType"), Model(device.name()))
@@ -151,7 +151,7 @@ def _gravity(device: Dhd, options: ForceDimensionOptions, checklist: Checklist) 
 
 
 def _watchdog(device: Dhd, options: ForceDimensionOptions, checklist: Checklist) -> bool:
-    """Tries it, and leaves it off: the first force arms it."""
+    """Test the watchdog and leave it off; the first force arms it."""
     try:
         device.call("dhdSetWatchdog", options.watchdog_steps)
         seen = device.watchdog()

@@ -1,4 +1,4 @@
-"""The driver of a Force Dimension device: `force-dimension`."""
+"""Driver of a Force Dimension device: `force-dimension`."""
 
 import contextlib
 import math
@@ -23,17 +23,17 @@ from haptether.master.frame import REST, Vector, clipped, quaternion
 from haptether.master.vendor import BadSampleError, LostError, VendorDevice, load_library
 
 STATUS_EVERY: Final = 4
-"""Each so many samples the status is looked at."""
+"""Interval of status checks in samples."""
 OLD: Final = 20
-"""So many samples in a row that the SDK says are old are a fault."""
+"""Number of consecutive samples marked old by the SDK that is a fault."""
 FARTHEST_M: Final = 1.0
-"""No device of theirs reaches as far."""
+"""Upper bound in m of the reach of any device."""
 GAP_S: Final = 0.002
-"""Between two positions, of which the SDK needs two for a velocity."""
+"""Time in s between two positions, which the SDK needs for a velocity."""
 
 
 class Session:
-    """An open device, and whether its forces are on."""
+    """Open device, and whether its forces are on."""
 
     def __init__(self, device: Dhd, found: Abilities) -> None:
         self.device = device
@@ -42,21 +42,21 @@ class Session:
         self.samples = 0
         self.old = 0
         self.force: Vector = REST
-        """What was exerted last, with its torque, in the device's frame."""
+        """Last exerted force, with its torque, in the device frame."""
         self.torque: Vector = REST
 
 
 class ForceDimension(VendorDevice[Session]):
-    """An omega, delta or sigma; see `MasterDevice` and docs/haptic_devices.md.
+    """Omega, delta or sigma device; see `MasterDevice` and docs/haptic_devices.md.
 
-    Its forces are off, and its motors brake, from `open` to the first `write`, and from a fault to the first one after
-    its acknowledgement. While they are on, the controller's own watchdog is armed.
+    Forces are off and the motors brake from `open` to the first `write`, and from a fault to the first `write` after
+    its acknowledgement. While forces are on, the controller's watchdog is armed.
 
     Args:
-        options: Those of `ForceDimensionOptions`.
+        options: Fields of `ForceDimensionOptions`.
 
     Raises:
-        ValueError: Options that cannot be. From `open` also `RefusedError`: it is not ready.
+        ValueError: The options are invalid. `open` also raises `RefusedError` if the device is not ready.
     """
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
@@ -64,7 +64,7 @@ class ForceDimension(VendorDevice[Session]):
         super().__init__("force-dimension", len(self.options.axes), turns=self.options.wrist)
         self.kinds: tuple[str, ...] = ("linear", "pose") if self.options.wrist else ("linear",)
         self.exerts_by_itself = self.options.gravity_compensation
-        """The SDK adds the device's weight to each force, a zero force, too."""
+        """The SDK adds gravity compensation to every force, including zero."""
         self._frame = self.options.frame
         self._trigger_n = 0.0
         if self.options.gripper_open_m is not None:
@@ -142,7 +142,7 @@ class ForceDimension(VendorDevice[Session]):
 
     @staticmethod
     def _refused(session: Session, error: DhdError) -> LostError | BadSampleError:
-        """What a force that was not taken means: the status says why forces are off."""
+        """Return the error for a refused force; the status says why forces are off."""
         if error.number == NOT_ENABLED:
             with contextlib.suppress(DhdError):
                 fault = status_fault(session.device.status(), exerts=True)
@@ -151,7 +151,7 @@ class ForceDimension(VendorDevice[Session]):
         return _failed(error)
 
     def _write_trigger(self, force_n: float) -> None:
-        """Exerts a force in N at the finger, positive closing: with the next `write`, and none at once."""
+        """Set the finger force in N, positive closing; applied with the next `write`, zero at once."""
         before, self._trigger_n = self._trigger_n, force_n if math.isfinite(force_n) else 0.0
         session = self._session
         if self._trigger_n == 0.0 and before != 0.0 and session is not None and session.exerts and self._fault is None:
@@ -187,11 +187,11 @@ class ForceDimension(VendorDevice[Session]):
 
 
 def _stop(device: Dhd, *, watchdog: bool) -> bool:
-    """Ends all force: the motors brake, so that it does not fall. Returns whether the device took it."""
+    """End all force; the motors brake, so that the device does not fall. Return True if the device accepted it."""
     try:
         device.call("dhdStop")
     except DhdError:
-        # Its watchdog stays armed, which ends the force in its stead.
+        # The watchdog stays armed and ends the force instead.
         return False
     if watchdog:
         with contextlib.suppress(DhdError):
@@ -208,7 +208,7 @@ def _close(device: Dhd, *, watchdog: bool = False) -> None:
 
 def _failed(error: DhdError) -> LostError | BadSampleError:
     text = f"{error}: {error.remedy}"
-    # A late answer, or forces that are off at the device: the connection is what it was.
+    # After a late answer, or forces switched off at the device, the connection is still valid.
     return BadSampleError(f"{text}, acknowledge") if error.number in {TIMEOUT, NOT_ENABLED} else LostError(text)
 
 

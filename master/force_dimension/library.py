@@ -1,7 +1,7 @@
-"""The functions of the Force Dimension SDK that the driver calls, by ctypes.
+"""Functions of the Force Dimension SDK used by the driver, through ctypes.
 
-Signatures: dhdc.h of SDK 3.17.5. Returns: 0; -1 is an error, of which `dhdErrorGetLast` says more on the same thread; 1
-(old values, TimeGuard) and 2 (motors saturated, the force was scaled) are successes.
+Signatures: dhdc.h of SDK 3.17.5. Return values: 0 is success; -1 is an error, detailed by `dhdErrorGetLast` on the same
+thread; 1 (old values, TimeGuard) and 2 (motors saturated, the force was scaled) are successes.
 """
 
 import math
@@ -64,7 +64,7 @@ ON: Final = 1
 OFF: Final = 0
 TIMEGUARD: Final = 1
 STATUS: Final = 17
-"""How many numbers `dhdGetStatus` fills; SDKs that are newer may have more."""
+"""Number of values from `dhdGetStatus`; newer SDKs may return more."""
 STATUS_ROOM: Final = 64
 TIMEOUT: Final = 7
 NOT_ENABLED: Final = 19
@@ -79,16 +79,16 @@ REMEDIES: Mapping[int, str] = MappingProxyType({
     19: "forces are off at the device: its force button",
     20: "another program has it: end that",
 })  # fmt: skip
-"""By error number: dhdc.h, `dhd_errors`."""
+"""Remedies by error number: dhdc.h, `dhd_errors`."""
 
 
 class DhdError(Exception):
-    """A call returned -1.
+    """Call that returned -1.
 
     Args:
-        call: Which one.
-        number: As `dhdErrorGetLast` says it.
-        text: As `dhdErrorGetLastStr` says it.
+        call: Name of the call.
+        number: Number from `dhdErrorGetLast`.
+        text: Text from `dhdErrorGetLastStr`.
     """
 
     def __init__(self, call: str, number: int, text: str) -> None:
@@ -97,16 +97,16 @@ class DhdError(Exception):
 
     @property
     def remedy(self) -> str:
-        """What to do."""
+        """Remedy of the error."""
         return REMEDIES.get(self.number, "see the vendor's own demonstrations")
 
 
 class Dhd:
-    """One open device; each call raises `DhdError`.
+    """One open device; each call may raise `DhdError`.
 
     Args:
-        library: Of the vendor, with its types.
-        device_id: As the SDK numbers it.
+        library: Vendor library with its types.
+        device_id: Device number of the SDK.
     """
 
     def __init__(self, library: CDLL, device_id: int) -> None:
@@ -119,70 +119,70 @@ class Dhd:
         self._status = (c_int * STATUS_ROOM)()
 
     def call(self, name: str, *arguments: Any) -> int:  # noqa: ANN401  # as ctypes takes them
-        """What a function returns whose last argument is the device."""
+        """Call a function whose last argument is the device, and return its result."""
         return checked(self._library, name, getattr(self._library, name)(*arguments, self._id))
 
     def has(self, what: str) -> bool:
-        """Whether it has a `Wrist`, an `ActiveWrist`, a `Gripper`, an `ActiveGripper`."""
+        """Return True if the device has a `Wrist`, `ActiveWrist`, `Gripper` or `ActiveGripper`."""
         return bool(getattr(self._library, f"dhdHas{what}")(self._id))
 
     def name(self) -> str:
-        """As the SDK calls it."""
+        """Return the SDK's name of the device."""
         return (self._library.dhdGetSystemName(self._id) or b"?").decode(errors="replace")
 
     def serial(self) -> int | None:
-        """Its serial number; none of models that do not say."""
+        """Return the serial number; None if the model does not report one."""
         number = c_ushort()
         return None if self._library.dhdGetSerialNumber(byref(number), self._id) < 0 else number.value
 
     def base_angle_rad(self) -> float:
-        """How its base plate is turned, as the SDK takes it."""
+        """Return the rotation of the base plate in rad, as used by the SDK."""
         self.call("dhdGetDeviceAngleRad", byref(self._gap))
         return self._gap.value
 
     def status(self) -> list[int]:
-        """The numbers of `dhdGetStatus`."""
+        """Return the numbers of `dhdGetStatus`."""
         self.call("dhdGetStatus", self._status)
         return self._status[:STATUS]
 
     def position(self) -> tuple[bool, list[float]]:
-        """Whether it is new, and the position in m."""
+        """Return a freshness flag and the position in m."""
         returned = self.call("dhdGetPosition", *self._into)
         return returned != TIMEGUARD, self._three()
 
     def pose(self) -> tuple[bool, list[float], list[list[float]]]:
-        """Whether it is new, the position in m, and the rotation matrix of the handle, row by row."""
+        """Return a freshness flag, the position in m, and the rotation matrix of the handle by rows."""
         self._matrix[0] = math.nan
         returned = self.call("dhdGetPositionAndOrientationFrame", *self._into, self._matrix)
         rows = self._matrix[:]
         return returned != TIMEGUARD, self._three(), [rows[0:3], rows[3:6], rows[6:9]]
 
     def velocity(self) -> list[float]:
-        """In m/s."""
+        """Return the velocity in m/s."""
         self.call("dhdGetLinearVelocity", *self._into)
         return self._three()
 
     def gripper_gap(self) -> float:
-        """Opening in m."""
+        """Return the gripper opening in m."""
         self.call("dhdGetGripperGap", byref(self._gap))
         return self._gap.value
 
     def buttons(self) -> int:
-        """Bit n: button n."""
+        """Return the button mask; bit n is button n."""
         return int(self._library.dhdGetButtonMask(self._id))
 
     def watchdog(self) -> int:
-        """In steps of 125 µs."""
+        """Return the watchdog time in steps of 125 µs."""
         steps = c_ubyte()
         self.call("dhdGetWatchdog", byref(steps))
         return steps.value
 
     def set_wrench(self, force: Sequence[float], torque: Sequence[float], gripper_force: float) -> None:
-        """N, N m and N."""
+        """Set force in N, torque in N m and gripper force in N."""
         self.call("dhdSetForceAndTorqueAndGripperForce", *force, *torque, gripper_force)
 
     def set_force(self, force: Sequence[float]) -> None:
-        """In N, of a device without wrist and gripper."""
+        """Set the force in N of a device without wrist and gripper."""
         self.call("dhdSetForce", *force)
 
     def _three(self) -> list[float]:
@@ -190,10 +190,10 @@ class Dhd:
 
 
 def checked(library: CDLL, call: str, returned: int) -> int:
-    """What was returned, unless it says that there was an error.
+    """Return the result unless it signals an error.
 
     Raises:
-        DhdError: It does.
+        DhdError: The result signals an error.
     """
     if returned < 0:
         text = (library.dhdErrorGetLastStr() or b"?").decode(errors="replace")

@@ -1,7 +1,7 @@
-"""Models of Force Dimension by the type that the SDK says, and the bounds that a source has for them.
+"""Force Dimension models by SDK type, with published bounds.
 
-Bounds: CHAI3D, src/devices/CDeltaDevices.cpp, values of that software; the maker's data sheets were not at hand. No
-source that was gives mass, friction or inertia of any of them: `haptether identify force-dimension` measures them.
+Bounds: CHAI3D, src/devices/CDeltaDevices.cpp, values of that software; the maker's data sheets were not available. No
+available source gives mass, friction or inertia; `haptether identify force-dimension` measures them.
 """
 
 from collections.abc import Mapping
@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 
 class Model(NamedTuple):
-    """What a source says of a model."""
+    """Published data of a model."""
 
     title: str
     max_force_n: float | None = None
-    """None where no source says."""
+    """None without a source."""
     max_torque_n_m: float | None = None
     max_gripper_force_n: float | None = None
 
@@ -31,4 +31,4 @@ MODELS: Mapping[int, Model] = MappingProxyType({
     104: Model("sigma.7, right", *_SIGMA7),
     105: Model("sigma.7, left", *_SIGMA7),
 })  # fmt: skip
-"""By `dhdGetSystemType`. Source of the numbers: dhdc.h of SDK 3.17.5."""
+"""Models by `dhdGetSystemType`. Source of the numbers: dhdc.h of SDK 3.17.5."""

@@ -1,4 +1,4 @@
-"""What the driver of a Force Dimension device is called with: `[master.options]` of a scene."""
+"""Options of a Force Dimension device's driver: `[master.options]` of a scene."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal
@@ -17,46 +17,46 @@ class ForceDimensionOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_un
     """Options of the driver `force-dimension`, in SI units."""
 
     library: str = ""
-    """The file of the vendor's libdrd or libdhd; by default it is looked for."""
+    """Path of the vendor's libdrd or libdhd; by default searched for."""
     serial: Annotated[int, Meta(ge=0, le=65535)] | None = None
-    """Serial number of the device; by default the only one."""
+    """Serial number of the device; by default the only device."""
     wrist: bool = False
-    """Take the orientation of its wrist, as scenes of kind "pose" need it."""
+    """True to use the orientation of the wrist, required for scenes of kind "pose"."""
     axes: list[str] = msgspec.field(default_factory=lambda: ["x", "y", "z"])
-    """Which axis of the device is each of ours."""
+    """Device axis for each scene axis."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where our origin is, in m in the device's frame."""
+    """Origin of the scene in m in the device frame."""
     max_force_n: Annotated[float, Meta(gt=0.0, le=20.0, extra={"unit": "N"})] = 4.0
-    """Longer forces are shortened to this."""
+    """Largest force in N; a longer vector is shortened to it."""
     max_torque_n_m: Annotated[float, Meta(gt=0.0, le=1.0, extra={"unit": "N m"})] = 0.1
-    """Longer torques of an active wrist are shortened to this."""
+    """Largest torque in N m of an active wrist; a longer vector is shortened to it."""
     gripper_open_m: Gap | None = None
-    """What `dhdGetGripperGap` says of an open gripper, in m: with it the gripper is the trigger."""
+    """Value of `dhdGetGripperGap` in m for an open gripper; makes the gripper the trigger."""
     gripper_closed_m: Gap = 0.0
-    """What it says of a closed one."""
+    """Value for a closed gripper."""
     gripper_sign: Literal[-1, 1] = -1
-    """Which sign a force that closes the gripper has for the SDK; its documents do not say, users saw -1."""
+    """Sign of a closing gripper force in the SDK; undocumented, -1 as observed by users."""
     max_gripper_force_n: Annotated[float, Meta(gt=0.0, le=8.0, extra={"unit": "N"})] = 4.0
-    """Greater forces at the gripper are cut to this."""
+    """Largest gripper force in N; larger forces are saturated."""
     gravity_compensation: bool = True
-    """Whether the SDK adds the weight of the device to each force."""
+    """True if the SDK adds gravity compensation to each force."""
     effector_mass_kg: Annotated[float, Meta(ge=0.0, le=2.0, extra={"unit": "kg"})] | None = None
-    """Of another end-effector than the vendor's, for its gravity compensation."""
+    """Mass of a non-vendor end-effector for gravity compensation."""
     watchdog_s: Annotated[float, Meta(ge=0.002, le=0.0318, extra={"unit": "s"})] = 0.02
-    """Without a new force for so long the controller ends all force by itself; in steps of 125 µs."""
+    """Time in s without a new force after which the controller ends all force; in steps of 125 µs."""
     require_watchdog: bool = True
-    """Refuse a device whose controller has none."""
+    """True to refuse a device without a controller watchdog."""
     device_velocity: bool = False
-    """Take the SDK's velocity, a difference over 20 ms, rather than our own estimate."""
+    """True to use the SDK's velocity, a difference over 20 ms, not the own estimate."""
 
     @property
     def frame(self) -> DeviceFrame:
-        """Of the device in ours."""
+        """Map from the device frame to the scene frame."""
         return DeviceFrame(self.axes, self.origin)
 
     @property
     def watchdog_steps(self) -> int:
-        """As `dhdSetWatchdog` takes it."""
+        """Watchdog time as an argument of `dhdSetWatchdog`."""
         return round(self.watchdog_s / WATCHDOG_STEP_S)
 
 
@@ -64,10 +64,10 @@ WATCHDOG_STEP_S: Final = 125e-6
 
 
 def force_dimension_options(given: Mapping[str, Any]) -> ForceDimensionOptions:
-    """The options from what a scene has, whose numbers may be written as text.
+    """Convert the options of a scene; numbers may be given as text.
 
     Raises:
-        ValueError: A key that there is not, or a value that it cannot have; names the key.
+        ValueError: A key is unknown, or a value is invalid; names the key.
     """
     options = converted(ForceDimensionOptions, given, DEVICE, {})
     try:

@@ -1,4 +1,4 @@
-"""Haply Inverse3 through the vendor's service: the driver `inverse3`, and an emulated service."""
+"""Haply Inverse3 through the vendor's service: driver `inverse3`, and an emulated service."""
 
 from typing import TYPE_CHECKING
 
@@ -9,7 +9,7 @@ __all__ = ["Inverse3"]
 
 
 def __getattr__(name: str) -> object:
-    # The emulator does not wait for the driver.
+    # The emulator must not load the driver.
     if name == "Inverse3":
         from haptether.master.inverse3.driver import Inverse3  # noqa: PLC0415
 

@@ -1,4 +1,4 @@
-"""A WebSocket of the service, without a thread: frames come when they are asked for, within a time that is said."""
+"""WebSocket to the service without a thread: frames are read on request with a timeout."""
 
 import contextlib
 import socket
@@ -18,25 +18,25 @@ except ImportError as error:
 
 CONNECT_S: Final = 2.0
 RECEIVE: Final = 512
-"""Bytes that are read at once: as pings of 2 bytes they take 1 ms, 64 KiB of them 0.2 s and more."""
+"""Bytes per read; as pings of 2 bytes they take 1 ms, while 64 KiB would take 0.2 s or more."""
 DRAIN_S: Final = 0.002
-"""How long bytes that are there already are taken beyond the time that a call may wait."""
+"""Additional time in s for bytes that have already arrived."""
 MAX_FRAME: Final = 1 << 20
 
 
 class ChannelError(ConnectionError):
-    """The connection cannot be used any more."""
+    """Unusable connection."""
 
 
 class Channel:
-    """A connection to the service; for one thread.
+    """Connection to the service; for one thread.
 
     Args:
-        host: Of the service.
-        port: Of the service.
+        host: Host of the service.
+        port: Port of the service.
 
     Raises:
-        ChannelError: Nobody is there, or nobody that speaks WebSocket.
+        ChannelError: The connection fails, or the peer does not speak WebSocket.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -65,10 +65,10 @@ class Channel:
             raise ChannelError(message)
 
     def send(self, message: bytes) -> None:
-        """Sends a text frame.
+        """Send a text frame.
 
         Raises:
-            ChannelError: The connection is lost, or takes nothing.
+            ChannelError: The connection is lost, or accepts no data.
         """
         try:
             self._protocol.send_text(message)
@@ -77,7 +77,7 @@ class Channel:
             raise ChannelError(_text(error)) from None
 
     def frame(self, limit_s: float) -> bytes | None:
-        """The next frame, or none within a time in s, whatever else arrives meanwhile; 0 does not wait.
+        """Return the next frame, or None after a timeout in s, whatever else arrives; 0 does not wait.
 
         Raises:
             ChannelError: The connection is lost.
@@ -93,15 +93,15 @@ class Channel:
         return self._frames.pop(0) if self._frames else None
 
     def send_last(self, message: bytes) -> None:
-        """Sends a text frame before `close`, be it that what was received is no WebSocket."""
+        """Send a text frame before `close`, even if received data was not WebSocket."""
         with contextlib.suppress(OSError):
             self._socket.settimeout(0.0)
             self._socket.send(Frame(Opcode.TEXT, message).serialize(mask=True))
 
     def close(self, wait_s: float = 0.0) -> None:
-        """Says goodbye, and waits for the end of the other side for so many s at most.
+        """Send a close frame, and wait at most a time in s for the peer's close.
 
-        A socket that is closed with bytes unread is reset, and what was sent last may be lost with that.
+        Closing a socket with unread bytes resets it, which may lose the last sent data.
         """
         with contextlib.suppress(OSError, WebSocketException):
             self._protocol.send_close()
@@ -118,7 +118,7 @@ class Channel:
     def _flush(self) -> None:
         sent = b"".join(self._protocol.data_to_send())
         if sent:
-            # What does not fit into the socket's buffer at once goes to a service that reads nothing.
+            # If the socket buffer is full, the service does not read.
             self._socket.settimeout(0.0)
             if self._socket.send(sent) != len(sent):
                 message = "the service does not read"
@@ -135,13 +135,13 @@ class Channel:
             if isinstance(frame, Frame):
                 self._take(frame)
         if self._protocol.parser_exc is not None:
-            # Of a kind of its own that need not be an OSError.
+            # A parser error need not be an OSError.
             message = f"no WebSocket: {self._protocol.parser_exc}"
             raise ConnectionError(message)
         if self._protocol.state in {State.CLOSING, State.CLOSED}:
             message = "closed by the service"
             raise ConnectionError(message)
-        # An answer to a ping.
+        # Answer a ping.
         self._flush()
 
     def _take(self, frame: Frame) -> None:

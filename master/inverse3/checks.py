@@ -1,4 +1,4 @@
-"""The checklist before an Inverse3 exerts a force: what the service says of it, and what changes forces silently."""
+"""Checklist before an Inverse3 exerts a force: service status, and settings that alter forces silently."""
 
 import time
 from typing import Any, Final
@@ -19,7 +19,7 @@ from haptether.master.inverse3.messages import (
 from haptether.master.inverse3.options import Inverse3Options
 
 FIRST_S: Final = 1.0
-"""How long the frame that comes on connection may take."""
+"""Timeout in s of the first frame after connection."""
 STATUS: Final = (
     ("power_supply", True, "no power", "is its supply plugged in?"),
     ("started", True, "not started", "wake it up: press its power button"),
@@ -27,11 +27,11 @@ STATUS: Final = (
     ("ready", True, "not ready", "see what the vendor's hub says of it"),
     ("in_use", False, "in use", "another program moves it: end that"),
 )
-"""What each flag must be, the fault where it is not, and the remedy."""
+"""Required value of each flag, fault otherwise, and remedy."""
 MAX_EVENTS: Final = 100
-"""That are heard in a tick: a flood must not hold it up."""
+"""Events read per tick; a flood must not delay it."""
 EVENTS_S: Final = 0.005
-"""How long events are heard in a tick; the rest waits for the next."""
+"""Time in s for events per tick; the rest waits for the next tick."""
 EBRAKE: Final = "e-brake"
 TRIPS: Final = {
     "ebrake_triggered": f"{EBRAKE}: the emergency brake is on: see why, release it, acknowledge",
@@ -39,11 +39,11 @@ TRIPS: Final = {
     "stability_ceiling": "unstable: the service has bounded the force: lower stiffness or rate, acknowledge",
     "fod_stage_changed": "overload: the service has changed what the motors may: let it cool, acknowledge",
 }
-"""Faults by `safety_type` of a `device-safety-triggered`."""
+"""Faults by `safety_type` of a `device-safety-triggered` event."""
 
 
 def status_fault(status: InverseStatus) -> str | None:
-    """What is wrong with the device, if anything."""
+    """Return the fault of the device, or None."""
     for name, wanted, fault, remedy in STATUS:
         if getattr(status, name) is not wanted:
             return f"{fault}: {remedy}"
@@ -51,7 +51,7 @@ def status_fault(status: InverseStatus) -> str | None:
 
 
 def grip_fault(grip: Grip, kind: str) -> str | None:
-    """What is wrong with the grip, if anything; one on a wire does not sleep."""
+    """Return the fault of the grip, or None; a wired grip does not sleep."""
     if grip.status.connected is False or grip.status.ready is False:
         return "grip lost: is it charged, in reach and paired?"
     if GRIPS[kind] != "verse_grip" and grip.status.awake is not True:
@@ -62,7 +62,7 @@ def grip_fault(grip: Grip, kind: str) -> str | None:
 
 
 def event_fault(received: Event, device_id: str, grip_id: str | None) -> str | None:
-    """The fault that an event is, if it is one of these devices."""
+    """Return the fault of an event about these devices, or None."""
     details = received.data or {}
     about = _about(received, device_id)
     if about not in (device_id, grip_id):
@@ -81,23 +81,23 @@ def event_fault(received: Event, device_id: str, grip_id: str | None) -> str | N
 
 
 def brake(received: Event, device_id: str) -> bool | None:
-    """Whether the emergency brake of the device is on, where an event says it."""
+    """Return the state of the emergency brake if the event contains it, otherwise None."""
     if received.name != "device-safety-triggered" or _about(received, device_id) != device_id:
         return None
     return {"ebrake_triggered": True, "ebrake_released": False}.get(str((received.data or {}).get("safety_type")))
 
 
 def _about(received: Event, device_id: str) -> object:
-    """The device that an event names; one that names none may be about ours."""
+    """Return the device named by an event; an event without a name may concern ours."""
     about = (received.data or {}).get("device_id")
     return device_id if about is None else about
 
 
 def first_frame(channel: Channel) -> Reply:
-    """What the service says on connection.
+    """Return the service's first frame after connection.
 
     Raises:
-        ChannelError: Nothing in time, or something else.
+        ChannelError: No frame in time, or another kind of data.
     """
     received = channel.frame(FIRST_S)
     if received is None:
@@ -111,10 +111,10 @@ def first_frame(channel: Channel) -> Reply:
 
 
 def chosen_device(found: Reply, options: Inverse3Options, checklist: Checklist) -> InverseDevice:
-    """The Inverse3 that is meant, checked.
+    """Return the selected Inverse3 after checks.
 
     Raises:
-        RefusedError: There is none, it is not clear which, or it is not ready.
+        RefusedError: There is no device, the selection is ambiguous, or it is not ready.
     """
     names = [device.device_id for device in found.inverse3]
     wanted = [device for device in found.inverse3 if options.device_id in {"", device.device_id}]
@@ -140,7 +140,7 @@ def chosen_device(found: Reply, options: Inverse3Options, checklist: Checklist) 
 
 
 def chosen_grip(found: Reply, options: Inverse3Options, checklist: Checklist) -> Grip | None:
-    """The VerseGrip that is meant, checked; none where the option is.
+    """Return the selected VerseGrip after checks; None if the option is "none".
 
     Raises:
         RefusedError: There is none or more than one, or it sleeps.
@@ -166,10 +166,10 @@ def chosen_grip(found: Reply, options: Inverse3Options, checklist: Checklist) ->
 
 
 def opened_events(options: Inverse3Options, checklist: Checklist) -> Channel:
-    """The channel of events, without which a brake is not seen.
+    """Open the event channel, which is required to detect a brake.
 
     Raises:
-        RefusedError: There is none.
+        RefusedError: The channel cannot be opened.
     """
     try:
         events = Channel(options.host, options.event_port)
@@ -182,10 +182,10 @@ def opened_events(options: Inverse3Options, checklist: Checklist) -> Channel:
 
 
 def pending_events(events: Channel) -> list[Event]:
-    """The events that have come.
+    """Return the events that have arrived.
 
     Raises:
-        ChannelError: The channel is lost, or says something else.
+        ChannelError: The channel is lost, or sends other data.
     """
     found: list[Event] = []
     end_s = time.monotonic() + EVENTS_S

@@ -1,4 +1,4 @@
-"""The driver of a Haply Inverse3: `inverse3`."""
+"""Driver of a Haply Inverse3: `inverse3`."""
 
 import contextlib
 import math
@@ -30,28 +30,28 @@ from haptether.master.inverse3.options import Inverse3Options, inverse3_options
 
 ADDED_N: Final = 0.3
 ADDED_SHARE: Final = 0.1
-"""How much longer than what was sent a force may be said to be, in N and as a share."""
+"""Tolerance of the reported force over the sent force, in N and as a fraction."""
 ADDED_REPLIES: Final = 20
-"""So many replies in a row that say so are a fault: it may be told some ticks late."""
+"""Number of consecutive replies above it that is a fault; reports may lag by some ticks."""
 CLOSED: Final = "closed before it was open"
 JOIN_S: Final = 3.0
 LOST_S: Final = 0.05
-"""A reply that takes longer is lost."""
+"""Timeout in s after which a reply is lost."""
 MAX_LATE: Final = 10
 LATE_S: Final = 1.0
-"""So many replies may be late within that time, in s: a tenth of it with the default of the option."""
+"""Limit of late replies within that time in s: a tenth of the time with the default timeout."""
 SLEW_N_PER_S: Final = 1000.0
-"""How fast the norm of the force grows again after a zero of the driver's own: the default of the safety limiter."""
+"""Growth limit of the force norm after a zero by the driver; default of the safety limiter."""
 TICK_S: Final = 0.001
-"""A longer pause between two forces counts as this."""
+"""Longest pause between two forces that counts for the growth, in s."""
 ZERO_S: Final = 0.1
-"""How long each reply may take before the end."""
+"""Timeout in s of each reply before the end."""
 CLOSE_S: Final = 1.0
-"""How long the service may take to close."""
+"""Timeout in s of the service's close."""
 MAX_UNASKED: Final = 20
-"""Frames that are dropped in a tick: a flood must not hold it up."""
+"""Frames dropped per tick; a flood must not delay it."""
 UNASKED_S: Final = 0.005
-"""How long that may take."""
+"""Time in s for dropping frames per tick."""
 
 
 class Session(NamedTuple):
@@ -64,13 +64,13 @@ class Session(NamedTuple):
     force: ForceMessage
 
     def rest(self) -> None:
-        """Sends a zero force, whatever was received before."""
+        """Send a zero force, whatever was received."""
         self.channel.send_last(self.force(REST))
 
     def close(self, owed: int = 0) -> None:
-        """Hears so many replies, the last to the zero force, and ends both; the service then lets the device idle."""
+        """Wait for the owed replies, the last to the zero force, and close both; the service then idles the device."""
         with contextlib.suppress(ChannelError):
-            # A goodbye in one packet with the zero may cost a service both.
+            # A close in the same packet could make the service lose the zero force.
             while owed > 0 and self.channel.frame(ZERO_S) is not None:
                 owed -= 1
         self.channel.close(CLOSE_S)
@@ -78,22 +78,22 @@ class Session(NamedTuple):
 
 
 class Inverse3:
-    """A Haply Inverse3, with a VerseGrip as pose; see `MasterDevice` and docs/haptic_devices.md.
+    """Haply Inverse3, with a VerseGrip as pose; see `MasterDevice` and docs/haptic_devices.md.
 
-    A tick is one message: `write` sends the force, the next `read` takes the reply to it, whose state is a period old.
-    `read` waits for a late reply, after a zero force is sent. The norm of the force then grows from zero by at most
-    `SLEW_N_PER_S` until it has caught up. A lost reply ends the connection, so that no reply is taken for a later one.
+    A tick is one message: `write` sends the force, and the next `read` takes its reply, whose state is one period old.
+    If the reply is late, a zero force is sent and `read` waits. The norm of the force then grows from zero by at most
+    `SLEW_N_PER_S` until it has caught up. A lost reply ends the connection, so that replies cannot be confused.
 
     Args:
-        options: Those of `Inverse3Options`.
+        options: Fields of `Inverse3Options`.
 
     Raises:
-        ValueError: Options that cannot be. From `open` also `RefusedError`: it is not ready.
+        ValueError: The options are invalid. `open` also raises `RefusedError` if the device is not ready.
     """
 
     paces = False
     exerts_by_itself = True
-    """The vendor's service may add the device's weight to each force, as it is set there: known once it is open."""
+    """The vendor's service may add gravity compensation to each force, which is known only once it is open."""
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
         self.options: Inverse3Options = inverse3_options(options)
@@ -104,39 +104,38 @@ class Inverse3:
         self.kinds: tuple[str, ...] = ("linear", "pose") if grips else ("linear",)
         self._session: Session | None = None
         self._owed = 0
-        """Replies that are still to come."""
+        """Number of outstanding replies."""
         self._late_s: deque[float] = deque(maxlen=MAX_LATE)
-        """When the last replies were late."""
+        """Times of the last late replies."""
         self.late_replies = 0
         """Number of replies that were late."""
         self._sample: MasterSample | None = None
         self._fresh = False
-        """Whether the newest sample is of this tick and nothing is wrong: only then a force is sent."""
+        """True if the latest sample is of this tick without a fault; required for sending a force."""
         self._fault: str | None = None
-        """Latched."""
+        """Latched fault."""
         self._shown: str | None = None
-        """The fault of the last sample."""
+        """Fault of the last sample."""
         self._braked = False
         self._sent: list[float] = [0.0, 0.0, 0.0]
-        """Norms of the forces that were sent last, in N."""
+        """Norms of the last sent forces in N."""
         self._bound_n: float | None = 0.0
-        """Bound of the norm while the force grows again after a zero of the driver's own, in N; else none."""
+        """Bound of the norm in N while the force grows after a zero by the driver; None otherwise."""
         self._bound_s = 0.0
-        """When that bound was set."""
         self._added = 0
         self._forced: str | None = None
-        """The device of a lost connection: nobody knows whether the zero arrived that was sent last."""
+        """Device of a lost connection; the arrival of the last zero force is unknown."""
         self._closing: threading.Thread | None = None
-        """Ends a connection that was given up."""
+        """Thread that closes a lost connection."""
         self._mended: Session | str | None = None
-        """What a thread that connects anew has found: a session, or why there is none."""
+        """Result of the reconnecting thread: a session, or the reason of failure."""
         self._mending: threading.Thread | None = None
         self._ending = threading.Event()
 
     # -------------------------------------------------------------------------------------------- MasterDevice
 
     def open(self) -> None:
-        """Goes through the checklist and connects; no force."""
+        """Run the checklist and connect, without force."""
         if self._session is not None:
             message = f"{self._name}: is open"
             raise ValueError(message)
@@ -155,7 +154,7 @@ class Inverse3:
             raise RefusedError(CLOSED)
 
     def read(self) -> MasterSample:
-        """The reply to the last message; the last position and a fault where there is none."""
+        """Return the reply to the last message; without one, the last position and a fault."""
         sample = self._read()
         self._shown = sample.fault
         return sample
@@ -190,9 +189,9 @@ class Inverse3:
         return self._sample
 
     def write(self, force: tuple[float, ...], torque: tuple[float, ...] | None = None) -> None:  # noqa: ARG002
-        """Sends the force, which the service exerts for a tick; zero unless this tick was read and nothing is wrong.
+        """Send the force, which the service exerts for a tick; zero unless this tick was read without a fault.
 
-        A torque is not exerted: the device has none to give.
+        The torque is ignored, because the device cannot exert one.
         """
         session = self._session
         if session is None:
@@ -209,9 +208,9 @@ class Inverse3:
             self._lose(str(error))
 
     def acknowledge(self) -> None:
-        """The operator has removed the fault; a lost connection is made anew, on a thread of its own."""
+        """Acknowledge a fixed fault; a lost connection is reopened on a separate thread."""
         if self._fault is not self._shown:
-            # One since the last sample was not shown to anybody.
+            # A fault since the last sample has not been shown yet.
             return
         self._fault = None
         self._added = 0
@@ -221,7 +220,7 @@ class Inverse3:
             self._mending.start()
 
     def close(self) -> None:
-        """Sends a zero force and disconnects."""
+        """Send a zero force and disconnect."""
         self._ending.set()
         session, self._session = self._session, None
         if session is not None:
@@ -256,7 +255,7 @@ class Inverse3:
                 raise
             checklist.ok("service", f"port {options.port}")
             if (forced := self._forced) is not None:
-                # Before anything is refused.
+                # Send zero before any refusal.
                 channel.send(ForceMessage(forced, None)(REST))
                 channel.frame(options.reply_timeout_s)
                 self._forced = None
@@ -281,11 +280,11 @@ class Inverse3:
     def _mend(self) -> None:
         try:
             self._mended = self._connected(Checklist(self._name))
-        except Exception as error:  # whatever it is, it is to be seen and may be tried again
+        except Exception as error:  # whatever the error, it must be visible, and a retry is possible
             self._mended = f"not ready: {error}"
             return
         if self._ending.is_set():
-            # Whoever closes may have waited in vain, and gone.
+            # The closing thread may have timed out.
             mended, self._mended = self._mended, None
             if isinstance(mended, Session):
                 mended.close()
@@ -308,12 +307,12 @@ class Inverse3:
         self._sent = [*self._sent[1:], math.hypot(*force)]
 
     def _rest(self, session: Session) -> None:
-        """Sends a zero force, whatever is wanted; the force then grows from zero."""
+        """Send a zero force; the force then grows from zero."""
         self._bound_n, self._bound_s = 0.0, time.monotonic()
         self._send(session, REST)
 
     def _slewed(self, force: Sequence[float]) -> Sequence[float]:
-        """The force, shortened until it has caught up after a zero of the driver's own."""
+        """Shorten the force until it has caught up after a zero by the driver."""
         if self._bound_n is None:
             return force
         now_s = time.monotonic()
@@ -325,7 +324,7 @@ class Inverse3:
         return force
 
     def _reply(self, session: Session) -> tuple[InverseDevice, tuple[float, float, float, float] | None, int | None]:
-        """The newest reply, once all that are owed have come; orientation and buttons of the grip."""
+        """Return the latest reply after all outstanding ones, with orientation and buttons of the grip."""
         received = b""
         is_late = False
         end_s = time.monotonic() + self.options.reply_timeout_s
@@ -362,7 +361,7 @@ class Inverse3:
         return device, grip.state.orientation.wxyz, grip.buttons
 
     def _note_late(self, session: Session) -> None:
-        """A reply is late: the force ends at once, as far as the service hears.
+        """Handle a late reply: end the force at once, if the service still receives.
 
         Raises:
             ChannelError: Replies are late too often.
@@ -379,7 +378,7 @@ class Inverse3:
         self._rest(session)
 
     def _drop_unasked(self, session: Session) -> None:
-        """A frame that nobody asked for would make each reply after it the one of the tick before."""
+        """Drop unrequested frames, which would shift each later reply by one tick."""
         end_s = time.monotonic() + UNASKED_S
         for _ in range(MAX_UNASKED):
             if self._owed != 0 or session.channel.frame(0.0) is None:
@@ -402,7 +401,7 @@ class Inverse3:
             )
 
     def _compare(self, device: InverseDevice) -> None:
-        """Whether the service exerts more than it was sent: forces of several programs add."""
+        """Detect a force above the sent one, because forces of several programs add."""
         said = device.state.current_cursor_force
         if said is None:
             return
@@ -420,7 +419,7 @@ class Inverse3:
             print(f"{self._name}: fault: {fault}", file=sys.stderr, flush=True)
 
     def _lose(self, fault: str) -> None:
-        """A zero force is the last that is sent; the connection ends on a thread of its own."""
+        """Send a zero force last; the connection closes on a separate thread."""
         self._fresh = False
         session, self._session = self._session, None
         if session is not None:

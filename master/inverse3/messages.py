@@ -1,4 +1,4 @@
-"""What is said to the service and what it says: JSON of the service 3.5, as its public client crate `haply` has it."""
+"""Messages to and from the service: JSON of version 3.5, as in the public client crate `haply`."""
 
 import math
 from collections.abc import Sequence
@@ -7,16 +7,16 @@ from typing import Any, Final
 import msgspec
 
 GRIPS: Final = {"wireless": "wireless_verse_grip", "wired": "verse_grip", "custom": "custom_verse_grip"}
-"""Lists of the service by the option `grip`."""
+"""Device lists of the service by option `grip`."""
 PROFILE: Final = "haptether"
 
 
 class MessageError(ValueError):
-    """What the service said cannot be used."""
+    """Unusable data from the service."""
 
 
 class Triple(msgspec.Struct):
-    """A vector."""
+    """Vector."""
 
     x: float
     y: float
@@ -24,12 +24,12 @@ class Triple(msgspec.Struct):
 
     @property
     def xyz(self) -> tuple[float, float, float]:
-        """Its parts."""
+        """Components."""
         return self.x, self.y, self.z
 
 
 class Turned(msgspec.Struct):
-    """An orientation."""
+    """Orientation."""
 
     w: float
     x: float
@@ -38,12 +38,12 @@ class Turned(msgspec.Struct):
 
     @property
     def wxyz(self) -> tuple[float, float, float, float]:
-        """Its parts."""
+        """Components."""
         return self.w, self.x, self.y, self.z
 
 
 class Transform(msgspec.Struct):
-    """Transform of the workspace, applied to positions and forces. The service omits parts that are the identity."""
+    """Workspace transform of positions and forces. The service omits parts that are the identity."""
 
     position: Triple = msgspec.field(default_factory=lambda: Triple(0.0, 0.0, 0.0))
     rotation: Turned = msgspec.field(default_factory=lambda: Turned(1.0, 0.0, 0.0, 0.0))
@@ -51,7 +51,7 @@ class Transform(msgspec.Struct):
 
     @property
     def is_identity(self) -> bool:
-        """Whether it changes nothing."""
+        """True if it changes nothing."""
         wanted = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
         parts = (*self.position.xyz, *self.scale.xyz)
         near = all(abs(part - is_) < 1e-6 for part, is_ in zip(parts, wanted, strict=True))
@@ -59,7 +59,7 @@ class Transform(msgspec.Struct):
 
 
 class InverseState(msgspec.Struct):
-    """Of an Inverse3."""
+    """State of an Inverse3."""
 
     cursor_position: Triple
     cursor_velocity: Triple
@@ -69,7 +69,7 @@ class InverseState(msgspec.Struct):
 
 
 class InverseStatus(msgspec.Struct):
-    """Of an Inverse3; without one of these it is not known whether it is safe."""
+    """Status of an Inverse3; every flag is required to know that it is safe."""
 
     calibrated: bool
     in_use: bool
@@ -88,7 +88,7 @@ class InverseDevice(msgspec.Struct):
 
 
 class Buttons(msgspec.Struct):
-    """Of a wireless grip."""
+    """Buttons of a wireless grip."""
 
     a: bool = False
     b: bool = False
@@ -96,7 +96,7 @@ class Buttons(msgspec.Struct):
 
 
 class GripState(msgspec.Struct):
-    """Of a VerseGrip of either kind."""
+    """State of a VerseGrip of any kind."""
 
     orientation: Turned | None = None
     button: bool | None = None
@@ -104,7 +104,7 @@ class GripState(msgspec.Struct):
 
 
 class GripStatus(msgspec.Struct):
-    """Of a VerseGrip of either kind."""
+    """Status of a VerseGrip of any kind."""
 
     ready: bool | None = None
     connected: bool | None = None
@@ -112,7 +112,7 @@ class GripStatus(msgspec.Struct):
 
 
 class Grip(msgspec.Struct):
-    """A VerseGrip."""
+    """VerseGrip."""
 
     device_id: str
     state: GripState
@@ -120,7 +120,7 @@ class Grip(msgspec.Struct):
 
     @property
     def buttons(self) -> int | None:
-        """Bit 0, 1, 2 for a, b, c; bit 0 for the one of a wired grip."""
+        """Button mask: bit 0, 1, 2 for a, b, c; bit 0 for the button of a wired grip."""
         if self.state.buttons is not None:
             pressed = self.state.buttons
             return pressed.a + 2 * pressed.b + 4 * pressed.c
@@ -128,7 +128,7 @@ class Grip(msgspec.Struct):
 
 
 class Reply(msgspec.Struct):
-    """A frame of the service."""
+    """Frame of the service."""
 
     inverse3: list[InverseDevice] = []
     verse_grip: list[Grip] = []
@@ -136,13 +136,13 @@ class Reply(msgspec.Struct):
     custom_verse_grip: list[Grip] = []
 
     def grips(self, kind: str) -> list[Grip]:
-        """The grips of a list of the service."""
+        """Return the grips of a list of the service."""
         found: list[Grip] = getattr(self, kind)
         return found
 
 
 class Event(msgspec.Struct):
-    """A line of the event channel."""
+    """Message of the event channel."""
 
     name: str
     level: str = ""
@@ -155,10 +155,10 @@ _EVENT: Final = msgspec.json.Decoder(Event)
 
 
 def reply(received: bytes) -> Reply:
-    """A frame of the service.
+    """Parse a frame of the service.
 
     Raises:
-        MessageError: No JSON, fields that are missing or of another type, or numbers that are not finite.
+        MessageError: Not JSON, a field is missing or has another type, or a number is not finite.
     """
     try:
         return _REPLY.decode(received)
@@ -168,10 +168,10 @@ def reply(received: bytes) -> Reply:
 
 
 def event(received: bytes) -> Event:
-    """A line of the event channel.
+    """Parse a message of the event channel.
 
     Raises:
-        MessageError: Something else.
+        MessageError: The data is not an event.
     """
     try:
         return _EVENT.decode(received)
@@ -181,7 +181,7 @@ def event(received: bytes) -> Event:
 
 
 def configuration(device_id: str, *, force_gate: float | None, damping: float | None) -> bytes:
-    """The first message of a session: its name, the frame, what is set of the device; no force."""
+    """Return the first message of a session: its name, frame and device settings, without a force."""
     device: dict[str, Any] = {"device_id": device_id, "commands": {"probe_position": {}}}
     configure: dict[str, Any] = {}
     if force_gate is not None:
@@ -195,11 +195,11 @@ def configuration(device_id: str, *, force_gate: float | None, damping: float | 
 
 
 class ForceMessage:
-    """The message of each tick: the force, and a probe of the grip.
+    """Message of each tick: the force, and a request of the grip state.
 
     Args:
-        device_id: Of the Inverse3.
-        grip: List and id of the grip, if there is one.
+        device_id: Id of the Inverse3.
+        grip: List and id of the grip, or None.
     """
 
     def __init__(self, device_id: str, grip: tuple[str, str] | None) -> None:
@@ -212,7 +212,7 @@ class ForceMessage:
         self._end = f"}}}}}}}}]{probe}}}"
 
     def __call__(self, force: Sequence[float]) -> bytes:
-        """With F in N, in the device's frame; finite."""
+        """Encode F in N in the device frame; must be finite."""
         x, y, z = force
         if not math.isfinite(x + y + z):
             message = f"force {tuple(force)}: must be finite"

@@ -1,4 +1,4 @@
-"""What the driver of an Inverse3 is called with: `[master.options]` of a scene."""
+"""Options of an Inverse3's driver: `[master.options]` of a scene."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal
@@ -17,42 +17,41 @@ class Inverse3Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     """Options of the driver `inverse3`, in SI units."""
 
     host: str = "127.0.0.1"
-    """Where the service runs: an IPv4 address or a name."""
+    """Host of the service: an IPv4 address or a name."""
     port: Port = 10001
-    """Of its WebSocket."""
+    """Port of its WebSocket."""
     event_port: Port = 10020
-    """Of its events: emergency brake, stall and sleep are told there only."""
+    """Port of its events, the only source of emergency brake, stall and sleep."""
     device_id: str = ""
-    """Which Inverse3, as `049D`; by default the only one."""
+    """Id of the Inverse3, such as `049D`; by default the only one."""
     grip: Literal["none", "wireless", "wired", "custom"] = "none"
-    """Which VerseGrip gives orientation and buttons; without one there is neither."""
+    """VerseGrip for orientation and buttons; "none" gives neither."""
     axes: list[str] = msgspec.field(default_factory=lambda: ["x", "y", "z"])
-    """Which axis of the device is each of ours."""
+    """Device axis for each scene axis."""
     origin: tuple[float, float, float] = (0.0, -0.12, 0.15)
-    """Where our origin is, in m in the device's frame; by default amid the workspace, as the vendor's examples have
-    it."""
+    """Origin of the scene in m in the device frame; by default the workspace centre, as in the vendor's examples."""
     max_force_n: Annotated[float, Meta(gt=0.0, le=20.0, extra={"unit": "N"})] = 4.0
-    """Longer forces are shortened to this."""
+    """Largest force in N; a longer vector is shortened to it."""
     reply_timeout_s: Annotated[float, Meta(ge=0.002, le=0.015, extra={"unit": "s"})] = 0.010
-    """How long a reply may take; then the force ends, and the connection."""
+    """Timeout in s of a reply, after which force and connection end."""
     device_velocity: bool = False
-    """Take the velocity that the service gives, whose filter is not documented, rather than our own estimate."""
+    """True to use the service's velocity, whose filter is undocumented, not the own estimate."""
     force_gate: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
-    """Set the service's force gate; by default it is left as it is, and said."""
+    """Force gate of the service; by default unchanged and reported."""
     damping: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
-    """Set the service's own damping; by default it is left as it is, and said."""
+    """Damping of the service; by default unchanged and reported."""
 
     @property
     def frame(self) -> DeviceFrame:
-        """Of the device in ours."""
+        """Map from the device frame to the scene frame."""
         return DeviceFrame(self.axes, self.origin)
 
 
 def inverse3_options(given: Mapping[str, Any]) -> Inverse3Options:
-    """The options from what a scene has, whose numbers may be written as text.
+    """Convert the options of a scene; numbers may be given as text.
 
     Raises:
-        ValueError: A key that there is not, or a value that it cannot have; names the key.
+        ValueError: A key is unknown, or a value is invalid; names the key.
     """
     options = converted(Inverse3Options, given, DEVICE, {})
     if not options.host or any(sign.isspace() or sign in ":/" for sign in options.host):

@@ -1,4 +1,4 @@
-"""3D Systems Touch through OpenHaptics: the driver `touch`."""
+"""3D Systems Touch through OpenHaptics: driver `touch`."""
 
 from haptether.master.touch.driver import Touch
 

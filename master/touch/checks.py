@@ -1,4 +1,4 @@
-"""The checklist before a Touch exerts a force."""
+"""Checklist before a Touch exerts a force."""
 
 import time
 from ctypes import CDLL
@@ -30,21 +30,21 @@ from haptether.master.touch.options import TouchOptions
 
 INKWELL: Final = "put the stylus into the inkwell for 3 s, take it out, and see Touch_Diagnostic"
 RATES: Final = range(400, 4001)
-"""Rates in Hz that a scheduler may have."""
+"""Possible scheduler rates in Hz."""
 LOOKED_S: Final = 0.2
-"""For how long the rate is looked at."""
+"""Duration in s of a rate measurement."""
 LOOKS: Final = 5
-"""So often, where something else takes the processor meanwhile."""
+"""Number of measurements, in case another process takes the processor."""
 RATE_SHARE: Final = 0.25
-"""A scheduler at another of its rates is farther off."""
+"""Allowed relative deviation; the next scheduler rate is farther away."""
 FIRST_S: Final = 2.0
 
 
 def initialised(library: CDLL, options: TouchOptions, checklist: Checklist) -> int:
-    """The handle of the device.
+    """Initialise the device and return its handle.
 
     Raises:
-        RefusedError: It is not there.
+        RefusedError: The device is not available.
     """
     first_error(library)
     handle = library.hdInitDevice(options.device_name.encode() or None)
@@ -62,10 +62,10 @@ def initialised(library: CDLL, options: TouchOptions, checklist: Checklist) -> i
 
 
 def examined(library: CDLL, options: TouchOptions, checklist: Checklist) -> tuple[float, int]:
-    """The bound of the force in N and the rate in Hz, of a device that is current and ready.
+    """Return the force limit in N and the rate in Hz of the current, ready device.
 
     Raises:
-        RefusedError: It is not ready.
+        RefusedError: The device is not ready.
     """
     serial = text(library, SERIAL_NUMBER)
     checklist.ok("device", f"{text(library, VENDOR_NAME)} {text(library, MODEL)}, serial number {serial}")
@@ -92,10 +92,10 @@ def examined(library: CDLL, options: TouchOptions, checklist: Checklist) -> tupl
 
 
 def check_frames(callback: HdCallback, rate_hz: int, checklist: Checklist) -> int:
-    """Number of the newest frame, once they come at the rate that the library says.
+    """Return the number of the latest frame after frames arrive at the library's rate.
 
     Raises:
-        RefusedError: They do not.
+        RefusedError: Frames do not arrive at that rate.
     """
     first = callback.wait(0, FIRST_S)
     if first is None:
@@ -131,7 +131,7 @@ def _check_calibration(library: CDLL, checklist: Checklist) -> None:
     if status == CALIBRATION_NEEDS_UPDATE:
         style = integer(library, CALIBRATION_STYLE)
         if not style & ENCODER_RESET:
-            # With the stylus in the inkwell, or by itself: nothing moves.
+            # Calibration in the inkwell or automatic: nothing moves.
             library.hdUpdateCalibration(style)
             status = library.hdCheckCalibration()
     found = {CALIBRATED: "done", CALIBRATION_NEEDS_UPDATE: "needs an update", CALIBRATION_NEEDS_HAND: "needs a hand"}

@@ -1,4 +1,4 @@
-"""The driver of a 3D Systems Touch: `touch`."""
+"""Driver of a 3D Systems Touch: `touch`."""
 
 import contextlib
 import math
@@ -30,15 +30,15 @@ from haptether.master.vendor import BadSampleError, LostError, VendorDevice, loa
 
 MM: Final = 1e-3
 END_S: Final = 0.1
-"""How long the last frame, of zero force, may take."""
+"""Timeout in s of the last frame, with zero force."""
 LOST_S: Final = 0.5
-"""Without a frame for so long the scheduler is taken for stopped."""
+"""Time in s without a frame after which the scheduler counts as stopped."""
 FARTHEST_M: Final = 1.0
-"""No device of theirs reaches as far."""
+"""Upper bound in m of the reach of any device."""
 
 
 class Session(NamedTuple):
-    """A device on the vendor's scheduler."""
+    """Device on the vendor's scheduler."""
 
     library: CDLL
     handle: int
@@ -48,16 +48,16 @@ class Session(NamedTuple):
 
 
 class Touch(VendorDevice[Session]):
-    """A Touch, whose scheduler paces the loop; see `MasterDevice` and docs/haptic_devices.md.
+    """Touch whose scheduler paces the loop; see `MasterDevice` and docs/haptic_devices.md.
 
-    The vendor's thread calls `HdCallback`, which never waits for Python: it takes the newest force, and zero where that
-    is older than `watchdog_s`.
+    The vendor's thread calls `HdCallback`, which never waits for Python. It exerts the latest force, or zero if that is
+    older than `watchdog_s`.
 
     Args:
-        options: Those of `TouchOptions`.
+        options: Fields of `TouchOptions`.
 
     Raises:
-        ValueError: Options that cannot be. From `open` also `RefusedError`: it is not ready.
+        ValueError: The options are invalid. `open` also raises `RefusedError` if the device is not ready.
     """
 
     paces = True
@@ -68,10 +68,10 @@ class Touch(VendorDevice[Session]):
         self.kinds: tuple[str, ...] = ("linear", "pose") if self.options.orientation else ("linear",)
         self._frame = self.options.frame
         self._tick = 0
-        """Of the newest sample."""
+        """Tick of the latest sample."""
         self._seen_s = 0.0
         self.starved_ticks = 0
-        """Frames without force because this process gave none in time."""
+        """Frames without force because this process provided none in time."""
 
     def _connect(self, checklist: Checklist) -> Session:
         library = load_library(VENDOR, self.options.library, FUNCTIONS, checklist)
@@ -122,7 +122,7 @@ class Touch(VendorDevice[Session]):
         if calibration == CALIBRATION_NEEDS_HAND:
             message = f"not calibrated: {INKWELL}, acknowledge"
             raise BadSampleError(message)
-        # Column by column: the axes of the stylus, then where it is.
+        # Column-major: axes of the stylus, then its position.
         point = [MM * part for part in transform[12:15]]
         if not all(abs(part) <= FARTHEST_M for part in point) or not all(map(math.isfinite, velocity)):
             message = f"malformed sample: position {point}, velocity {velocity}: acknowledge"
@@ -139,7 +139,7 @@ class Touch(VendorDevice[Session]):
         return MasterSample(self._frame.position(point), speed, None, None, None, turned, None, buttons)
 
     def _exert(self, session: Session, force: Sequence[float], torque: Sequence[float]) -> None:  # noqa: ARG002
-        # It has no motor that turns the stylus.
+        # No motor turns the stylus.
         x, y, z = clipped(self._frame.to_device(force), session.max_force_n)
         session.callback.write((x, y, z))
 
@@ -159,9 +159,9 @@ class Touch(VendorDevice[Session]):
 
 
 def _close(library: CDLL, handle: int, callback: HdCallback | None, scheduled: int | None) -> None:
-    """Ends the force and the scheduler and closes the device; each step whatever the one before has raised."""
+    """End force and scheduler and close the device; each step runs even if an earlier one fails."""
     with contextlib.ExitStack() as steps:
-        # From the last to the first.
+        # Callbacks run in reverse order.
         steps.callback(first_error, library)
         steps.callback(library.hdDisableDevice, handle)
         steps.callback(library.hdDisable, FORCE_OUTPUT)
@@ -169,5 +169,5 @@ def _close(library: CDLL, handle: int, callback: HdCallback | None, scheduled: i
         if callback is not None and scheduled is not None:
             steps.callback(library.hdStopScheduler)
             steps.callback(library.hdUnschedule, scheduled)
-            # Its last frame, where it still has one.
+            # Wait for the last frame, if any.
             steps.callback(callback.end, END_S)

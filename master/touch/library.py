@@ -1,4 +1,4 @@
-"""The functions of OpenHaptics HDAPI that the driver calls, by ctypes.
+"""Functions of OpenHaptics HDAPI used by the driver, through ctypes.
 
 Signatures and codes: hdDefines.h, hdDevice.h and hdScheduler.h of OpenHaptics 3, and pyOpenHaptics 1.0.1.
 """
@@ -37,9 +37,9 @@ PRIORITY: Final = 0x7FFF
 """`HD_DEFAULT_SCHEDULER_PRIORITY`."""
 CALIBRATED, CALIBRATION_NEEDS_UPDATE, CALIBRATION_NEEDS_HAND = 0x5000, 0x5001, 0x5002
 ENCODER_RESET: Final = 1
-"""Of the calibration styles: it takes the pose of now for the neutral one."""
+"""Calibration style that takes the current pose as the neutral one."""
 TOO_MANY: Final = 32
-"""Errors that are taken off the stack at once."""
+"""Errors removed from the stack per call."""
 
 
 class ErrorInfo(ctypes.Structure):
@@ -74,7 +74,7 @@ FRAME: Final = (
     "hdMakeCurrentDevice", "hdBeginFrame", "hdEndFrame", "hdGetDoublev", "hdGetIntegerv", "hdSetDoublev", "hdGetError",
     "hdCheckCalibration",
 )  # fmt: skip
-"""Those that a frame needs, in the order of `HdCallback`."""
+"""Functions that a frame needs, in the order of `HdCallback`."""
 
 ERRORS: Mapping[int, tuple[str, str]] = MappingProxyType({
     0x104: ("bad handle", "is the name of the device that of Touch_Setup?"),
@@ -93,19 +93,19 @@ ERRORS: Mapping[int, tuple[str, str]] = MappingProxyType({
     0x402: ("frame error", "see the vendor's Touch_Diagnostic"),
     0x600: ("licence", "install the vendor's licence"),
 })  # fmt: skip
-"""What an error is, and the remedy. Source of the codes: hdDefines.h."""
+"""Error texts and remedies. Source of the codes: hdDefines.h."""
 LOST: Final = frozenset({0x104, 0x300, 0x301, 0x302, 0x303, 0x304, 0x600})
-"""After these it has to be opened anew."""
+"""Errors that require reopening the device."""
 
 
 def error_text(code: int, internal: int) -> str:
-    """What an error is and what to do."""
+    """Return the text and remedy of an error."""
     what, remedy = ERRORS.get(code, ("error", "see the vendor's Touch_Diagnostic"))
     return f"{what} (0x{code:04X}, internal {internal}): {remedy}"
 
 
 def first_error(library: CDLL) -> tuple[int, int] | None:
-    """The first error since the last call, and its internal code; the others are taken off the stack, too."""
+    """Return the first error since the last call with its internal code; clear the others."""
     first = None
     for _ in range(TOO_MANY):
         error = library.hdGetError()
@@ -116,26 +116,26 @@ def first_error(library: CDLL) -> tuple[int, int] | None:
 
 
 def integer(library: CDLL, code: int) -> int:
-    """A whole number of the current device."""
-    # As large as any of them.
+    """Return an integer parameter of the current device."""
+    # Large enough for any parameter.
     values = (c_int * 16)()
     library.hdGetIntegerv(code, values)
     return values[0]
 
 
 def double(library: CDLL, code: int) -> float:
-    """A number of the current device."""
+    """Return a floating-point parameter of the current device."""
     values = (c_double * 16)()
     library.hdGetDoublev(code, values)
     return values[0]
 
 
 def text(library: CDLL, code: int) -> str:
-    """A text of the current device."""
+    """Return a text parameter of the current device."""
     return (library.hdGetString(code) or b"?").decode(errors="replace")
 
 
 def frame_callback(library: CDLL, device: int, *, watchdog_s: float, max_force_n: float) -> HdCallback:
-    """What the scheduler is to call for this device."""
+    """Return the scheduler callback of this device."""
     addresses = [ctypes.cast(getattr(library, name), c_void_p).value or 0 for name in FRAME]
     return HdCallback(addresses, device, watchdog_s=watchdog_s, max_force_n=max_force_n)

@@ -1,4 +1,4 @@
-"""What the driver of a Touch is called with: `[master.options]` of a scene."""
+"""Options of a Touch's driver: `[master.options]` of a scene."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Final
@@ -16,35 +16,35 @@ class TouchOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """Options of the driver `touch`, in SI units."""
 
     library: str = ""
-    """The file of the vendor's libHD; by default it is looked for."""
+    """Path of the vendor's libHD; by default searched for."""
     device_name: str = ""
-    """As the vendor's Touch_Setup has it; by default that of its default device."""
+    """Name in the vendor's Touch_Setup; by default the default device."""
     orientation: bool = False
-    """Take the orientation of the stylus, as scenes of kind "pose" need it."""
+    """True to use the orientation of the stylus, required for scenes of kind "pose"."""
     axes: list[str] = msgspec.field(default_factory=lambda: ["z", "x", "y"])
-    """Which axis of the device is each of ours: by default x towards the user, y to the right, z up."""
+    """Device axis for each scene axis: by default x towards the user, y to the right, z up."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where our origin is, in m in the device's frame."""
+    """Origin of the scene in m in the device frame."""
     max_force_n: Annotated[float, Meta(gt=0.0, le=10.0, extra={"unit": "N"})] = 3.0
-    """Longer forces are shortened to this, and to what the device says of itself."""
+    """Largest force in N, also limited by the device; a longer vector is shortened to it."""
     watchdog_s: Annotated[float, Meta(ge=0.003, le=0.05, extra={"unit": "s"})] = 0.010
-    """Without a new force for so long the vendor's thread exerts none, whatever this process does."""
+    """Time in s without a new force after which the vendor's thread exerts none."""
     sample_timeout_s: Annotated[float, Meta(ge=0.003, le=0.018, extra={"unit": "s"})] = 0.015
-    """How long a frame of the vendor's scheduler may take; then the force ends."""
+    """Timeout in s of a scheduler frame, after which the force ends."""
     device_velocity: bool = False
-    """Take the library's velocity, whose filter is not documented, rather than our own estimate."""
+    """True to use the library's velocity, whose filter is undocumented, not the own estimate."""
 
     @property
     def frame(self) -> DeviceFrame:
-        """Of the device in ours."""
+        """Map from the device frame to the scene frame."""
         return DeviceFrame(self.axes, self.origin)
 
 
 def touch_options(given: Mapping[str, Any]) -> TouchOptions:
-    """The options from what a scene has, whose numbers may be written as text.
+    """Convert the options of a scene; numbers may be given as text.
 
     Raises:
-        ValueError: A key that there is not, or a value that it cannot have; names the key.
+        ValueError: A key is unknown, or a value is invalid; names the key.
     """
     options = converted(TouchOptions, given, DEVICE, {})
     if "\0" in options.device_name:

@@ -1,4 +1,4 @@
-"""What drivers through a vendor's C library share: how it is found, and how a device of it faults and comes back."""
+"""Common parts of drivers on a vendor's C library: loading, faults and recovery."""
 
 from haptether.master.vendor.device import BadSampleError, LostError, VendorDevice
 from haptether.master.vendor.library import Function, Vendor, load_library

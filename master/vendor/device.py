@@ -1,4 +1,4 @@
-"""A device behind a vendor's library: latched faults, no force without a fresh sample, and the way back."""
+"""Device behind a vendor's library: latched faults, no force without a fresh sample, recovery."""
 
 import sys
 import threading
@@ -14,27 +14,27 @@ from haptether.master.frame import REST
 Session = TypeVar("Session")
 JOIN_S: Final = 3.0
 HALTS: Final = 20
-"""So often a device that does not answer is told to end its force."""
+"""Number of attempts to end the force of a silent device."""
 
 
 class LostError(Exception):
-    """The device does not answer any more: it has to be opened anew."""
+    """The device no longer answers and must be reopened."""
 
 
 class BadSampleError(Exception):
-    """There is no sample that can be trusted."""
+    """No trustworthy sample is available."""
 
 
 class VendorDevice(ABC, Generic[Session]):
-    """The part of a driver that does not depend on the vendor; see `MasterDevice`.
+    """Vendor-independent part of a driver; see `MasterDevice`.
 
-    A fault ends the force at once and is latched, until the operator acknowledges it. After a lost connection two acts
-    are needed: to open the device anew, on a thread of its own, and to go on.
+    A fault ends the force at once and is latched until the operator acknowledges it. After a lost connection two
+    acknowledgements are needed: one reopens the device on a separate thread, one continues.
 
     Args:
-        name: At the begin of each line that is printed.
-        axes: Of the samples.
-        turns: Whether samples have an orientation.
+        name: Prefix of each printed line.
+        axes: Number of axes in samples.
+        turns: True if samples have an orientation.
     """
 
     paces = False
@@ -46,65 +46,65 @@ class VendorDevice(ABC, Generic[Session]):
         self._turns = turns
         self._session: Session | None = None
         self._lost: Session | None = None
-        """One that does not answer any more and has to be released yet."""
+        """Session that no longer answers and must still be released."""
         self._halts = 0
         self._sample: MasterSample | None = None
         self._fresh = False
-        """Whether the newest sample is of this tick and nothing is wrong: only then a force is exerted."""
+        """True if the latest sample is of this tick without a fault; required for a force."""
         self._fault: str | None = None
-        """Latched."""
+        """Latched fault."""
         self._shown: str | None = None
-        """The fault of the last sample."""
+        """Fault of the last sample."""
         self._reopened: Session | str | None = None
-        """What the thread that opens it anew has found: a session, or why there is none."""
+        """Result of the reopening thread: a session, or the reason of failure."""
         self._reopening: threading.Thread | None = None
         self._ending = threading.Event()
         self._taking = threading.Lock()
-        """Held for a moment by whoever takes a session that another thread may take, too."""
+        """Held briefly by a thread that takes a session, because another may take it too."""
 
     # ------------------------------------------------------------------------------------------- of the vendor
 
     @abstractmethod
     def _connect(self, checklist: Checklist) -> Session:
-        """Opens the device, without a force; what was opened by an attempt that fails is closed by it.
+        """Open the device without force; a failed attempt closes what it opened.
 
         Raises:
-            RefusedError: It is not there or not ready.
+            RefusedError: The device is not available or not ready.
         """
 
     @abstractmethod
     def _measure(self, session: Session) -> MasterSample:
-        """A new sample.
+        """Return a new sample.
 
         Raises:
             LostError: The connection is lost.
-            BadSampleError: There is none that can be trusted, or something is wrong with the device.
+            BadSampleError: No trustworthy sample, or a device fault.
         """
 
     @abstractmethod
     def _exert(self, session: Session, force: Sequence[float], torque: Sequence[float]) -> None:
-        """Exerts both until the next call, bounded, in our frame.
+        """Exert force and torque until the next call, bounded, in the scene frame.
 
         Raises:
             LostError: The connection is lost.
-            BadSampleError: The device does not take it.
+            BadSampleError: The device refuses the force.
         """
 
     @abstractmethod
     def _halt(self, session: Session) -> None:
-        """Ends all force, now and until the next `_exert`; does not raise. Called again, it tries what has failed."""
+        """End all force until the next `_exert`; never raises. A repeated call retries failed steps."""
 
     @abstractmethod
     def _release(self, session: Session) -> None:
-        """Ends all force and closes the device, whatever it is in; does not raise."""
+        """End all force and close the device in any state; never raises."""
 
     def _clear(self, session: Session) -> None:
-        """The operator has acknowledged a fault."""
+        """Handle the operator's acknowledgement of a fault."""
 
     # -------------------------------------------------------------------------------------------- MasterDevice
 
     def open(self) -> None:
-        """Goes through the checklist and opens the device; no force."""
+        """Run the checklist and open the device, without force."""
         if self._session is not None:
             message = f"{self.name}: is open"
             raise ValueError(message)
@@ -116,7 +116,7 @@ class VendorDevice(ABC, Generic[Session]):
         self._reopened = self._reopening = None
         self._session = self._connect(Checklist(self.name))
         if self._ending.is_set():
-            # By another thread, which may have found nothing to close.
+            # Closed by another thread, which may have found nothing to close.
             session, self._session = self._session, None
             if session is not None:
                 self._release(session)
@@ -124,13 +124,13 @@ class VendorDevice(ABC, Generic[Session]):
             raise RefusedError(message)
 
     def read(self) -> MasterSample:
-        """The newest sample; the last one and a fault where there is none."""
+        """Return the latest sample; without one, the last sample and a fault."""
         sample = self._read()
         self._shown = sample.fault
         return sample
 
     def write(self, force: tuple[float, ...], torque: tuple[float, ...] | None = None) -> None:
-        """Exerts the force; all of it ends where this tick was not read, and nothing is exerted with a fault."""
+        """Exert the force; end all force if this tick was not read, and exert none during a fault."""
         fresh, self._fresh = self._fresh, False
         session = self._session
         if session is None or self._fault is not None:
@@ -146,9 +146,9 @@ class VendorDevice(ABC, Generic[Session]):
             self._latch(str(error))
 
     def acknowledge(self) -> None:
-        """The operator has removed the fault; a device that was lost is opened anew."""
+        """Acknowledge a fixed fault; a lost device is reopened."""
         if self._fault is not self._shown or self._reopening is not None:
-            # One since the last sample was not shown to anybody; what is under way ends by itself.
+            # A fault since the last sample has not been shown yet; a running reopening ends by itself.
             return
         self._fault = None
         if self._session is not None:
@@ -159,7 +159,7 @@ class VendorDevice(ABC, Generic[Session]):
             self._reopening.start()
 
     def close(self) -> None:
-        """Ends all force and closes the device."""
+        """End all force and close the device."""
         self._ending.set()
         session, self._session = self._session, None
         if session is not None:
@@ -178,18 +178,18 @@ class VendorDevice(ABC, Generic[Session]):
         self._take_reopened()
         session = self._session
         if session is None:
-            # Another thread takes it to release it.
+            # Another thread may take it for release.
             lost = self._lost
             if lost is not None and self._halts < HALTS:
-                # It may be back by now, and exert what it was sent last.
+                # It may have returned, and exert its last force.
                 self._halts += 1
                 self._halt(lost)
             if self.paces:
-                # Nobody else waits.
+                # No other code waits.
                 time.sleep(self.period_s or 1e-3)
             return self._faulty()
         if self._fault is not None:
-            # The first time may have failed, and nothing is written while there is a fault.
+            # The first halt may have failed, and nothing is written during a fault.
             self._halt(session)
         try:
             sample = self._measure(session)
@@ -213,7 +213,7 @@ class VendorDevice(ABC, Generic[Session]):
 
     def _lose(self, fault: str) -> None:
         self._latch(f"{fault}: acknowledge to open it anew", anew=True)
-        # Closing it may take its time.
+        # Closing may take time.
         self._lost, self._session, self._halts = self._session, None, 0
 
     def _take_lost(self) -> Session | None:
@@ -227,10 +227,10 @@ class VendorDevice(ABC, Generic[Session]):
             self._release(lost)
         try:
             self._reopened = self._connect(Checklist(self.name))
-        except Exception as error:  # whatever it is: the operator has to learn of it
+        except Exception as error:  # whatever the error, the operator must see it
             self._reopened = f"not ready: {error}"
         if self._ending.is_set():
-            # `close` waits for a while only.
+            # `close` has a timeout.
             self._release_reopened()
 
     def _release_reopened(self) -> None:

@@ -1,4 +1,4 @@
-"""A vendor's shared library, found at run time: it is not ours to ship."""
+"""Vendor's shared library, found at run time because it cannot be shipped."""
 
 import ctypes
 import os
@@ -10,40 +10,40 @@ from haptether.checklist import Checklist, RefusedError
 
 
 class Function(NamedTuple):
-    """A function of a library, as the vendor's header has it."""
+    """Library function as in the vendor's header."""
 
     name: str
     result: Any
-    """Its type, of ctypes; none for void."""
+    """Result type of ctypes; None for void."""
     arguments: tuple[Any, ...] = ()
 
 
 class Vendor(NamedTuple):
-    """Where the library of a vendor may be, and what to do where it is not."""
+    """Search locations of a vendor's library, and the remedy if it is missing."""
 
     title: str
     names: tuple[str, ...]
-    """As the system's loader knows it, the best first."""
+    """Names for the system loader, the best first."""
     variable: str
-    """The environment variable that names the folder of the vendor's kit."""
+    """Environment variable with the folder of the vendor's kit."""
     below: tuple[str, ...]
-    """Patterns of the library below that folder."""
+    """Library patterns below that folder."""
     places: tuple[str, ...]
-    """Patterns of files where the vendor's installers put it."""
+    """File patterns of the vendor's installers."""
     remedy: str
 
 
 def load_library(vendor: Vendor, path: str, functions: Sequence[Function], checklist: Checklist) -> ctypes.CDLL:
-    """The library, with the types of its functions.
+    """Load the library and set the types of its functions.
 
     Args:
-        vendor: Whose library.
-        path: The option `library`: this file and no other; empty to look for one.
-        functions: What it must have.
-        checklist: Gets the line.
+        vendor: Vendor of the library.
+        path: Option `library`: exactly this file; empty to search.
+        functions: Required functions.
+        checklist: Takes the line.
 
     Raises:
-        RefusedError: It is nowhere, cannot be loaded, or lacks a function; says where it was looked for.
+        RefusedError: The library is missing, cannot be loaded, or lacks a function; lists the searched locations.
     """
     tried = []
     for candidate in [path] if path else _candidates(vendor):
@@ -67,7 +67,7 @@ def load_library(vendor: Vendor, path: str, functions: Sequence[Function], check
             tried.append(f"{vendor.variable} is not set")
     checklist.refuse("library", f"no {vendor.title}: looked for {'; '.join(tried)}", vendor.remedy)
     checklist.finish()
-    raise RefusedError  # `finish` has
+    raise RefusedError  # raised by `finish`
 
 
 def _candidates(vendor: Vendor) -> Iterator[str]:
@@ -81,12 +81,12 @@ def _candidates(vendor: Vendor) -> Iterator[str]:
 
 
 def _found(pattern: str) -> list[str]:
-    """Files of a pattern, the newest version first."""
+    """Return the files of a pattern, the latest version first."""
     path = Path(pattern).expanduser()
     return sorted(map(str, Path(path.anchor).glob(str(path.relative_to(path.anchor)))), reverse=True)
 
 
 def _why(candidate: str, error: OSError) -> str:
-    """The loader's own words where they say more than that there is none."""
+    """Return the loader's text if it says more than that the file is missing."""
     text = str(error)
     return candidate if "No such file" in text and candidate in text else f"{candidate} ({text})"

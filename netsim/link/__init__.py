@@ -1,1 +1,1 @@
-"""Settings of one direction of a network, and how they become what the Rust side takes."""
+"""Settings of one direction of a network, and their conversion for the Rust side."""

@@ -1,4 +1,4 @@
-"""What is wrong with a link, in one line: which setting, what was seen, what is allowed."""
+"""One-line link errors: setting, value seen, values allowed."""
 
 import math
 import re
@@ -8,23 +8,22 @@ from msgspec import Struct, ValidationError, inspect
 
 
 class LinkError(ValueError):
-    """Settings that describe no link.
+    """Invalid settings of a link.
 
     Args:
-        key: The setting, with its place in a list or table, as in `outages.0.times.period_s`.
-        problem: What follows it: ` = seen: must be allowed`, or `: what is wrong`.
+        key: Setting with its path, such as `outages.0.times.period_s`.
+        problem: Text after the key: ` = seen: must be allowed`, or `: error`.
     """
 
     def __init__(self, key: str, problem: str) -> None:
         super().__init__(f"{key}{problem}")
         self.key = key
-        """The setting."""
         self.problem = problem
-        """The rest of the message."""
+        """Message without the key."""
 
 
 def wrong(key: str, seen: object, allowed: str) -> LinkError:
-    """A value that is not allowed."""
+    """Return the error for a value that is not allowed."""
     text = f'"{seen}"' if isinstance(seen, str) else f"{seen}"
     return LinkError(key, f" = {text if len(text) <= 80 else f'{text[:76]} ...'}: must be {allowed}")
 
@@ -33,13 +32,13 @@ _OF_RULES = re.compile(r"(?P<key>[\w.]+)(?P<problem>(?: = |: ).*)", re.DOTALL)
 
 
 def of_rules(error: ValueError) -> LinkError:
-    """What the rules of a link refused."""
+    """Convert an error of the link rules."""
     found = _OF_RULES.fullmatch(str(error))
     return LinkError(found["key"], found["problem"]) if found else LinkError("link", f": {error}")
 
 
 def of_types(error: ValidationError, raw: dict[str, Any], root: type[Struct]) -> LinkError:
-    """What the types of the settings refused."""
+    """Convert an error of the settings' types."""
     message, _, where = str(error).partition(" - at `$")
     steps = [int(step[1:-1]) if step[0] == "[" else step[1:] for step in re.findall(r"\.[^.\[`]+|\[\d+\]", where)]
     key = ".".join(map(str, steps))
@@ -95,10 +94,10 @@ def _range_text(kind: inspect.Type) -> str:  # noqa: PLR0911  # one for each typ
 
 
 def refuse_infinite(raw: object, key: str = "") -> None:
-    """Refuses numbers that are not finite, which JSON cannot write.
+    """Refuse numbers that are not finite, which JSON cannot represent.
 
     Raises:
-        LinkError: With the place of the first.
+        LinkError: Gives the path of the first.
     """
     if isinstance(raw, float) and not math.isfinite(raw):
         raise wrong(key, raw, "a finite number")

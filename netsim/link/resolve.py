@@ -1,4 +1,4 @@
-"""A link as the Rust side takes it: preset, files and defaults filled in, every number checked against its range."""
+"""Resolution of link settings for the Rust side: preset, files and defaults filled in, ranges checked."""
 
 import difflib
 from pathlib import Path
@@ -35,14 +35,14 @@ _INSTEAD = {
     "opportunities": ("rate_bps",),
     "trace": (*_DELAYS, *_LOSSES, "outages"),
 }
-"""Settings of a preset that do not count once another way to say the same is given."""
+"""Preset settings that an alternative setting replaces."""
 
 
 def link_spec(settings: LinkSettings, direction: Direction) -> dict[str, Any]:
-    """Exactly the fields of Rust's `LinkSettings`: preset and defaults filled in; files have been read.
+    """Return exactly the fields of Rust's `LinkSettings`, with preset and defaults filled in; files must be read.
 
     Raises:
-        LinkError: A number out of its range, or settings that do not go together.
+        LinkError: A number is out of range, or settings contradict each other.
     """
     settings = _with_preset(_checked(settings), direction)
     spec = {
@@ -62,19 +62,19 @@ def link_spec(settings: LinkSettings, direction: Direction) -> dict[str, Any]:
 
 
 def link_json(settings: LinkSettings, direction: Direction) -> str:
-    """As `link_spec`, written; files that the settings name are read from the working folder.
+    """Return `link_spec` as JSON; files named by the settings are read from the working folder.
 
     Raises:
-        LinkError: As `link_spec`, or a file that cannot be read, with its line.
+        LinkError: Same as for `link_spec`, or a file cannot be read; gives the line.
     """
     return _json(link_spec(with_files(settings, Path(), direction), direction))
 
 
 def with_files(settings: LinkSettings, folder: Path, direction: Direction) -> LinkSettings:
-    """The settings with the contents of the files that they name, relative to `folder`.
+    """Return the settings with the contents of their files; paths are relative to `folder`.
 
     Raises:
-        LinkError: A file that cannot be read, with line and column, or one that is named beside numbers.
+        LinkError: A file cannot be read (gives line and column), or both a file and numbers are given.
     """
     trace, opportunities, distribution = settings.trace, settings.opportunities, settings.distribution
     if trace is not None and trace.file is not None:
@@ -105,10 +105,10 @@ def _read(key: str, file: Path, form: str, direction: Direction, setting: type[_
 
 
 def _checked(settings: LinkSettings) -> LinkSettings:
-    """The settings, checked against their types and ranges: a struct that was built in Python was not yet.
+    """Check the settings for types and ranges, because a struct built in Python is unchecked.
 
     Raises:
-        LinkError: The first that does not fit.
+        LinkError: Names the first invalid setting.
     """
     raw = msgspec.to_builtins(settings, enc_hook=_of_numpy)
     refuse_infinite(raw)
@@ -119,15 +119,15 @@ def _checked(settings: LinkSettings) -> LinkSettings:
 
 
 def _of_numpy(value: object) -> object:
-    """Numbers of NumPy as such of Python."""
+    """Convert NumPy numbers to Python numbers."""
     return value.item() if hasattr(value, "item") else value
 
 
 def _with_preset(settings: LinkSettings, direction: Direction) -> LinkSettings:
-    """The settings with those of their preset, which what is given overrides.
+    """Merge the preset into the settings; given settings override it.
 
     Raises:
-        LinkError: No such preset.
+        LinkError: The preset does not exist.
     """
     if settings.preset is None:
         return settings
@@ -148,7 +148,7 @@ def _with_preset(settings: LinkSettings, direction: Direction) -> LinkSettings:
 
 
 def _spelled_out(value: object, key: str) -> Any:  # noqa: ANN401  # as different as the settings are
-    """A value with all its fields, also those that have their defaults."""
+    """Convert a value with all its fields, including defaults."""
     if isinstance(value, tuple):
         return [_spelled_out(item, f"{key}.{index}") for index, item in enumerate(value)]
     if not isinstance(value, msgspec.Struct):
@@ -171,7 +171,7 @@ def _spelled_out(value: object, key: str) -> Any:  # noqa: ANN401  # as differen
 
 
 def _embedded(key: str, file: str | None, series: dict[str, tuple[Any, ...] | None]) -> None:
-    """Refuses a recording that has a file and numbers, or neither."""
+    """Refuse a recording with both a file and numbers, or neither."""
     names = " and ".join(series)
     if file is not None:
         raise LinkError(f"{key}.file", f": either file, or {names}")

@@ -1,6 +1,6 @@
-"""Settings of one direction of a link, with the ranges of their numbers, which validation, messages and tools read.
+"""Settings of one direction of a link, with number ranges for validation, messages and tools.
 
-`netsim/src/settings.rs` reads the same; what may name a file here is embedded before (`haptether.netsim.link.resolve`).
+`netsim/src/settings.rs` reads the same settings; files are embedded before (`haptether.netsim.link.resolve`).
 """
 
 from typing import Annotated, Literal, TypeAlias
@@ -8,38 +8,37 @@ from typing import Annotated, Literal, TypeAlias
 from msgspec import Meta, Struct
 
 MAX_DELAY_S = 3600.0
-"""Longest delay that a link accepts."""
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 Delay = Annotated[float, Meta(ge=0.0, le=MAX_DELAY_S)]
 Time = Annotated[float, Meta(ge=0.0, le=1e9)]
-"""In s since the link began, or between two things that happen."""
+"""Time in s since the link began, or between two events."""
 Length = Annotated[float, Meta(gt=0.0, le=1e9)]
-"""In s, of something that lasts."""
+"""Duration in s."""
 Burst = Annotated[float, Meta(ge=1.0, le=1e9)]
 Rate = Annotated[float, Meta(gt=0.0, le=1e12)]
 """In bit/s."""
 Bytes = Annotated[int, Meta(ge=0, le=65_535)]
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Edited = Annotated[float, Meta(ge=-1e12, le=1e12)]
-"""What somebody on the path writes into a packet, adds or multiplies with."""
+"""Value that an attacker on the path writes into a packet, adds or multiplies with."""
 Operation: TypeAlias = Literal["set", "add", "multiply"]
-"""What is done to a number."""
+"""Operation on a number in a packet."""
 Shape = Annotated[float, Meta(gt=0.0, le=1e6)]
 Level = Annotated[int, Meta(ge=-32_768, le=32_767)]
-"""Of a table of delays, in 1/8192 standard deviations."""
+"""Value of a delay table in 1/8192 standard deviations."""
 
 
 class GilbertElliott(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Two states, each with its own probability of loss.
+    """Loss model with two states, each with its own probability of loss.
 
     Source: E. N. Gilbert, Bell Syst. Tech. J. 39, 1960; E. O. Elliott, Bell Syst. Tech. J. 42, 1963.
     """
 
     to_bad: Share
-    """p: probability that the good state turns bad, per packet."""
+    """p: probability per packet of a transition from good to bad."""
     to_good: Share
-    """r: probability that the bad state turns good, per packet."""
+    """r: probability per packet of a transition from bad to good."""
     loss_good: Share = 0.0
     """1 - k: probability of loss in the good state."""
     loss_bad: Share = 1.0
@@ -47,106 +46,107 @@ class GilbertElliott(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class FourState(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Four states: 1 good, 2 good within a burst, 3 lost within a burst, 4 lost alone. `pij` leads from i to j.
+    """Loss model with four states: 1 good, 2 good within a burst, 3 lost within a burst, 4 isolated loss.
+
+    `pij` is the probability of the transition from i to j.
 
     Source: Salsano, Ludovici, Ordine and Giannuzzi 2012 (GI model).
     """
 
     p13: Share
-    """A burst begins."""
+    """Probability that a burst begins."""
     p31: Share
-    """A burst ends."""
+    """Probability that a burst ends."""
     p32: Share = 0.0
-    """Packets pass within a burst."""
+    """Probability that packets pass within a burst."""
     p23: Share = 1.0
-    """Packets are lost again within a burst."""
+    """Probability that loss resumes within a burst."""
     p14: Share = 0.0
-    """A packet is lost alone."""
+    """Probability of an isolated loss."""
 
 
 class Once(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="once"):
     """One outage."""
 
     at_s: Time
-    """When it begins, in s since the link began."""
+    """Start in s since the link began."""
     duration_s: Time
-    """How long it lasts in s."""
+    """Duration in s."""
 
 
 class Periodic(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="periodic"):
-    """Outages again and again."""
+    """Periodic outages."""
 
     at_s: Time
-    """When the first one begins, in s since the link began."""
+    """Start of the first outage in s since the link began."""
     period_s: Length
-    """From one beginning to the next, in s."""
+    """Time in s between starts."""
     duration_s: Time
-    """How long each lasts in s."""
+    """Duration of each outage in s."""
 
 
 class Random(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="random"):
-    """Outages at random: both times are exponentially distributed."""
+    """Random outages with exponentially distributed up and down times."""
 
     mean_up_s: Length
-    """Mean time in s between an end and the next beginning."""
+    """Mean time in s between an end and the next start."""
     mean_down_s: Length
-    """Mean time in s that one lasts."""
+    """Mean duration in s."""
 
 
 class Outage(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Times at which nothing passes."""
+    """Times at which no packet passes."""
 
     times: Once | Periodic | Random
-    """When."""
     effect: Literal["drop", "hold"] = "drop"
-    """What becomes of the packets: dropped, or held, so that they arrive together once it is over."""
+    """Effect on packets: "drop", or "hold", which delivers them together at the end."""
 
 
 class CrossTraffic(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Other traffic through the same bottleneck: packets at random times (Poisson)."""
+    """Other traffic through the same bottleneck with Poisson arrivals."""
 
     rate_bps: Rate
-    """Mean rate in bit/s while it sends, headers included."""
+    """Mean rate in bit/s while it sends, including headers."""
     packet_bytes: Bytes = 1500
-    """Size of its packets in bytes, headers included."""
+    """Packet size in bytes, including headers."""
     mean_on_s: Length | None = None
-    """Mean time in s that it sends before it pauses; exponentially distributed. Without it, it never pauses."""
+    """Mean duration in s of sending, exponentially distributed; None sends without pauses."""
     mean_off_s: Length | None = None
-    """Mean time in s that it pauses."""
+    """Mean duration in s of a pause."""
 
 
 class Opportunities(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Times at which the bottleneck may send 1500 bytes each, repeated for ever.
+    """Times at which the bottleneck may send 1500 bytes each, repeated indefinitely.
 
     Source: mahimahi, `mm-link` traces.
     """
 
     file: str | None = None
-    """A trace of mahimahi, instead of `time_ms`; relative to the scene."""
+    """Trace file of mahimahi, as an alternative to `time_ms`; path relative to the scene."""
     time_ms: tuple[Count, ...] | None = None
-    """Times in ms, not decreasing, the last above 0: after it the list begins anew."""
+    """Non-decreasing times in ms, the last above 0; the list then repeats."""
 
 
 class DistributionTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An inverse distribution function at evenly spaced probabilities, as in the `.dist` files of iproute2."""
+    """Inverse distribution function at evenly spaced probabilities, as in iproute2's `.dist` files."""
 
     table: tuple[Level, ...]
-    """In 1/8192 standard deviations around the mean."""
+    """Values in 1/8192 standard deviations around the mean."""
 
 
 class DelayChange(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A change of the mean delay."""
+    """Change of the mean delay."""
 
     at_s: Time
-    """When it begins, in s since the link began."""
+    """Start in s since the link began."""
     delay_s: Delay
-    """The new mean delay in s."""
+    """New mean delay in s."""
     ramp_s: Time = 0.0
-    """How long in s it takes to get there, linearly; 0 is a step."""
+    """Duration of the linear transition in s; 0 is a step."""
 
 
 class Slots(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Scheduling slots: a level of delay that is drawn anew for each, and spikes at both ends.
+    """Scheduling slots with a random delay level per slot and spikes at both ends.
 
     Source: arXiv 2601.08439 (Starlink: 15 s; about 140 ms at the start, 75 ms at the end).
     """
@@ -154,13 +154,13 @@ class Slots(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_
     period_s: Length
     """Length of a slot in s."""
     start_spike_s: Time = 0.0
-    """How long in s delays are raised at the start of a slot."""
+    """Duration in s of raised delays at the start of a slot."""
     end_spike_s: Time = 0.0
-    """How long in s delays are raised at the end of a slot."""
+    """Duration in s of raised delays at the end of a slot."""
     spike_delay_s: Delay = 0.0
-    """By how much in s, on average; exponentially distributed from spike to spike."""
+    """Mean spike height in s, exponentially distributed."""
     level_s: Delay = 0.0
-    """Standard deviation in s of the level from slot to slot, beside `delay_s`; never below zero delay."""
+    """Standard deviation in s of the level between slots, added to `delay_s`; the delay stays at least zero."""
     spike_loss: Share = 0.0
     """Probability that a packet is lost during a spike."""
 
@@ -169,236 +169,235 @@ class DelayTrace(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     """Recorded delays and losses: a file, or times and delays."""
 
     file: str | None = None
-    """The recording; relative to the scene."""
+    """Recording file; path relative to the scene."""
     format: Literal["csv", "irtt"] | None = None
-    """What the file is; by default JSON is of IRTT, all else CSV."""
+    """File format; by default IRTT for JSON, otherwise CSV."""
     direction: Literal["forward", "backward"] | None = None
-    """Which delays of a recording of both directions; by default those of the link's own."""
+    """Delays used from a bidirectional recording; by default the link's own direction."""
     time_s: tuple[Time, ...] | None = None
-    """Times in s, increasing, the first 0 or more: the link begins at the first."""
+    """Increasing times in s, the first 0 or more; the link begins at the first."""
     delay_s: tuple[Delay | None, ...] | None = None
-    """Delay in s of a packet sent then; in a file, an empty one was lost."""
+    """Delay in s of a packet sent at that time; an empty value in a file is a loss."""
     half_round_trips: bool = False
-    """True if the delays are half of round trips, as from IRTT without one-way delays. It changes no delay."""
+    """True if the delays are half of round trips, as from IRTT without one-way delays. Delays are not affected."""
     interpolate: bool = True
-    """Whether delays between two records are interpolated; else the last one holds."""
+    """True to interpolate delays between records; False holds the previous one."""
     repeat: bool = True
-    """Whether it begins anew after its end; else its last record holds."""
+    """True to repeat after the end; False holds the last record."""
 
 
 class ByteRange(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Bytes from `start` up to but not including `end`."""
+    """Bytes from `start` up to, but not including, `end`."""
 
     start: Bytes
-    """First byte."""
     end: Bytes
-    """First byte after it."""
 
 
 class Target(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Which packets: those of the given times, every n-th of them, each with a probability."""
+    """Selection of packets by time, by index and by probability."""
 
     from_s: Time = 0.0
-    """From when on, in s since the link began."""
+    """Start in s since the link began."""
     until_s: Time | None = None
-    """Until when, in s; without it, for ever."""
+    """End in s; None for no end."""
     every: Count = 1
-    """Only packets whose index is a multiple of it."""
+    """Only packets whose index is a multiple of this value."""
     least_bytes: Bytes = 0
     """Smallest payload in bytes."""
     most_bytes: Bytes | None = None
     """Largest payload in bytes."""
     probability: Share = 1.0
-    """With which probability."""
+    """Probability that a matching packet is selected."""
 
 
 class Replay(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="replay"):
-    """A copy arrives `after_s` later."""
+    """Delivers a copy `after_s` later."""
 
     after_s: Delay
-    """How much later, in s."""
+    """Delay of the copy in s."""
 
 
 class Forge(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="forge"):
-    """A packet of the same size arrives beside it, with random bytes from `keep_bytes` on."""
+    """Delivers an additional packet of the same size with random bytes from `keep_bytes` on."""
 
     keep_bytes: Bytes = 0
-    """How many bytes at its start are those of the packet seen."""
+    """Number of leading bytes copied from the packet."""
 
 
 class BitFlip(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="bit-flip"):
-    """Bits of its header are flipped."""
+    """Flips bits of the header."""
 
     bits: Bytes
-    """How many."""
+    """Number of flipped bits."""
     within: ByteRange
-    """Within which bytes."""
+    """Affected bytes."""
 
 
 class SequenceLead(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
                    tag_field="kind", tag="sequence-lead"):  # fmt: skip
-    """A copy arrives beside it whose sequence, a little-endian u64, is ahead."""
+    """Delivers a copy whose sequence, a little-endian u64, is ahead."""
 
     lead: Count
-    """By how much."""
+    """Sequence offset of the copy."""
     offset: Bytes
-    """First byte of the sequence."""
+    """Index of the first byte of the sequence."""
 
 
 class EditF64(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="type", tag="f64"):
-    """A change of one little-endian binary64."""
+    """Change of one little-endian binary64."""
 
     offset: Bytes
-    """Its first byte."""
+    """Index of its first byte."""
     operation: Operation
-    """Whether it is replaced by `value`, or that is added, or multiplied with."""
+    """Replacement by `value`, addition or multiplication."""
     value: Edited
-    """-1e12 to 1e12; other numbers, NaN among them, are set as their bits with the type u64."""
+    """-1e12 to 1e12. Set other values, such as NaN, by their bits with type u64."""
 
 
 class EditU64(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="type", tag="u64"):
-    """A change of one little-endian u64, modulo 2^64."""
+    """Change of one little-endian u64, modulo 2^64."""
 
     offset: Bytes
-    """Its first byte."""
+    """Index of its first byte."""
     operation: Operation
-    """Whether it is replaced by `value`, or that is added, or multiplied with."""
+    """Replacement by `value`, addition or multiplication."""
     value: Count
     """At most 2^63 - 1."""
 
 
 class Alter(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True,
             tag_field="kind", tag="alter"):  # fmt: skip
-    """Numbers in it are changed by somebody who knows where they stand."""
+    """Changes numbers at known positions."""
 
     edits: tuple[EditF64 | EditU64, ...] = ()
-    """Which numbers and how, one after the other: at most 4."""
+    """Changes in order, at most 4."""
     checksum: Literal["crc32"] | None = None
-    """What is put right afterwards: CRC-32 (IEEE 802.3) of all bytes but the last four, little-endian in those."""
+    """Checksum repaired afterwards: CRC-32 (IEEE 802.3) of all bytes but the last four, stored little-endian in those.
+    """
     inject: bool = False
-    """Whether an altered copy arrives beside the packet, which itself stays as it is."""
+    """True to deliver an altered copy in addition to the unchanged packet."""
 
 
 class HoldBack(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
                tag_field="kind", tag="hold-back"):  # fmt: skip
-    """It is held back; packets that are not aimed at pass it."""
+    """Holds a packet back; packets that are not selected overtake it."""
 
     by_s: Delay
-    """For how long, in s."""
+    """Hold time in s."""
 
 
 class Drop(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="drop"):
-    """It does not arrive."""
+    """Drops the packet."""
 
 
 class Mirror(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="mirror"):
-    """A copy goes back to its sender."""
+    """Returns a copy to the sender."""
 
 
 class SecondSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
                    tag_field="kind", tag="second-source"):  # fmt: skip
-    """A copy arrives from another source address; in virtual time, which has none, a duplicate."""
+    """Delivers a copy from another source address; in virtual time, without addresses, a duplicate."""
 
 
 class Attack(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Something done to packets on purpose."""
+    """Deliberate action on packets."""
 
     action: Replay | Forge | BitFlip | SequenceLead | Alter | HoldBack | Drop | Mirror | SecondSource
-    """What is done."""
     target: Target = Target()
-    """To which packets."""
+    """Selected packets."""
 
 
 class LinkSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """What the network does to the packets of one direction; by default nothing. Also a scene's `[link.forward]`.
+    """Effect of the network on the packets of one direction, by default none. Also a scene's `[link.forward]`.
 
-    What is left out is as the preset says, and without one as if it were not there. A packet meets what is set in the
-    order in which it stands here. The numbers are checked against their ranges where the settings are used.
+    Omitted settings come from the preset; without one they have no effect. Settings apply to a packet in the order of
+    the fields. Ranges are checked on use.
     """
 
     preset: str | None = None
-    """Name of a network that was measured, of `haptether netsim list`; what is given beside it counts instead."""
+    """Name of a measured network from `haptether netsim list`; given settings override it."""
 
     mtu: Count | None = None
-    """Largest payload in bytes that passes; a larger packet is dropped with the cause `mtu`."""
+    """Largest payload in bytes that passes; a larger packet is dropped with cause `mtu`."""
 
     loss: Share | None = None
-    """Probability that a packet is lost, by default 0. Without a mean burst, packets are lost independently."""
+    """Probability of loss, by default 0; independent per packet without a mean burst."""
     mean_burst: Burst | None = None
-    """Mean number of packets lost together, at least 1 (Gilbert)."""
+    """Mean number of consecutive losses, at least 1 (Gilbert)."""
     mean_burst_s: Time | None = None
-    """The same as a time in s: the chain runs in time, not by packets."""
+    """Mean burst as a time in s: the chain runs in time, not per packet."""
     gilbert_elliott: GilbertElliott | None = None
-    """Gilbert-Elliott, instead of `loss`."""
+    """Gilbert-Elliott loss, as an alternative to `loss`."""
     four_state: FourState | None = None
-    """Four-state Markov loss, instead of `loss`."""
+    """Four-state Markov loss, as an alternative to `loss`."""
     outages: tuple[Outage, ...] | None = None
-    """Times at which nothing passes."""
+    """Times at which no packet passes."""
 
     rate_bps: Rate | None = None
-    """Rate of the bottleneck in bit/s; packets wait in its queue and take their time on the wire."""
+    """Bottleneck rate in bit/s; packets wait in its queue and take transmission time."""
     overhead_bytes: Bytes | None = None
-    """Bytes of headers that each packet takes on the wire beside its payload; by default the 28 of IPv4 and UDP."""
+    """Header bytes per packet on the wire in addition to the payload; by default 28 for IPv4 and UDP."""
     opportunities: Opportunities | None = None
-    """Times at which the bottleneck may send, instead of `rate_bps` (mahimahi)."""
+    """Sending times of the bottleneck, as an alternative to `rate_bps` (mahimahi)."""
     queue_packets: Count | None = None
-    """Most packets that wait."""
+    """Largest number of queued packets."""
     queue_bytes: Count | None = None
-    """Most bytes that wait, headers included."""
+    """Largest number of queued bytes, including headers."""
     queue_ms: Time | None = None
     """Longest wait in ms."""
     discipline: Literal["tail-drop", "codel"] | None = None
-    """What a queue that fills does, by default tail-drop. Source of CoDel: RFC 8289."""
+    """Queue discipline, by default tail-drop. Source of CoDel: RFC 8289."""
     cross_traffic: CrossTraffic | None = None
-    """Other traffic through the same bottleneck."""
+    """Other traffic through the bottleneck."""
 
     delay_s: Delay | None = None
-    """Mean one-way delay in s, 0 to 3600, by default 0, beside what the bottleneck takes."""
+    """Mean one-way delay in s, 0 to 3600, by default 0, in addition to the bottleneck."""
     jitter_s: Delay | None = None
     """Standard deviation of the delay in s, by default 0."""
     distribution: str | DistributionTable | None = None
-    """Law of the delay around its mean: "normal" (the default), "uniform", "exponential", "gamma", "lognormal",
-    "pareto", or the path of a `.dist` file of iproute2, relative to the scene."""
+    """Distribution of the delay around its mean: "normal" (the default), "uniform", "exponential", "gamma",
+    "lognormal", "pareto", or the path of an iproute2 `.dist` file, relative to the scene.
+    """
     distribution_shape: Shape | None = None
-    """Shape of the law where it has one to choose: that of Pareto and of gamma."""
+    """Shape parameter of the Pareto and gamma distributions."""
     jitter_correlation_s: Time | None = None
-    """Time tau in s over which the delay forgets itself: its autocorrelation is 1 / e at tau, and `exp(-t / tau)` of a
-    normal law; by default 0.1. With `keep_order` at least four times `jitter_s`, since a delay that falls faster than
-    time passes would reorder: what is shorter is taken as that. 0 without `keep_order` is independent from packet to
-    packet."""
+    """Correlation time tau in s of the delay, by default 0.1: the autocorrelation is 1 / e at tau, and `exp(-t / tau)`
+    for a normal law. With `keep_order` it is raised to at least four times `jitter_s`, because a delay that falls
+    faster than time passes would reorder. Without `keep_order`, 0 is independent per packet.
+    """
     timeline: tuple[DelayChange, ...] | None = None
     """Changes of the mean delay at given times."""
     slots: Slots | None = None
     """Scheduling slots with spikes at their ends, as of satellites."""
     trace: DelayTrace | None = None
-    """Recorded delays and losses, which take the place of `delay_s`."""
+    """Recorded delays and losses, which replace `delay_s`."""
     keep_order: bool | None = None
-    """Whether packets arrive in the order in which they were sent, apart from `reorder`; by default true."""
+    """True if packets arrive in sending order, apart from `reorder`; by default True."""
 
     reorder: Share | None = None
     """Probability that a packet is reordered, by default 0."""
     reorder_depth: Count | None = None
-    """How many packets before it, if still under way, a reordered packet overtakes; by default 1."""
+    """Number of packets in flight that a reordered packet overtakes; by default 1."""
     reorder_hold_s: Delay | None = None
-    """Instead: how long in s a reordered packet is held while later ones pass."""
+    """Alternative: time in s for which a reordered packet is held while later ones pass."""
 
     duplicate: Share | None = None
     """Probability that a packet arrives twice, by default 0."""
     duplicate_gap_s: Delay | None = None
-    """How long in s after the first the second arrives, by default 0."""
+    """Time in s between the first and the second arrival, by default 0."""
     corrupt: Share | None = None
     """Probability that bits of a packet are flipped, by default 0."""
     corrupt_bits: Bytes | None = None
-    """How many bits, by default 1."""
+    """Number of flipped bits, by default 1."""
     truncate: Share | None = None
-    """Probability that a packet is cut short, by default 0."""
+    """Probability that a packet is truncated, by default 0."""
     truncate_bytes: Bytes | None = None
-    """To how many bytes, by default 0."""
+    """Length in bytes after truncation, by default 0."""
 
     attacks: tuple[Attack, ...] | None = None
-    """What somebody on the path does."""
+    """Actions of an attacker on the path."""
     netem: str | None = None
-    """Arguments of `tc netem`, reproduced with its quirks; nothing else may be given beside it."""
+    """Arguments of `tc netem`, reproduced with its quirks; excludes all other settings."""
 
 
 LINK_DEFAULTS = {
@@ -421,10 +420,10 @@ LINK_DEFAULTS = {
     "truncate_bytes": 0,
     "attacks": (),
 }
-"""What a setting without a value is, where that is not `None`."""
+"""Default of each setting whose default is not None."""
 
 Direction: TypeAlias = Literal["forward", "backward"]
 """From master to slave, or back."""
 
 DISTRIBUTIONS = ("normal", "uniform", "exponential", "gamma", "lognormal", "pareto")
-"""Laws of the delay by name."""
+"""Names of delay distributions."""

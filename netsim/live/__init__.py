@@ -1,1 +1,1 @@
-"""The proxy between two processes, and how it is controlled while it runs."""
+"""Live proxy between two processes, and its control at run time."""

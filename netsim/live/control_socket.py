@@ -1,4 +1,4 @@
-"""The control socket of a proxy that runs, and its client."""
+"""Control socket of a running proxy, and its client."""
 
 import ipaddress
 import os
@@ -17,28 +17,28 @@ from haptether.netsim.link.errors import refuse_infinite
 from haptether.netsim.live.controlled import Controlled, refused_line
 
 MAX_CONNECTIONS = 4
-"""A further one closes the idlest."""
+"""Connection limit; a further connection closes the idlest one."""
 WAITING = 128
-"""Connections that wait to be accepted: each is, for the idlest gives way."""
+"""Listen backlog; every connection is accepted, because the idlest gives way."""
 MAX_LINE_BYTES = 2**16
-"""Of a request, its end included."""
+"""Longest request, including its end of line."""
 _MAX_AT_ONCE = 8
-"""Requests of a connection that are answered before others have their turn."""
+"""Requests of a connection answered before other connections are served."""
 _POLL_S = 0.1
 _DISPLACED = f"another program has connected; {MAX_CONNECTIONS} may at once, and this one was the idlest"
 
 
 class ControlSocket:
-    """Listens for requests and answers each by a line, on a thread of its own.
+    """Server that answers each request with one line, on a separate thread.
 
-    A Unix socket is its owner's alone, and removed at the end; TCP is that of this machine only.
+    A Unix socket has mode 0600 and is removed at the end; TCP accepts this machine only.
 
     Args:
         address: Path of a Unix socket, or `127.0.0.1:PORT`; port 0 lets the system choose.
 
     Raises:
-        ValueError: Another address.
-        OSError: An address that cannot be used.
+        ValueError: The address has another form.
+        OSError: The address cannot be used.
     """
 
     def __init__(self, address: str) -> None:
@@ -50,24 +50,24 @@ class ControlSocket:
 
     @property
     def address(self) -> str:
-        """Where it listens, with the port that was chosen."""
+        """Listening address, with the chosen port."""
         if isinstance(self._at.place, str):
             return self._at.text
         host, port = self._listening.getsockname()[:2]
         return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
     def serve(self, controlled: Controlled) -> None:
-        """Begins to answer; before, requests wait."""
+        """Start to answer; earlier requests wait."""
         self._thread = threading.Thread(target=self._run, args=(controlled,), name="haptether-control", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Ends it, which takes up to a second, and removes the socket's file."""
+        """Stop within a second, and remove the socket file."""
         self._end.set()
         if self._thread is not None:
             self._thread.join()
         self._listening.close()
-        # Another may have taken the place.
+        # Another process may have replaced the file.
         if self._made is not None and _identity(self._at) == self._made:
             Path(self._at.text).unlink(missing_ok=True)
 
@@ -80,7 +80,7 @@ class ControlSocket:
         self.close()
 
     def _run(self, controlled: Controlled) -> None:
-        # The idlest first.
+        # Sorted by activity, the idlest first.
         clients: list[_Client] = []
         with selectors.DefaultSelector() as selector:
 
@@ -107,7 +107,7 @@ class ControlSocket:
                     continue
                 if len(clients) == MAX_CONNECTIONS:
                     idlest = clients[0]
-                    # A request that has arrived counts.
+                    # Answer a request that has already arrived.
                     serve(idlest)
                     if idlest in clients:
                         _send(idlest.socket, refused_line(_DISPLACED))
@@ -122,25 +122,25 @@ class ControlSocket:
             client, _ = self._listening.accept()
         except OSError:
             return None
-        # A client that does not read its answers is not waited for.
+        # Do not wait for a client that does not read its answers.
         client.setblocking(False)
         return client
 
 
 def ask_control(address: str, request: dict[str, Any], *, patience_s: float = 5.0) -> dict[str, Any]:
-    """Sends one request to the control socket of a proxy and returns its answer.
+    """Send one request to the control socket of a proxy and return the answer.
 
     Args:
         address: Path of a Unix socket, or `127.0.0.1:PORT`.
-        request: As `Controlled` takes it.
-        patience_s: Timeout of the answer, in s.
+        request: Request in the form of `Controlled`.
+        patience_s: Timeout of the answer in s.
 
     Raises:
-        ValueError: Another address, or a request that is too long.
-        OSError: Nobody answers there.
+        ValueError: The address has another form, or the request is too long.
+        OSError: The proxy does not answer.
     """
     at = control_address(address)
-    # JSON has no such numbers: they would arrive as null, which puts a setting back.
+    # JSON would encode them as null, which resets a setting.
     refuse_infinite(request)
     line = msgspec.json.encode(request) + b"\n"
     if len(line) > MAX_LINE_BYTES:
@@ -170,7 +170,7 @@ def ask_control(address: str, request: dict[str, Any], *, patience_s: float = 5.
 
 
 class ControlAddress(Struct, frozen=True):
-    """A Unix socket by its path, or TCP of this machine."""
+    """Path of a Unix socket, or a TCP address of this machine."""
 
     family: socket.AddressFamily
     place: str | tuple[str, int]
@@ -178,10 +178,10 @@ class ControlAddress(Struct, frozen=True):
 
 
 def control_address(text: str) -> ControlAddress:
-    """Reads `PATH` or `127.0.0.1:PORT`; a path that looks like an address begins with `./`.
+    """Parse `PATH` or `127.0.0.1:PORT`; a path that looks like an address must begin with `./`.
 
     Raises:
-        ValueError: Neither, or an address that others could reach.
+        ValueError: The text is neither, or others could reach the address.
     """
     found = re.fullmatch(r"\[?(?P<host>[^/\[\]]+)\]?:(?P<port>\d{1,5})", text)
     if found is None:
@@ -208,7 +208,7 @@ def _listen(at: ControlAddress) -> socket.socket:
     try:
         if at.family == socket.AF_UNIX:
             _clear(at)
-            # From the first moment nobody else's.
+            # Restrict the mode from creation on.
             before = os.umask(0o177)
             try:
                 listening.bind(at.place)
@@ -227,7 +227,7 @@ def _listen(at: ControlAddress) -> socket.socket:
 
 
 def _clear(at: ControlAddress) -> None:
-    """Removes the socket of a proxy that was killed; what else is there stays, and binding fails."""
+    """Remove the socket of a killed proxy; any other file stays, and binding fails."""
     path = Path(at.text)
     if not path.is_socket():
         return
@@ -249,21 +249,20 @@ def _identity(at: ControlAddress) -> tuple[int, int] | None:
 
 
 class _Client:
-    """A connection, and the part of its next request that has arrived."""
+    """Connection with the received part of its next request."""
 
     def __init__(self, connection: socket.socket) -> None:
         self.socket = connection
         self.answered = 0
-        """Requests so far."""
         self._waiting = bytearray()
 
     @property
     def has_request(self) -> bool:
-        """True if a whole request has arrived and waits, or a line that is too long for one."""
+        """True if a complete request, or an overlong line, is waiting."""
         return b"\n" in self._waiting or len(self._waiting) >= MAX_LINE_BYTES
 
     def is_served(self, controlled: Controlled) -> bool:
-        """Answers a few of the requests that have arrived; false where the connection is to be closed."""
+        """Answer some of the received requests; return False to close the connection."""
         if not self.has_request:
             try:
                 received = self.socket.recv(MAX_LINE_BYTES)
@@ -290,7 +289,7 @@ class _Client:
 
 
 def _send(client: socket.socket, answer: dict[str, Any]) -> bool:
-    """True if the system took all of it at once, as it does for a client that reads its answers."""
+    """Return True if the system accepted the whole answer at once, as for a client that reads."""
     line = msgspec.json.encode(answer) + b"\n"
     try:
         return client.send(line) == len(line)

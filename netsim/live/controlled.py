@@ -1,4 +1,4 @@
-"""Requests to a proxy that runs, and what it answers."""
+"""Requests to a running proxy, and their answers."""
 
 import difflib
 from collections.abc import Callable
@@ -13,11 +13,11 @@ from haptether.netsim.link.resolve import link_json
 from haptether.netsim.link.settings import DISTRIBUTIONS, Direction, LinkSettings
 
 _MAX_LISTED = 100
-"""Values of a list that an answer repeats; a recording may have millions."""
+"""Largest list in an answer; a recording may have millions of values."""
 
 
 class _Changing(Protocol):
-    """What a request changes: a proxy."""
+    """Proxy changed by a request."""
 
     def change(self, direction: Direction, settings: LinkSettings) -> None: ...
 
@@ -25,17 +25,17 @@ class _Changing(Protocol):
 
 
 class Controlled:
-    """A running proxy whose links change by requests, each a line of JSON.
+    """Running proxy whose links change by requests, each a line of JSON.
 
-    `{"forward": {"delay_s": 0.1}, "backward": {...}}` changes these settings and leaves the others; `null` puts one
-    back to what it is if it is left out. `{"show": true}`, also beside a change, requests settings and statistics. A
-    request counts as a whole or not at all.
+    `{"forward": {"delay_s": 0.1}, "backward": {...}}` changes the given settings only; `null` resets one to its
+    default. `{"show": true}`, alone or with a change, requests settings and statistics. A request is applied entirely
+    or not at all.
 
     Args:
-        proxy: Whose links.
-        forward: Its link to the peer as it is.
-        backward: Its link from the peer as it is.
-        report: Writes statistics as builtin types.
+        proxy: Proxy to change.
+        forward: Current link to the peer.
+        backward: Current link from the peer.
+        report: Converts statistics to builtin types.
     """
 
     def __init__(
@@ -50,11 +50,10 @@ class Controlled:
         self._report = report
 
     def answer(self, line: bytes) -> tuple[dict[str, Any], bool]:
-        """Carries out a request; returns the answer, and whether the connection may go on.
+        """Execute a request; return the answer, and True if the connection may stay open.
 
-        The answer has `ok`, with `error` where that is false; `changed` has the old and the new value of each setting
-        that was named, by direction. A line that is no JSON may come from a browser that was sent here: what follows
-        it is not to count.
+        The answer has `ok`, and `error` if that is false. `changed` holds the old and new value of each named setting
+        by direction. A line that is not JSON may come from a misdirected browser, so later lines must be ignored.
         """
         try:
             return {"ok": True, **self._carried_out(line)}, True
@@ -65,7 +64,7 @@ class Controlled:
         request = _read(line)
         links = {name: link for name, link in self._links.items() if name in request}
         changed = {name: _changed(link, request[name], name) for name, link in links.items()}
-        # Only once all of it is known to be right.
+        # Apply only after the whole request is valid.
         for name, settings in changed.items():
             self._proxy.change(name, settings)
         self._links |= changed
@@ -106,19 +105,19 @@ def _read(line: bytes) -> dict[str, Any]:
 
 
 class _NotJsonError(ValueError):
-    """A line that nobody wrote who meant this socket."""
+    """Line that was not meant for this socket."""
 
 
 def refused_line(why: str) -> dict[str, Any]:
-    """The answer to a request that was not carried out."""
+    """Return the answer to a refused request."""
     return {"ok": False, "error": " ".join(why.split())}
 
 
 def _changed(link: LinkSettings, request: dict[str, Any], direction: Direction) -> LinkSettings:
-    """The link with other settings, all checked.
+    """Return the link with changed settings, all checked.
 
     Raises:
-        LinkError: With the first setting that does not fit.
+        LinkError: Names the first invalid setting.
     """
     try:
         for name in request:
@@ -139,7 +138,7 @@ def _changed(link: LinkSettings, request: dict[str, Any], direction: Direction) 
 
 
 def _refuse_files(requested: LinkSettings) -> None:
-    """A client is not to learn what files of the proxy's user contain."""
+    """Refuse files, so that a client cannot read files of the proxy's user."""
     for name in ("trace", "opportunities"):
         if getattr(getattr(requested, name), "file", None) is not None:
             raise LinkError(f"{name}.file", ": a running proxy reads no files; give the numbers")
@@ -150,7 +149,7 @@ def _refuse_files(requested: LinkSettings) -> None:
 
 
 def _abridged(value: Any) -> Any:  # noqa: ANN401  # as different as the settings are
-    """Settings without what would fill the answer."""
+    """Shorten long lists in settings."""
     if isinstance(value, dict):
         return {name: _abridged(item) for name, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""The live proxy."""
+"""Live proxy."""
 
 from collections.abc import Sequence
 from os import PathLike
@@ -11,26 +11,26 @@ from haptether.netsim.link.settings import LinkSettings
 
 
 class Proxy:
-    """A live UDP proxy between clients and one peer, which does to their datagrams what the links say.
+    """Live UDP proxy between clients and one peer that applies the links to their datagrams.
 
-    It runs on its own thread, forwards to the peer only, and serves clients of this machine and those that
-    `allow` names, up to 64 at a time. All share the link of their direction.
+    Runs on its own thread, forwards to the peer only, and serves up to 64 clients from this machine and `allow`. All
+    clients share the link of their direction.
 
     Args:
-        listen: Where the clients send to, `HOST:PORT`; port 0 lets the system choose.
-        forward: The peer, `HOST:PORT`.
+        listen: Address for the clients, `HOST:PORT`; port 0 lets the system choose.
+        forward: Address of the peer, `HOST:PORT`.
         forward_link: Network from the client to the peer.
         backward_link: Network from the peer to the client.
-        seed: Key of all draws, 0 to 2⁶⁴ - 1.
-        allow: Sources that are served beside those of this machine, `IP` or `IP:PORT`.
-        realtime: Whether to request real-time scheduling; the statistics say what was granted.
-        max_error_s: Largest p99 of its scheduling error in s with which a run is valid.
-        log: CSV file for what became of each datagram.
+        seed: Seed of all draws, 0 to 2⁶⁴ - 1.
+        allow: Allowed sources in addition to this machine, `IP` or `IP:PORT`.
+        realtime: True to request real-time scheduling; the statistics report the result.
+        max_error_s: Largest p99 scheduling error in s of a valid run.
+        log: CSV file for the verdict of each datagram.
 
     Raises:
-        LinkError: Settings that describe no link.
-        ValueError: An address that is none.
-        OSError: An address that cannot be used.
+        LinkError: The settings are invalid.
+        ValueError: An address is invalid.
+        OSError: An address cannot be used.
     """
 
     def __init__(
@@ -60,37 +60,37 @@ class Proxy:
 
     @property
     def address(self) -> str:
-        """Where it listens, with the port that was chosen."""
+        """Listening address, with the chosen port."""
         return self._proxy.address
 
     @property
     def forward(self) -> str:
-        """Address to which it forwards: the first of a name to which it can send."""
+        """Address of the peer: the first address of its name that is reachable."""
         return self._proxy.forward
 
     @property
     def finished(self) -> bool:
-        """Whether its thread has ended."""
+        """True if the thread has ended."""
         return self._proxy.finished
 
     def change(self, direction: Literal["forward", "backward"], settings: LinkSettings) -> None:
-        """Other settings for the datagrams that come from now on; taken up within 20 ms, in order.
+        """Apply other settings to datagrams from now on; takes effect within 20 ms, in order.
 
         Raises:
-            LinkError: Settings that describe no link.
-            ValueError: No such `direction`.
+            LinkError: The settings are invalid.
+            ValueError: The `direction` does not exist.
         """
         self._proxy.change(direction, link_json(settings, direction))
 
     def statistics(self) -> ProxyStatistics:
-        """What it has done so far, while it goes on."""
+        """Return the statistics so far."""
         return self._proxy.statistics()
 
     def stop(self) -> ProxyStatistics:
-        """Ends it, which takes up to 20 ms; what is still in flight is not sent.
+        """Stop within 20 ms; datagrams in flight are dropped.
 
         Raises:
-            OSError: The proxy had ended on an error of its sockets.
-            RuntimeError: Its thread panicked.
+            OSError: The proxy ended on a socket error.
+            RuntimeError: The thread panicked.
         """
         return self._proxy.stop()

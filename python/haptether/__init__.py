@@ -1,12 +1,11 @@
 """Haptether: a bilateral teleoperation bridge that keeps a hand safe when the remote end pushes back.
 
-`simulate` runs a scene, `sweep` runs it for many values of its numbers, `load` reads a recorded run, and
-`replay` puts it through other settings. Rooms:
-`haptether.safety`, `haptether.netsim`, `haptether.dynamixel`, `haptether.master`, `haptether.slave`,
+`simulate` runs a scene, `sweep` runs it for many values, `load` reads a recorded run, `replay` applies other settings
+to it. Rooms: `haptether.safety`, `haptether.netsim`, `haptether.dynamixel`, `haptether.master`, `haptether.slave`,
 `haptether.bridge`, `haptether.studies`. SI units and radians throughout; a positive force pushes along +x.
 """
 
-# Without imports: a command that is only being loaded takes Ctrl-C as soon as this is done.
+# No imports here, so that a loading command can handle Ctrl-C early.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from haptether._core import __version__
@@ -16,7 +15,7 @@ __all__ = ["__version__", "load", "replay", "simulate", "sweep"]
 
 
 def __getattr__(name: str) -> object:
-    # Whoever imports only the version, or one room, does not wait for the bridge and NumPy.
+    # Importing the version or one room must not load the bridge and NumPy.
     if name == "__version__":
         from haptether import _core  # noqa: PLC0415
 

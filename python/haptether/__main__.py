@@ -4,7 +4,7 @@ import os
 import sys
 
 if not sys.flags.safe_path and sys.path[:1] == [os.getcwd()]:  # noqa: PTH109  # pathlib would be imported from there
-    # `-m` puts the working folder first, where a file of the user may have the name of a module.
+    # `-m` puts the working folder first, where a user's file may shadow a module.
     del sys.path[0]
 
 from haptether.cli import main

@@ -1,14 +1,12 @@
-"""The compiled part of Haptether. Import its names from the rooms: `haptether.safety`, `haptether.bridge`, ...
+"""Compiled part of Haptether. Import its names from the rooms: `haptether.safety`, `haptether.bridge`, ...
 
-Units are SI, angles in rad; a positive force pushes the device along +x. Arrays over ticks have the
-shape `(n_ticks, axes)`, for one axis also `(n_ticks,)`, and must hold float64; results have the shape
-of the first argument, and one number per tick the shape `(n_ticks,)`. Strides do not matter. One sample
-is a float for one axis, else a sequence of `axes` floats; it comes back as an array of shape `(axes,)`.
-Devices have 1 to 7 axes.
+Units are SI, angles in rad; a positive force pushes the device along +x. Arrays over ticks have the shape `(n_ticks,
+axes)`, for one axis also `(n_ticks,)`, and must hold float64; results have the shape of the first argument, and one
+number per tick the shape `(n_ticks,)`. Strides do not matter. One sample is a float for one axis, else a sequence of
+`axes` floats; it comes back as an array of shape `(axes,)`. Devices have 1 to 7 axes.
 
-What every call refuses: another shape, length or range with `ValueError`, which says what was seen and
-what is allowed; another type, an array of another dtype among them, with `TypeError`; a negative
-count or seed with `OverflowError`.
+Every call raises `ValueError` for a wrong shape, length or range, with the value seen and the values allowed. It raises
+`TypeError` for a wrong type, also a wrong dtype, and `OverflowError` for a negative count or seed.
 
 "Paper" in a `Source:` is "Safety Control for Impedance Haptic Interfaces".
 """
@@ -106,17 +104,17 @@ _Rows: TypeAlias = tuple[Sequence[float], Sequence[float], Sequence[float], Sequ
 __version__: str
 
 METRICS: tuple[str, ...]
-"""What a run measures, by name, in the order of tables."""
+"""Names of the metrics of a run, in the order of tables."""
 PRESS_S: float
-"""For how long in s a press of the clutch counts, and waits in ALIGNING."""
+"""Time in s for which a press of the clutch counts, and waits in ALIGNING."""
 ROUND_TRIP_S: float
-"""What of `PRESS_S` a press takes over the slowest link, besides a turn: 500 ms each way."""
+"""Part of `PRESS_S` that a press takes over the slowest link, besides a turn: 500 ms each way."""
 CONTROLLERS: tuple[tuple[str, str, str], ...]
 """Name, title and source of each safety controller, in the order of the bits of `tripped`."""
 TRIP_BITS: tuple[tuple[str, int], ...]
-"""Controllers by their name, and "held", with the bit of each in `tripped`."""
+"""Controllers by name, and "held", with their bits in `tripped`."""
 OBSERVED: tuple[tuple[str, str, str], ...]
-"""Of each controller: its name, the signal of its observer, and the symbol of that with its unit."""
+"""Each controller's name, the signal of its observer, and that signal's symbol with unit."""
 LADDER_STATES: tuple[str, ...]
 """States of the ladder in the order of their codes."""
 OBSERVERS: tuple[tuple[str, str, str], ...]
@@ -140,7 +138,8 @@ class DeviceModel:
         axes: 1 to 7.
 
     Raises:
-        ValueError: A parameter outside its range, values of another number than `axes`, or no such `axes`.
+        ValueError: A parameter is outside its range, values of another number than `axes`, or an invalid number of
+            `axes`.
 
     Source: paper Eq. 3.
     """
@@ -158,7 +157,7 @@ class DeviceModel:
         """The paper's PHANTOM Desktop: m = 0.157 kg, b = -0.005 N s/m, c = 0.038 N on each axis.
 
         Raises:
-            ValueError: No such `axes`.
+            ValueError: The number of `axes` is invalid.
 
         Source: paper section 4.1.
         """
@@ -174,8 +173,8 @@ class DeviceModel:
     def grasp_force(self, velocity: _Array, acceleration: _Array, aligned_device_force: _Array) -> _Array:
         """Force of the hand on the device: `F_h = m A + b V + c sign(V) - F_device`.
 
-        The paper subtracts F_v. F_device is all the force that the device was commanded to exert, F_v + F_c: with
-        F_v alone the controller's own force would look like a hand.
+        The paper subtracts F_v. F_device is the whole commanded force, F_v + F_c: with F_v alone the controller's own
+        force would look like a hand.
 
         Args:
             velocity: V in m/s, shape `(n_ticks, axes)`.
@@ -193,10 +192,10 @@ class DeviceModel:
 
 @final
 class EstimatorKind:
-    """An estimator of velocity and acceleration with its parameters; without arguments the default.
+    """Estimator of velocity and acceleration with its parameters; without arguments the default.
 
-    The default is `kalman(jerk_density=10.0, quantum_m=2.3e-5)`, for a stylus at 1 kHz: 39 Hz of
-    bandwidth. Numbers are held against their ranges where an `Estimator` is built.
+    The default is `kalman(jerk_density=10.0, quantum_m=2.3e-5)`, for a stylus at 1 kHz: 39 Hz of bandwidth. `Estimator`
+    checks the ranges.
     """
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
@@ -207,8 +206,8 @@ class EstimatorKind:
     def backward_difference() -> EstimatorKind:
         """Differences: `V[n] = (x[n] - x[n-1]) / dT`, `A[n] = (V[n] - V[n-1]) / dT`.
 
-        A is the mean of the last two ticks. The estimator with the smallest lag; a position quantum q shows in A as
-        q / dT².
+        A is the mean of the last two ticks. This estimator has the smallest lag; a position quantum q appears in A as q
+        / dT².
         """
 
     @staticmethod
@@ -230,12 +229,12 @@ class EstimatorKind:
         """Slope of the longest straight line that stays within d of all samples it spans.
 
         Args:
-            noise_bound_m: d in m (rad for joints), above 0; the encoder's quantum is a good start.
+            noise_bound_m: d in m (rad for joints), above 0; start with the encoder's quantum.
             max_window: Longest window in ticks, 1 to 128.
             fit: "end" takes the chord of the window, "best" its least-squares slope.
 
         Raises:
-            ValueError: No such `fit`.
+            ValueError: The `fit` is invalid.
 
         Source: Janabi-Sharifi, Hayward and Chen 2000 (FOAW).
         """
@@ -267,7 +266,7 @@ class EstimatorKind:
 
     @staticmethod
     def dual_kalman(*, velocity_jerk_density: float, jerk_density: float, quantum_m: float) -> EstimatorKind:
-        """V of a quick Kalman filter, A of a calm one: less lag of V at the same noise of the grasp force.
+        """V of a fast Kalman filter, A of a slow one: less lag of V at the same noise of the grasp force.
 
         Args:
             velocity_jerk_density: q_v in m²/s⁵ (rad²/s⁵ for joints), above 0, of V.
@@ -279,17 +278,17 @@ class EstimatorKind:
 
 @final
 class Estimator:
-    """V and A of a device from its sampled position; keeps its state from call to call.
+    """V and A of a device from its sampled position; keeps its state between calls.
 
-    It takes the device to have rested at the first position it is given.
+    Assumes that the device was at rest at the first position.
 
     Args:
-        kind: Which estimator; without it the default of `EstimatorKind`.
+        kind: Estimator; by default that of `EstimatorKind`.
         period_s: dT in s, above 0.
         axes: 1 to 7.
 
     Raises:
-        ValueError: A parameter of `kind` or `period_s` outside its range, or no such `axes`.
+        ValueError: A parameter of `kind` or `period_s` outside its range, or an invalid number of `axes`.
     """
 
     def __new__(cls, kind: EstimatorKind | None = None, *, period_s: float = 1e-3, axes: int = 1) -> Estimator: ...
@@ -298,7 +297,7 @@ class Estimator:
         """Number of axes."""
 
     def step(self, position: _Sample) -> tuple[_Array, _Array]:
-        """Takes one position.
+        """Process one position.
 
         Args:
             position: x in m.
@@ -307,13 +306,13 @@ class Estimator:
             V in m/s and A in m/s², each of shape `(axes,)`.
 
         Raises:
-            ValueError: A position that is not finite or exceeds 1000 m; the state stays as it was.
+            ValueError: A position is not finite or exceeds 1000 m; the state is unchanged.
         """
 
     def align(self, device_force: _Sample) -> _Array:
-        """Passes F_device[n-1] through the kernel that stands between the true acceleration and A[n].
+        """Filter F_device[n-1] with the kernel between the true acceleration and A[n].
 
-        Call it after each `step` or never: it remembers past forces.
+        Call it after every `step` or never: it stores past forces.
 
         Args:
             device_force: Force in N held over the tick that ended with the newest position.
@@ -322,7 +321,7 @@ class Estimator:
             The force in N that Eq. 4 may subtract from m A, shape `(axes,)`.
 
         Raises:
-            ValueError: A force that is not finite or exceeds 10000 N; the state stays as it was.
+            ValueError: A force is not finite or exceeds 10000 N; the state is unchanged.
 
         Source: paper Eq. 4.
         """
@@ -331,36 +330,36 @@ class Estimator:
     def run(self, position: _Array, device_force: None = None) -> tuple[_Array, _Array, None]: ...
     @overload
     def run(self, position: _Array, device_force: _Array) -> tuple[_Array, _Array, _Array]:
-        """As `step`, and `align` where forces are given, over arrays.
+        """Run `step`, and `align` if forces are given, over arrays.
 
         Args:
             position: x in m, shape `(n_ticks, axes)`.
             device_force: F_device in N held before each position, the same shape.
 
         Returns:
-            V in m/s, A in m/s² and the aligned force in N (none without `device_force`), each of shape
-            `(n_ticks, axes)`.
+            V in m/s, A in m/s² and the aligned force in N (None without `device_force`), each of shape `(n_ticks,
+            axes)`.
 
         Raises:
-            ValueError: Another shape or length; a number that is not finite or absurd, with its tick.
-                The ticks before it have been taken.
+            ValueError: Wrong shape or length; or a number is not finite or out of bounds (with its tick). Earlier ticks
+                are processed.
         """
 
 @final
 class VelocityForceObserver:
-    """VFO: the device pushes the hand, and the hand moves along with the push.
+    """VFO: the device pushes the hand, and the hand moves in the same direction.
 
-    "product" is Eq. 1 as printed, `S_vf = V·F_v / (V_t F_t)`; "both" is what the paper's text says,
-    `S_vf = min(V/V_t, |F_v|/F_t)` with V the speed along F_v. Above 1 is unsafe.
+    "product" is Eq. 1 as printed, `S_vf = V·F_v / (V_t F_t)`; "both" is the paper's text, `S_vf = min(V/V_t,
+    |F_v|/F_t)` with V the speed along F_v. Above 1 is unsafe.
 
     Args:
         velocity_threshold: V_t in m/s, above 0.
         force_threshold_n: F_t in N, above 0.
-        form: Which reading of Eq. 1.
+        form: Form of Eq. 1.
         axes: 1 to 7.
 
     Raises:
-        ValueError: A threshold outside its range, no such `form` or no such `axes`.
+        ValueError: A threshold is outside its range, an invalid `form` or an invalid number of `axes`.
 
     Source: paper Eq. 1.
     """
@@ -374,7 +373,7 @@ class VelocityForceObserver:
         axes: int = 1,
     ) -> VelocityForceObserver: ...
     def step(self, velocity: _Sample, rendered_force: _Sample, grasp_force: _Sample) -> float:
-        """S_vf of one tick, without unit.
+        """Return S_vf of one tick, without unit.
 
         Args:
             velocity: V in m/s.
@@ -382,16 +381,16 @@ class VelocityForceObserver:
             grasp_force: F_h in N; checked, not used.
 
         Raises:
-            ValueError: A number that is not finite or absurd, or another number of axes.
+            ValueError: A number is not finite or out of bounds, or the number of axes differs.
 
         Source: paper Eq. 1.
         """
 
     def run(self, velocity: _Array, rendered_force: _Array, grasp_force: _Array) -> _Array:
-        """As `step`, over arrays of shape `(n_ticks, axes)`; S_vf of shape `(n_ticks,)`.
+        """Run `step` over arrays of shape `(n_ticks, axes)`; S_vf of shape `(n_ticks,)`.
 
         Raises:
-            ValueError: Another shape or length; a number that is not finite or absurd, with its tick.
+            ValueError: Wrong shape or length; or a number is not finite or out of bounds (with its tick).
 
         Source: paper Eq. 1.
         """
@@ -407,14 +406,14 @@ class HandGraspObserver:
         axes: 1 to 7.
 
     Raises:
-        ValueError: alpha outside its range or no such `axes`.
+        ValueError: alpha is outside its range or an invalid number of `axes`.
 
     Source: paper Eq. 5.
     """
 
     def __new__(cls, *, grasp_floor_n: float = 1e-3, axes: int = 1) -> HandGraspObserver: ...
     def step(self, velocity: _Sample, rendered_force: _Sample, grasp_force: _Sample) -> float:
-        """S_h of one tick, without unit; safe up to zeta.
+        """Return S_h of one tick, without unit; safe up to zeta.
 
         Args:
             velocity: V in m/s; checked, not used.
@@ -422,23 +421,23 @@ class HandGraspObserver:
             grasp_force: F_h in N.
 
         Raises:
-            ValueError: A number that is not finite or absurd, or another number of axes.
+            ValueError: A number is not finite or out of bounds, or the number of axes differs.
 
         Source: paper Eq. 5.
         """
 
     def run(self, velocity: _Array, rendered_force: _Array, grasp_force: _Array) -> _Array:
-        """As `step`, over arrays of shape `(n_ticks, axes)`; S_h of shape `(n_ticks,)`.
+        """Run `step` over arrays of shape `(n_ticks, axes)`; S_h of shape `(n_ticks,)`.
 
         Raises:
-            ValueError: Another shape or length; a number that is not finite or absurd, with its tick.
+            ValueError: Wrong shape or length; or a number is not finite or out of bounds (with its tick).
 
         Source: paper Eq. 5.
         """
 
 @final
 class SafetyObserver:
-    """SO: energy that the hand has put in since the start, less what a safe device would move with.
+    """SO: energy from the hand since the start, minus the kinetic energy of a safe device.
 
     `E_so(n) = dT sum_{i=1..n} F_h(i)·V(i) - V(n)' M V(n) / (2 eta)`
 
@@ -450,14 +449,14 @@ class SafetyObserver:
         energy_ratio: eta, above 0 and at most 1.
 
     Raises:
-        ValueError: A parameter outside its range.
+        ValueError: A parameter is outside its range.
 
     Source: paper Eq. 9.
     """
 
     def __new__(cls, device: DeviceModel, *, period_s: float = 1e-3, energy_ratio: float = 0.5) -> SafetyObserver: ...
     def step(self, velocity: _Sample, rendered_force: _Sample, grasp_force: _Sample) -> float:
-        """E_so in J after one tick.
+        """Return E_so in J after one tick.
 
         Args:
             velocity: V in m/s.
@@ -465,28 +464,27 @@ class SafetyObserver:
             grasp_force: F_h in N.
 
         Raises:
-            ValueError: A number that is not finite or absurd, or another number of axes; the state stays
-                as it was.
+            ValueError: A number is not finite or out of bounds, or the number of axes differs; the state is unchanged.
 
         Source: paper Eq. 9.
         """
 
     def run(self, velocity: _Array, rendered_force: _Array, grasp_force: _Array) -> _Array:
-        """As `step`, over arrays of shape `(n_ticks, axes)`; E_so in J of shape `(n_ticks,)`.
+        """Run `step` over arrays of shape `(n_ticks, axes)`; E_so in J of shape `(n_ticks,)`.
 
         Raises:
-            ValueError: Another shape or length; a number that is not finite or absurd, with its tick.
-                The ticks before it have been taken.
+            ValueError: Wrong shape or length; or a number is not finite or out of bounds (with its tick). Earlier ticks
+                are processed.
 
         Source: paper Eq. 9.
         """
 
     def reset(self) -> None:
-        """Clears all energy."""
+        """Clear all energy."""
 
 @final
 class WindowedSafetyObserver:
-    """WSO: SO over the last w ticks only, so that energy from long ago hides nothing.
+    """WSO: SO over the last w ticks only, so that old energy hides nothing.
 
     `E_wso(n) = dT sum_{i=max(1, n-w+1)..n} F_h(i)·V(i) - V(n)' M V(n) / (2 eta)`
 
@@ -497,7 +495,7 @@ class WindowedSafetyObserver:
         window: w in ticks, 1 to 3600000.
 
     Raises:
-        ValueError: A parameter outside its range.
+        ValueError: A parameter is outside its range.
 
     Source: paper Eq. 11.
     """
@@ -511,7 +509,7 @@ class WindowedSafetyObserver:
         window: int = 100,
     ) -> WindowedSafetyObserver: ...
     def step(self, velocity: _Sample, rendered_force: _Sample, grasp_force: _Sample) -> float:
-        """E_wso in J after one tick.
+        """Return E_wso in J after one tick.
 
         Args:
             velocity: V in m/s.
@@ -519,89 +517,88 @@ class WindowedSafetyObserver:
             grasp_force: F_h in N.
 
         Raises:
-            ValueError: A number that is not finite or absurd, or another number of axes; the state stays
-                as it was.
+            ValueError: A number is not finite or out of bounds, or the number of axes differs; the state is unchanged.
 
         Source: paper Eq. 11.
         """
 
     def run(self, velocity: _Array, rendered_force: _Array, grasp_force: _Array) -> _Array:
-        """As `step`, over arrays of shape `(n_ticks, axes)`; E_wso in J of shape `(n_ticks,)`.
+        """Run `step` over arrays of shape `(n_ticks, axes)`; E_wso in J of shape `(n_ticks,)`.
 
         Raises:
-            ValueError: Another shape or length; a number that is not finite or absurd, with its tick.
-                The ticks before it have been taken.
+            ValueError: Wrong shape or length; or a number is not finite or out of bounds (with its tick). Earlier ticks
+                are processed.
 
         Source: paper Eq. 11.
         """
 
     def reset(self) -> None:
-        """Clears all energy."""
+        """Clear all energy."""
 
 @final
 class PassivityObserver:
     """PO: energy that has flowed from the hand's side into what renders the force.
 
-    `E(n) = - sum_{k<n} F_device(k)·(x(k+1) - x(k))`; negative: the environment has given out more than
-    it took. Force times displacement is the exact work of a force that is held over a tick.
+    `E(n) = - sum_{k<n} F_device(k)·(x(k+1) - x(k))`; negative: the environment has given out more than it took. Force
+    times displacement is the exact work of a force that is held over a tick.
 
     Args:
         axes: 1 to 7.
 
     Raises:
-        ValueError: No such `axes`.
+        ValueError: The number of `axes` is invalid.
 
     Source: Hannaford and Ryu 2002, Eq. 5; Stramigioli et al. 2005 (sampled energy).
     """
 
     def __new__(cls, *, axes: int = 1) -> PassivityObserver: ...
     def step(self, position: _Sample, held_force: _Sample) -> float:
-        """E in J at one position.
+        """Return E in J at one position.
 
         Args:
             position: x in m.
             held_force: F_device in N exerted since the last position; not used at the first.
 
         Raises:
-            ValueError: A number that is not finite or absurd, or another number of axes; the state stays
-                as it was.
+            ValueError: A number is not finite or out of bounds, or the number of axes differs; the state is unchanged.
 
         Source: Hannaford and Ryu 2002, Eq. 5.
         """
 
     def run(self, position: _Array, held_force: _Array) -> _Array:
-        """As `step`, over arrays of shape `(n_ticks, axes)`; E in J of shape `(n_ticks,)`.
+        """Run `step` over arrays of shape `(n_ticks, axes)`; E in J of shape `(n_ticks,)`.
 
         Raises:
-            ValueError: Another shape or length; a number that is not finite or absurd, with its tick.
-                The ticks before it have been taken.
+            ValueError: Wrong shape or length; or a number is not finite or out of bounds (with its tick). Earlier ticks
+                are processed.
 
         Source: Hannaford and Ryu 2002, Eq. 5.
         """
 
     def reset(self) -> None:
-        """Clears all energy and the last position."""
+        """Clear all energy and the last position."""
 
 @final
 class SafetySettings:
-    """Which controllers watch, their thresholds, and how an intervention begins and ends.
+    """Active controllers, their thresholds, and the start and end of an intervention.
 
-    The defaults are the paper's. Numbers are held against their ranges where a controller is built.
+    The defaults are the paper's. `SafetyController` checks the ranges.
 
     Attributes:
-        FRICTION_ROOM: Of c, what `probe_force_n` times `probe_threshold` must reach.
-        PROBED_DAMPING: Of mu, what damps while a probe acts.
+        FRICTION_ROOM: Multiple of c that `probe_force_n` times `probe_threshold` must reach.
+        PROBED_DAMPING: Share of mu that damps while a probe acts.
 
     Args:
         controllers: Any of "vfc" (Eq. 2), "hsc" (Eq. 14), "wsc" (Eq. 13), "pc" (Eq. 12).
         damping: mu in N s/m, between 0 and m / (5 dT).
         velocity_threshold: V_t in m/s, above 0 (Eq. 1).
         vfc_force_threshold_n: F_t in N, above 0 (Eq. 1).
-        vfc_form: Which reading of Eq. 1, see `VelocityForceObserver`.
+        vfc_form: Form of Eq. 1, see `VelocityForceObserver`.
         grasp_threshold: zeta, above 1 (Eq. 8).
         grasp_floor_n: alpha in N, above 0 (Eq. 5).
         hsc_force_threshold_n: F_t in N, 0 or more (Eq. 14).
-        hsc_velocity_threshold: V_s in m/s, 0 or more: HSC trips only while `V·F_v / |F_v| > V_s`; 0 is Eq. 14 as printed.
+        hsc_velocity_threshold: V_s in m/s, 0 or more: HSC trips only while `V·F_v / |F_v| > V_s`; 0 is Eq. 14 as
+            printed.
         energy_threshold_j: delta in J, below 0, by default -0.03 (Eq. 10).
         wsc_force_threshold_n: F_w in N, 0 or more: WSC trips only while `F_v·V / |V| > F_w`; 0 is Eq. 13 as printed.
         energy_ratio: eta, above 0 and at most 1 (Eq. 9).
@@ -609,14 +606,14 @@ class SafetySettings:
         pc_max_damping: Bound in N s/m on the damping of Eq. 12, between 0 and m / (5 dT).
         hold_off_s: Least duration of an intervention in s, 0 to 60.
         release_ramp_s: Least time in s over which an intervention fades out, 0 to 60.
-        probe_force_n: A in N of the probe that a hand must answer before an intervention fades, at least 2 c / r_th; 0
-            lets it fade by time alone.
-        probe_threshold: r_th, the share of the probe that a hand holds against at least, above 0 and below 1.
-        release_tries: After so many tries, of a second each, without the force being back for 1 s it is withheld; 0 is
-            no end, and without a probe asks for no hand.
+        probe_force_n: A in N of the probe that a hand must answer before an intervention fades, at least 2 c / r_th; at
+            0 only time counts.
+        probe_threshold: r_th, smallest share of the probe that a hand resists, above 0 and below 1.
+        release_tries: Number of tries, of a second each, after which the force stays off unless it was back for 1 s. 0
+            means no end and, without a probe, requires no hand.
 
     Raises:
-        ValueError: No such controller or `vfc_form`.
+        ValueError: A controller or `vfc_form` is invalid.
 
     Source: paper section 4 (thresholds).
     """
@@ -655,9 +652,9 @@ class SafetySettings:
 class SafetyController:
     """Controllers combined: while one of VFC, HSC, WSC trips, `F_c = -F_v - mu V`, else 0.
 
-    It stays on for the hold-off, then fades over the release ramp. PC, in the share that the fade leaves, dissipates
-    what SO finds missing: `F_c = E_so V / (|V|² dT)` for E_so < 0, never more than `pc_max_damping` V.
-    Keeps its state from call to call.
+    The force lasts for the hold-off, then fades over the release ramp. PC, scaled by the rest of the fade, dissipates
+    the energy that SO finds missing: `F_c = E_so V / (|V|² dT)` for E_so < 0, never more than `pc_max_damping` V. Keeps
+    its state between calls.
 
     Args:
         device: M, and the number of axes.
@@ -665,7 +662,7 @@ class SafetyController:
         period_s: dT in s, above 0.
 
     Raises:
-        ValueError: A parameter outside its range, with its symbol in the paper.
+        ValueError: A parameter is outside its range, with its symbol in the paper.
 
     Source: paper Eq. 2, 12, 13 and 14.
     """
@@ -682,19 +679,19 @@ class SafetyController:
         grasp_force: _Sample,
         aligned_rendered_force: _Sample | None = None,
     ) -> Intervention:
-        """F_c of one tick.
+        """Return F_c of one tick.
 
-        A number that is not finite or absurd is no error here: it returns a fault and zero force, and
-        changes no state.
+        A number that is not finite or out of bounds raises no error: the result is a fault and zero force, and the
+        state is unchanged.
 
         Args:
             velocity: V in m/s.
             rendered_force: F_v in N.
             grasp_force: F_h in N.
-            aligned_rendered_force: F_v in N as late as F_h (`Estimator.align`); F_v itself if not given.
+            aligned_rendered_force: F_v in N with the delay of F_h (`Estimator.align`); F_v itself if not given.
 
         Raises:
-            ValueError: Another number of axes.
+            ValueError: Wrong number of axes.
 
         Source: paper Eq. 2, 12, 13 and 14.
         """
@@ -706,27 +703,27 @@ class SafetyController:
         grasp_force: _Array,
         aligned_rendered_force: _Array | None = None,
     ) -> Interventions:
-        """As `step`, over arrays.
+        """Run `step` over arrays.
 
         Args:
             velocity: V in m/s, shape `(n_ticks, axes)`.
             rendered_force: F_v in N, the same shape.
             grasp_force: F_h in N, the same shape.
-            aligned_rendered_force: F_v in N passed through the kernel that made F_h late (`Estimator.run`), the
-                same shape; F_v itself if not given. S_h compares it with F_h.
+            aligned_rendered_force: F_v in N, filtered by the kernel that delays F_h (`Estimator.run`), the same shape;
+                F_v itself if not given. S_h compares it with F_h.
 
         Raises:
-            ValueError: Another shape or length.
+            ValueError: Wrong shape or length.
 
         Source: paper Eq. 2, 12, 13 and 14.
         """
 
     def reset(self) -> None:
-        """Clears all energy and ends any intervention."""
+        """Clear all energy and end any intervention."""
 
 @final
 class Intervention:
-    """What `SafetyController.step` decided at one tick, and what it saw."""
+    """Decision and observations of `SafetyController.step` at one tick."""
 
     @property
     def safety_force(self) -> _Array:
@@ -738,11 +735,11 @@ class Intervention:
 
     @property
     def tripped(self) -> int:
-        """Who tripped: sum of VFC 1, HSC 2, WSC 4, PC 8; 16 while an intervention is only held."""
+        """Tripped controllers: sum of VFC 1, HSC 2, WSC 4, PC 8; 16 while an intervention is only held."""
 
     @property
     def fault(self) -> int:
-        """Code for `fault_message`, 0 without fault."""
+        """Code for `fault_message`; 0 without fault."""
 
     @property
     def velocity_force(self) -> float:
@@ -762,9 +759,9 @@ class Intervention:
 
 @final
 class Interventions:
-    """What `SafetyController.run` decided at each tick, and what it saw.
+    """Decisions and observations of `SafetyController.run` at each tick.
 
-    An observer that no controller reads is not computed: its array is none.
+    An observer that no controller reads is not computed: its array is None.
     """
 
     @property
@@ -777,7 +774,7 @@ class Interventions:
 
     @property
     def tripped(self) -> _Bits:
-        """Who tripped, shape `(n_ticks,)`: VFC 1, HSC 2, WSC 4, PC 8; 16 while only held."""
+        """Tripped controllers, shape `(n_ticks,)`: VFC 1, HSC 2, WSC 4, PC 8; 16 while only held."""
 
     @property
     def fault(self) -> _Bits:
@@ -785,29 +782,29 @@ class Interventions:
 
     @property
     def velocity_force(self) -> _Array | None:
-        """S_vf, shape `(n_ticks,)`; NaN at a fault, none without VFC."""
+        """S_vf, shape `(n_ticks,)`; NaN at a fault, None without VFC."""
 
     @property
     def grasp(self) -> _Array | None:
-        """S_h, shape `(n_ticks,)`; NaN at a fault, none without HSC."""
+        """S_h, shape `(n_ticks,)`; NaN at a fault, None without HSC."""
 
     @property
     def windowed_energy_j(self) -> _Array | None:
-        """E_wso in J, shape `(n_ticks,)`; NaN at a fault, none without WSC."""
+        """E_wso in J, shape `(n_ticks,)`; NaN at a fault, None without WSC."""
 
     @property
     def energy_j(self) -> _Array | None:
-        """E_so in J, shape `(n_ticks,)`; NaN at a fault, none without PC."""
+        """E_so in J, shape `(n_ticks,)`; NaN at a fault, None without PC."""
 
 @final
 class LimiterSettings:
-    """Bounds on the force that a device is commanded to exert; checked where a limiter is built.
+    """Bounds on the commanded device force; `Limiter` checks the ranges.
 
     Args:
         max_force_n: Largest |F| in N, above 0; a PHANTOM Desktop exerts 7.9 N.
         max_slew_n_per_s: Largest growth of the force in N/s, above 0; unloading is free.
         max_power_w: Largest F·V in W that the device may put into the hand, above 0.
-        ramp_in_s: Time in s in which the force rises from zero after a reset, 0 to 60.
+        ramp_in_s: Rise time of the force from zero after a reset in s, 0 to 60.
     """
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
@@ -824,52 +821,51 @@ class LimiterSettings:
 
 @final
 class Limiter:
-    """Keeps the device force inside its bounds, as a vector: no axis is clipped on its own.
+    """Keeps the device force inside its bounds, as a vector: no axis is clipped separately.
 
-    In this order: the ramp-in scales, |F| is clipped, the step from the last force is limited beyond the
-    part that only unloads, and the part along V is reduced until `F·V <= P_max`. |F| and power hold at
-    every tick; the growth is exceeded only by what the power bound takes away.
+    In this order: the ramp-in scales, |F| is clipped, the step from the last force is limited except for unloading, and
+    the part along V is reduced until `F·V <= P_max`. The bounds on |F| and power hold at every tick. Only a reduction
+    by the power bound may exceed the slew bound.
 
     Args:
-        settings: Bounds; without them the defaults of `LimiterSettings`.
+        settings: Bounds; by default those of `LimiterSettings`.
         period_s: dT in s, above 0.
         axes: 1 to 7.
 
     Raises:
-        ValueError: A bound or `period_s` outside its range, or no such `axes`.
+        ValueError: A bound or `period_s` is outside its range, or an invalid number of `axes`.
     """
 
     def __new__(cls, settings: LimiterSettings | None = None, *, period_s: float = 1e-3, axes: int = 1) -> Limiter: ...
     def step(self, force: _Sample, velocity: _Sample) -> tuple[_Array, int]:
-        """Limits the force of one tick.
+        """Limit the force of one tick.
 
         Args:
             force: Requested force in N.
             velocity: V in m/s.
 
         Returns:
-            The limited force in N, shape `(axes,)`, and which bounds acted: sum of |F| 1, slew 2, power 4,
-            ramp-in 8.
+            The limited force in N, shape `(axes,)`, and the bounds that acted: sum of |F| 1, slew 2, power 4, ramp-in
+            8.
 
         Raises:
-            ValueError: A number that is not finite or absurd, or another number of axes; the state stays
-                as it was.
+            ValueError: A number is not finite or out of bounds, or the number of axes differs; the state is unchanged.
         """
 
     def run(self, force: _Array, velocity: _Array) -> tuple[_Array, _Bits]:
-        """As `step`, over arrays of shape `(n_ticks, axes)`; bits of shape `(n_ticks,)`.
+        """Run `step` over arrays of shape `(n_ticks, axes)`; bits of shape `(n_ticks,)`.
 
         Raises:
-            ValueError: Another shape or length; a number that is not finite or absurd, with its tick.
-                The ticks before it have been taken.
+            ValueError: Wrong shape or length; or a number is not finite or out of bounds (with its tick). Earlier ticks
+                are processed.
         """
 
     def reset(self) -> None:
-        """Zero force at once, and the ramp-in starts anew."""
+        """Set the force to zero at once and restart the ramp-in."""
 
 @final
 class ResearchObservation:
-    """What a controller in Python sees of one tick, as the controllers of the scene see it."""
+    """Observations of one tick for a Python controller, equal to those of the scene's controllers."""
 
     @property
     def time_s(self) -> float:
@@ -881,23 +877,23 @@ class ResearchObservation:
 
     @property
     def rendered_force(self) -> _Array:
-        """F_v in N, as far as the device can render it, shape `(axes,)`."""
+        """F_v in N, within the device's bounds, shape `(axes,)`."""
 
     @property
     def grasp_force(self) -> _Array:
-        """F_h in N of Eq. 4, shape `(axes,)`: late, as the acceleration is that it is had from."""
+        """F_h in N of Eq. 4, shape `(axes,)`: late by the delay of the estimated acceleration."""
 
     @property
     def aligned_rendered_force(self) -> _Array:
-        """F_v in N as late as F_h, shape `(axes,)`: to compare the two."""
+        """F_v in N with the delay of F_h, for comparison, shape `(axes,)`."""
 
 def fault_message(code: int) -> str | None:
-    """What a fault's code means: which signal was not a finite number or exceeds which bound.
+    """Return the meaning of a fault code: the signal that was not finite or exceeded a bound, and the bound.
 
-    Bounds per axis: 1000 m, 1000 m/s, 10000 N. None for 0 and for codes that no fault has.
+    Bounds per axis: 1000 m, 1000 m/s, 10000 N. None for 0 and for unused codes.
 
     Raises:
-        OverflowError: A code outside 0 to 255.
+        OverflowError: The code is outside 0 to 255.
     """
 
 @final
@@ -909,12 +905,12 @@ class SampleBounds:
     Args:
         joints: If true, each axis is a joint in rad and must meet the bounds separately.
         speed: Speed bound of the device in m/s (rad/s), above 0; by default 20 m/s, of joints 60 rad/s.
-        velocity_change: Largest change of velocity in m/s (rad/s) from a sample to the next, above 0; by default
-            0.5 m/s, which is 0.5 mm off the path at 1 kHz, of joints 5 rad/s.
+        velocity_change: Largest change of velocity in m/s (rad/s) from a sample to the next, above 0; by default 0.5
+            m/s, which is 0.5 mm off the path at 1 kHz, of joints 5 rad/s.
         quantum: Resolution of the position in m (rad), 0 or more.
 
     Raises:
-        ValueError: A number outside its range.
+        ValueError: A number is outside its range.
     """
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
@@ -929,15 +925,15 @@ class SampleBounds:
     ) -> SampleBounds: ...
     @property
     def speed(self) -> float:
-        """In m/s (rad/s)."""
+        """Speed bound in m/s (rad/s)."""
 
     @property
     def velocity_change(self) -> float:
-        """In m/s (rad/s)."""
+        """Largest change of velocity in m/s (rad/s)."""
 
     @property
     def quantum(self) -> float:
-        """In m (rad)."""
+        """Position resolution in m (rad)."""
 
     def __eq__(self, other: object, /) -> bool: ...
 
@@ -945,18 +941,18 @@ class SampleBounds:
 class SafetyLayer:
     """Estimator, grasp force, observers, controllers and limiter: the whole pipeline of one master tick.
 
-    The same code runs in the live endpoint. Keeps its state from call to call.
+    The same code runs in the live endpoint. Keeps its state between calls.
 
     Args:
         device: m, b, c of Eq. 3, and the number of axes.
         settings: Controllers and thresholds.
-        estimator: How V and A are had from positions; the default is the Kalman filter.
+        estimator: Source of V and A from positions; the default is the Kalman filter.
         limiter: Bounds on the device force, always on.
-        samples: Bounds on samples; by default those of joints from four axes on, else of a point.
+        samples: Bounds on samples; by default those of joints for four or more axes, else of a point.
         period_s: dT in s, above 0.
 
     Raises:
-        ValueError: A parameter outside its range, with its symbol in the paper.
+        ValueError: A parameter is outside its range, with its symbol in the paper.
 
     Source: paper Eq. 1 to 14.
     """
@@ -977,11 +973,13 @@ class SafetyLayer:
 
     @property
     def outliers(self) -> int:
-        """Samples that left the path of the others and were replaced by their prediction."""
+        """Samples off the path, each replaced by its prediction."""
 
     def step(self, position: _Sample, rendered_force: _Sample, velocity: _Sample | None = None) -> SafetyTick:
-        """One tick. A number that is not finite or absurd, and a step beyond the speed bound of the device, return zero
-        force and a fault that stays. A sample off the path of the others is held, and its prediction stands for it.
+        """Advance by one tick.
+
+        A number that is not finite or out of bounds returns zero force and a fault that stays; so does a step beyond
+        the device's speed bound. A sample off the path is held, and its prediction replaces it.
 
         Args:
             position: x in m.
@@ -989,26 +987,26 @@ class SafetyLayer:
             velocity: V in m/s from a device that measures it, at every tick or at none.
 
         Raises:
-            ValueError: Another number of axes.
+            ValueError: Wrong number of axes.
         """
 
     def run(self, position: _Array, rendered_force: _Array, velocity: _Array | None = None) -> SafetyTicks:
-        """As `step`, over arrays of shape `(n_ticks, axes)`, or `(n_ticks,)` for one axis.
+        """Run `step` over arrays of shape `(n_ticks, axes)`, or `(n_ticks,)` for one axis.
 
         Raises:
-            ValueError: Another shape or length.
+            ValueError: Wrong shape or length.
         """
 
     def reset(self, position: _Sample) -> None:
-        """Clears a fault and the past: the device rests at `position` in m, its force rises from zero again.
+        """Clear a fault and the history: the device rests at `position` in m, its force rises from zero again.
 
         Raises:
-            ValueError: A position that is not finite or absurd, or another number of axes.
+            ValueError: The position is not finite or out of bounds, or the number of axes differs.
         """
 
 @final
 class SafetyTick:
-    """What `SafetyLayer.step` saw and decided."""
+    """Observations and decision of `SafetyLayer.step`."""
 
     @property
     def velocity(self) -> _Array:
@@ -1020,11 +1018,11 @@ class SafetyTick:
 
     @property
     def rendered_force(self) -> _Array:
-        """F_v in N as far as the bounds let the device render it: what the observers saw, shape `(axes,)`."""
+        """F_v in N within the device's bounds, as the observers receive it, shape `(axes,)`."""
 
     @property
     def grasp_force(self) -> _Array:
-        """F_h in N; zero where no controller reads it, shape `(axes,)`."""
+        """F_h in N; zero if no controller reads it, shape `(axes,)`."""
 
     @property
     def safety_force(self) -> _Array:
@@ -1032,27 +1030,27 @@ class SafetyTick:
 
     @property
     def device_force(self) -> _Array:
-        """F_device in N: what the device is to exert until the next tick; zero at a fault, shape `(axes,)`."""
+        """F_device in N: the commanded force until the next tick; zero at a fault, shape `(axes,)`."""
 
     @property
     def tripped(self) -> int:
-        """Who tripped: sum of VFC 1, HSC 2, WSC 4, PC 8; 16 while an intervention is held or fades."""
+        """Tripped controllers: sum of VFC 1, HSC 2, WSC 4, PC 8; 16 while an intervention is held or fades."""
 
     @property
     def acted(self) -> int:
-        """Which bounds acted: sum of norm 1, slew 2, power 4, ramp 8."""
+        """Bounds that acted: sum of norm 1, slew 2, power 4, ramp 8."""
 
     @property
     def fault(self) -> int:
-        """Code for `fault_message`, 0 without fault; it stays until `SafetyLayer.reset`."""
+        """Code for `fault_message`; 0 without fault; it stays until `SafetyLayer.reset`."""
 
     @property
     def owed_energy_j(self) -> float:
-        """Energy in J that PC requested and the bounds kept it from dissipating."""
+        """Energy in J that PC requested but the bounds prevented."""
 
 @final
 class SafetyTicks:
-    """What `SafetyLayer.run` saw and decided, one entry per tick."""
+    """Observations and decisions of `SafetyLayer.run`, one entry per tick."""
 
     @property
     def velocity(self) -> _Array:
@@ -1064,11 +1062,11 @@ class SafetyTicks:
 
     @property
     def rendered_force(self) -> _Array:
-        """F_v in N as far as the bounds let the device render it: what the observers saw, shape `(n_ticks, axes)`."""
+        """F_v in N within the device's bounds, as the observers receive it, shape `(n_ticks, axes)`."""
 
     @property
     def grasp_force(self) -> _Array:
-        """F_h in N; zero where no controller reads it, shape `(n_ticks, axes)`."""
+        """F_h in N; zero if no controller reads it, shape `(n_ticks, axes)`."""
 
     @property
     def safety_force(self) -> _Array:
@@ -1076,29 +1074,29 @@ class SafetyTicks:
 
     @property
     def device_force(self) -> _Array:
-        """F_device in N: what the device is to exert until the next tick; zero at a fault, shape `(n_ticks, axes)`."""
+        """F_device in N: the commanded force until the next tick; zero at a fault, shape `(n_ticks, axes)`."""
 
     @property
     def tripped(self) -> _Bits:
-        """Who tripped: sum of VFC 1, HSC 2, WSC 4, PC 8; 16 while an intervention is held or fades, shape `(n_ticks,)`."""
+        """Tripped controllers, shape `(n_ticks,)`: sum of VFC 1, HSC 2, WSC 4, PC 8; 16 while held or fading."""
 
     @property
     def acted(self) -> _Bits:
-        """Which bounds acted: sum of norm 1, slew 2, power 4, ramp 8, shape `(n_ticks,)`."""
+        """Bounds that acted: sum of norm 1, slew 2, power 4, ramp 8, shape `(n_ticks,)`."""
 
     @property
     def fault(self) -> _Bits:
-        """Code for `fault_message`, 0 without fault; it stays until `SafetyLayer.reset`, shape `(n_ticks,)`."""
+        """Code for `fault_message`; 0 without fault; it stays until `SafetyLayer.reset`, shape `(n_ticks,)`."""
 
     @property
     def owed_energy_j(self) -> _Array:
-        """Energy in J that PC requested and the bounds kept it from dissipating, shape `(n_ticks,)`."""
+        """Energy in J that PC requested but the bounds prevented, shape `(n_ticks,)`."""
 
 # ---------------------------------------------------------------------------------------------- master
 
 @final
 class HapticDevice:
-    """Model of a haptic device along one axis, advanced exactly between ticks.
+    """Model of a haptic device along one axis; its motion between ticks is exact.
 
     `m A + b V + c sign(V) = F_device + F_h`; at rest, friction withstands up to c.
 
@@ -1106,13 +1104,13 @@ class HapticDevice:
         mass_kg: m in kg, above 0.
         viscous: b in N s/m, of any sign.
         coulomb: c in N, 0 or more.
-        encoder_quantum: Resolution of the position in m, 0 or more; with 0 the device measures position
-            and velocity exactly, so that no estimator is used.
-        stops: Positions in m of the mechanical stops, lower and upper, which take all speed; infinite
-            without stops.
+        encoder_quantum: Resolution of the position in m, 0 or more; with 0 the device measures position and velocity
+            exactly, without an estimator.
+        stops: Positions in m of the mechanical stops, lower and upper, which stop the device at once; infinite without
+            stops.
 
     Raises:
-        ValueError: A parameter outside its range.
+        ValueError: A parameter is outside its range.
 
     Source: paper Eq. 3.
     """
@@ -1138,7 +1136,7 @@ class HapticDevice:
             stops: Positions in m of the mechanical stops; infinite without stops.
 
         Raises:
-            ValueError: A parameter outside its range.
+            ValueError: A parameter is outside its range.
 
         Source: paper section 4.1.
         """
@@ -1161,7 +1159,7 @@ class HapticDevice:
 
     @property
     def stops(self) -> tuple[float, float]:
-        """Positions in m of the lower and the upper mechanical stop."""
+        """Positions in m of the lower and upper mechanical stops."""
 
 @final
 class Hand:
@@ -1173,16 +1171,16 @@ class Hand:
         stiffness: K_h in N/m, 0 or more.
         damping: B_h in N s/m, 0 or more.
         strength_n: Grip strength in N, 0 or more.
-        start: Where the path begins, in m.
-        legs: The path, leg by leg: duration in s (above 0), position at its end in m, "linear" or
-            "minimum-jerk". The hand rests after the last.
-        release: When the hand begins to let go, in s, and in which time in s (0 or more) what falls is zero;
-            never without it.
-        release_kind: What falls: "strength", so that nothing moves until it has fallen to the load, or "gain",
+        start: Start of the path in m.
+        legs: Legs of the path: duration in s (above 0), final position in m, "linear" or "minimum-jerk". The hand rests
+            after the last.
+        release: Start of the release in s, and its duration in s (0 or more) until the falling quantity is zero; None
+            for no release.
+        release_kind: Falling quantity: "strength", so that nothing moves until it has fallen to the load, or "gain",
             the whole impedance.
 
     Raises:
-        ValueError: A parameter outside its range, no such shape or kind.
+        ValueError: A parameter is outside its range, or a shape or kind is invalid.
 
     Source: Hogan 1989 (impedance); Johansson and Westling 1984 (grip); Flash and Hogan 1985 (path).
     """
@@ -1203,23 +1201,23 @@ class Hand:
     def __eq__(self, other: object, /) -> bool: ...
     @staticmethod
     def absent(*, position: float = 0.0) -> Hand:
-        """Nobody holds the device, which rests at `position` in m.
+        """Return no hand: the device rests at `position` in m.
 
         Raises:
-            ValueError: A position that is not finite.
+            ValueError: The position is not finite.
         """
 
     def target(self, time_s: float) -> float:
-        """Position in m that the hand means to be at, at a time in s."""
+        """Return the position in m that the hand aims at, at a time in s."""
 
     def strength(self, time_s: float) -> float:
-        """Grip strength in N at a time in s."""
+        """Return the grip strength in N at a time in s."""
 
 # ----------------------------------------------------------------------------------------------- slave
 
 @final
 class Wall:
-    """A spring wall that fills x below its surface and pushes along +x.
+    """Spring wall that fills x below its surface and pushes along +x.
 
     `F = K (x_w - x)` inside, 0 outside.
 
@@ -1228,7 +1226,7 @@ class Wall:
         position: Surface x_w in m.
 
     Raises:
-        ValueError: A parameter outside its range.
+        ValueError: A parameter is outside its range.
 
     Source: paper Eq. 15 with B = 0.
     """
@@ -1238,69 +1236,68 @@ class Wall:
     def __new__(cls, *, stiffness: float, position: float = 0.0) -> Wall: ...
     def __eq__(self, other: object, /) -> bool: ...
     def force(self, position: float) -> float:
-        """Force in N on what is at `position` in m.
+        """Return the force in N on a tool at `position` in m.
 
         Source: paper Eq. 15 with B = 0.
         """
 
 @final
 class SceneTouch:
-    """What an arm that is not the scene's would touch there: `[environment]`, along the first axes of the arm's base.
+    """Environment of a scene for an external arm: `[environment]`, along the first axes of the arm's base.
 
-    The scene's time begins when the caller says so: it is the `time_s` of every call. Pushers do not push before
-    `start_pushers`.
+    The caller sets the scene's time: the `time_s` of every call. Pushers do not push before `start_pushers`.
 
     Args:
         scene_json: As `haptether.bridge.scene_json` gives it.
 
     Raises:
-        ValueError: A scene that cannot be built, or one of more than 3 axes. From every method: what is not finite.
+        ValueError: The scene cannot be built or has more than 3 axes. From every method: a number is not finite.
     """
 
     def __new__(cls, scene_json: bytes) -> SceneTouch: ...
     @property
     def axes(self) -> int:
-        """1, 2 or 3; along the others there is no force."""
+        """1, 2 or 3; there is no force along the others."""
     @property
     def start(self) -> list[float]:
-        """Where the scene's arm starts, in m, or its device if it has no arm; 3 numbers."""
+        """Start of the scene's arm in m, or of its device if it has no arm; 3 numbers."""
     @property
     def touches(self) -> bool:
-        """Whether the tool was inside an object when the force was last computed."""
+        """True if the tool was inside an object when the force was last computed."""
     def reset(self) -> None:
-        """Everything is as it was at first, and the pushers wait."""
+        """Restore the initial state; the pushers wait."""
     def start_pushers(self, time_s: float) -> None:
-        """The time of the pushers begins at a time in s of the scene."""
+        """Start the time of the pushers at a time in s of the scene."""
     def force(self, time_s: float, position: Sequence[float], velocity: Sequence[float]) -> tuple[float, float, float]:
-        """Force in N of objects and pushers on the tool at one instant; free bodies as they are now.
+        """Return the force in N of objects and pushers on the tool at one instant; free bodies keep their state.
 
         Args:
             time_s: Time of the scene in s.
-            position: Of the tool in m, (3,).
-            velocity: Of the tool in m/s, (3,).
+            position: Tool position in m, (3,).
+            velocity: Tool velocity in m/s, (3,).
         """
     def advance(self, time_s: float, step_s: float, position: Sequence[float], velocity: Sequence[float]) -> None:
-        """Moves the free bodies over a step in s that begins at `time_s`, while the tool moves on at its velocity."""
+        """Move the free bodies over a step in s that begins at `time_s`; the tool keeps its velocity."""
 
 @final
 class ForceSensor:
-    """What a sensor makes of a force: `q round((F + bias + noise) / q)` on each of 3 axes.
+    """Model of a force sensor: `q round((F + bias + noise) / q)` on each of 3 axes.
 
     Args:
         noise_n: Standard deviation in N, 0 or more.
         bias_n: Offsets in N, (3,).
         quantum_n: Resolution in N; 0 is exact.
-        seed: Of the noise.
+        seed: Seed of the noise.
 
     Raises:
-        ValueError: A parameter outside its range. From `sample`: a force that is not finite.
+        ValueError: A parameter is outside its range. From `sample`: a force is not finite.
     """
 
     def __new__(
         cls, *, noise_n: float = 0.0, bias_n: Sequence[float] = ..., quantum_n: float = 0.0, seed: int = 0
     ) -> ForceSensor: ...
     def sample(self, force: Sequence[float], index: int) -> tuple[float, float, float]:
-        """Sample number `index` of a force in N, (3,): the same index yields the same noise."""
+        """Return sample number `index` of a force in N, (3,): the same index yields the same noise."""
 
 @final
 class UrInverseSolver:
@@ -1308,13 +1305,14 @@ class UrInverseSolver:
 
     Args:
         model: Denavit-Hartenberg rows theta, a, d and alpha, six numbers each, in m and rad.
-        unit: The same of a unit that differs from its model.
-        position_min: Least joint angles in rad, -inf where there is none.
+        unit: Same rows of a unit that differs from its model.
+        position_min: Least joint angles in rad, -inf without a limit.
         position_max: Largest joint angles in rad.
         flange_from_tool: Rigid transform, (4, 4).
 
     Raises:
-        ValueError: The model is not a UR arm, a number is not finite, limits leave nothing, or no rigid transform.
+        ValueError: The model is not a UR arm, a number is not finite, limits leave no range, or a transform is not
+            rigid.
     """
 
     def __new__(
@@ -1326,14 +1324,14 @@ class UrInverseSolver:
         flange_from_tool: _Array,
     ) -> UrInverseSolver: ...
     def all(self, base_from_tool: _Array) -> _Array:
-        """All branches, (n, 6), n up to 8, rad.
+        """Return all branches in rad, (n, 6), n up to 8.
 
         Raises:
             ValueError: Not a rigid transform, (4, 4).
         """
 
     def nearest(self, base_from_tool: _Array, near: _Array) -> _Array | str:
-        """The posture nearest to `near`, (6,), rad, or why there is none.
+        """Return the posture nearest to `near` in rad, (6,), or the reason if there is none.
 
         Raises:
             ValueError: Not a rigid transform, (4, 4), or not six finite numbers.
@@ -1343,7 +1341,7 @@ class UrInverseSolver:
 
 @final
 class DirectionStatistics:
-    """What became of the datagrams of one direction of a proxy."""
+    """Counts of the datagrams in one direction of a proxy."""
 
     @property
     def received(self) -> int:
@@ -1351,35 +1349,35 @@ class DirectionStatistics:
 
     @property
     def lost(self) -> int:
-        """Of these, taken by the link's rules."""
+        """Accepted datagrams that the link's rules removed."""
 
     @property
     def queue_full(self) -> int:
-        """Of these, dropped because too many were in flight."""
+        """Accepted datagrams dropped because too many were in flight."""
 
     @property
     def released(self) -> int:
-        """Of these, sent on."""
+        """Accepted datagrams that were forwarded."""
 
     @property
     def unsent(self) -> int:
-        """Of these, not sent on when due, because the socket refused them or the client was gone."""
+        """Accepted datagrams not forwarded when due: the socket refused them or the client was gone."""
 
     @property
     def damaged(self) -> int:
-        """Of these, with other bytes than were received."""
+        """Accepted datagrams whose bytes were changed."""
 
     @property
     def extras(self) -> int:
-        """What was to arrive beside the packets: copies, and what somebody makes up."""
+        """Additional datagrams planned beside the packets: copies and forgeries."""
 
     @property
     def extras_released(self) -> int:
-        """Of these, sent."""
+        """Additional datagrams that were sent."""
 
     @property
     def extras_lost(self) -> int:
-        """Of these, not sent: too many in flight, or refused by the socket."""
+        """Additional datagrams not sent: too many in flight, or refused by the socket."""
 
     @property
     def overtaking(self) -> int:
@@ -1387,19 +1385,19 @@ class DirectionStatistics:
 
     @property
     def oversize(self) -> int:
-        """Datagrams too large to be carried, dropped before any rule saw them."""
+        """Datagrams too large to carry, dropped before any rule."""
 
     @property
     def refused(self) -> int:
-        """Datagrams from a source that is not served, dropped before any rule saw them."""
+        """Datagrams from a source that is not served, dropped before any rule."""
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Datagrams accepted that were dropped, by cause: those of `lost` and `queue_full`."""
+        """Accepted datagrams that were dropped, by cause: those of `lost` and `queue_full`."""
 
 @final
 class ProxyStatistics:
-    """What a proxy has done so far."""
+    """Counts and timing of a proxy so far."""
 
     @property
     def forward(self) -> DirectionStatistics:
@@ -1411,79 +1409,79 @@ class ProxyStatistics:
 
     @property
     def flows(self) -> int:
-        """Clients that are served now."""
+        """Clients now served."""
 
     @property
     def peer_unreachable(self) -> int:
-        """Times the network reported that the peer cannot be reached."""
+        """Number of network reports that the peer is unreachable."""
 
     @property
     def scheduling_error_p50_s(self) -> float:
-        """How late the median datagram left, in s."""
+        """Lateness of the median datagram in s."""
 
     @property
     def scheduling_error_p99_s(self) -> float:
-        """How late all but 1 % of the datagrams left at most, in s."""
+        """Largest lateness of all datagrams except 1 %, in s."""
 
     @property
     def scheduling_error_p999_s(self) -> float:
-        """How late all but 0.1 % of the datagrams left at most, in s."""
+        """Largest lateness of all datagrams except 0.1 %, in s."""
 
     @property
     def scheduling_error_max_s(self) -> float:
-        """How late the latest datagram left, in s."""
+        """Lateness of the latest datagram in s."""
 
     @property
     def early(self) -> int:
-        """Datagrams that left before they were due: none, ever."""
+        """Datagrams that left before they were due: always none."""
 
     @property
     def log_lost(self) -> int:
-        """Records that the log lacks, because its writer was late."""
+        """Records missing from the log because its writer was late."""
 
     @property
     def log_failed(self) -> bool:
-        """Whether the log could not be written to its end, as on a full disk; the run is not valid then."""
+        """True if the log could not be written to its end, for example on a full disk; the run is then invalid."""
 
     @property
     def scheduling(self) -> Literal["fifo", "normal"]:
-        """How its thread is scheduled."""
+        """Scheduling of its thread."""
 
     @property
     def receive_buffer_bytes(self) -> int:
-        """What the kernel grants the listening socket for datagrams that wait, as it counts them."""
+        """Buffer of the listening socket for waiting datagrams, by the kernel's count."""
 
     @property
     def send_buffer_bytes(self) -> int:
-        """The same for sending."""
+        """Buffer for sending, by the kernel's count."""
 
     @property
     def valid(self) -> bool:
-        """Whether the delays were those requested: p99 of the scheduling error within its limit."""
+        """True if the delays were as requested: p99 of the scheduling error within its limit."""
 
 @final
 class Proxy:
-    """What `haptether.netsim.Proxy` wraps: a live UDP proxy between clients and one peer, on its own thread.
+    """Live UDP proxy between clients and one peer, on its own thread; `haptether.netsim.Proxy` wraps it.
 
     It forwards to the peer only, and serves clients of this machine and those that `allow` names, up to 64 at a time.
     All share the link of their direction.
 
     Args:
-        listen: Where the clients send to, `HOST:PORT`; port 0 lets the system choose.
+        listen: Address for the clients, `HOST:PORT`; port 0 lets the system choose.
         forward: The peer, `HOST:PORT`.
         forward_link: Network from the client to the peer, as JSON.
         backward_link: Network from the peer to the client, as JSON.
         seed: Key of all draws, 0 to 2⁶⁴ - 1.
-        allow: Sources that are served beside those of this machine, `IP` or `IP:PORT`; by default none.
-        realtime: Whether to request real-time scheduling; the statistics say what was got.
+        allow: Additional sources to serve beside this machine, `IP` or `IP:PORT`; by default none.
+        realtime: True to request real-time scheduling; the statistics show the scheduling granted.
         max_error_s: Largest p99 of the scheduling error in s with which a run is valid.
-        log: File for what became of each datagram, as CSV: `direction,index,kind,t_in_ns,t_due_ns,t_out_ns,cause,
-            error_ns,size`. `kind` is empty for the packet itself, else why there is a copy; `t_out_ns` is when the call
-            that sends it began.
+        log: CSV file with the result of each datagram: `direction,index,kind,t_in_ns,t_due_ns,t_out_ns,cause,
+            error_ns,size`. `kind` is empty for the packet itself, else the reason for a copy; `t_out_ns` is the start
+            of the sending call.
 
     Raises:
-        ValueError: An address that is none.
-        OSError: An address that cannot be used.
+        ValueError: An address is invalid.
+        OSError: An address cannot be used.
     """
 
     def __new__(
@@ -1501,28 +1499,28 @@ class Proxy:
     ) -> Proxy: ...
     @property
     def address(self) -> str:
-        """Where it listens, with the port that was chosen."""
+        """Listening address, with the chosen port."""
 
     @property
     def forward(self) -> str:
-        """Address to which it forwards: the first of a name to which it can send."""
+        """Address to which it forwards: the first of a name that accepts packets."""
 
     @property
     def finished(self) -> bool:
-        """Whether its thread has ended."""
+        """True if its thread has ended."""
 
     def change(self, direction: Literal["forward", "backward"], settings: str) -> None:
-        """Other settings for the datagrams that arrive from now on; taken up within 20 ms, in order.
+        """Change the settings for datagrams that arrive from now on; acts within 20 ms, in order.
 
         Raises:
-            ValueError: No such `direction`.
+            ValueError: The `direction` is invalid.
         """
 
     def statistics(self) -> ProxyStatistics:
-        """What it has done so far, while it goes on."""
+        """Return the statistics so far; the proxy continues."""
 
     def stop(self) -> ProxyStatistics:
-        """Ends it, which takes up to 20 ms; what is still in flight is not sent.
+        """End the proxy, within 20 ms; packets still in flight are not sent.
 
         Raises:
             OSError: The proxy had ended on an error of its sockets.
@@ -1531,27 +1529,27 @@ class Proxy:
 
 @final
 class Echo:
-    """Answers the probes of `record`, one for one and of the same size; runs on its own thread.
+    """Answers each probe of `record` with one of the same size; runs on its own thread.
 
     Args:
-        listen: Where it listens, `HOST:PORT`; port 0 lets the system choose.
+        listen: Listening address, `HOST:PORT`; port 0 lets the system choose.
 
     Raises:
-        ValueError: An address that is none.
-        OSError: An address that cannot be used.
+        ValueError: An address is invalid.
+        OSError: An address cannot be used.
     """
 
     def __new__(cls, *, listen: str) -> Echo: ...
     @property
     def address(self) -> str:
-        """Where it listens, with the port that was chosen."""
+        """Listening address, with the chosen port."""
 
     @property
     def finished(self) -> bool:
-        """Whether its thread has ended."""
+        """True if its thread has ended."""
 
     def stop(self) -> tuple[int, int]:
-        """Ends it and returns how many probes it answered, and how many datagrams were none.
+        """End the echo; return the number of answered probes and of other datagrams.
 
         Raises:
             OSError: It had ended on an error of its socket.
@@ -1560,19 +1558,19 @@ class Echo:
 
 @final
 class Recording:
-    """What `record` measured: each array of shape `(n_probes,)`, nan for a loss.
+    """Measurements of `record`: each array of shape `(n_probes,)`, nan for a loss.
 
-    Where the other direction lost a probe, the delay is that of the probe before: there was nothing to measure.
+    If the other direction lost a probe, the delay is that of the previous probe.
     """
 
     def __len__(self) -> int: ...
     @property
     def peer(self) -> str:
-        """Address of the echo that answered, of a name with several."""
+        """Address of the answering echo, if a name has several."""
 
     @property
     def time_s(self) -> _Array:
-        """When each probe was sent, in s since the first."""
+        """Time of sending of each probe, in s since the first."""
 
     @property
     def forward_delay_s(self) -> _Array:
@@ -1596,81 +1594,81 @@ class Recording:
 
     @property
     def offset_s(self) -> float:
-        """How far the echo's clock was taken to be ahead, in s, in the middle of the measurement."""
+        """Estimated lead of the echo's clock in s, in the middle of the measurement."""
 
     @property
     def drift(self) -> float:
-        """How much faster the echo's clock was taken to run, as a share."""
+        """Estimated excess rate of the echo's clock, as a share."""
 
     @property
     def latest_s(self) -> float:
-        """How late the latest probe was sent, in s."""
+        """Largest lateness of a sent probe in s."""
 
     def write_csv(self, path: str | PathLike[str]) -> None:
-        """Writes `time_s,forward_delay_s,backward_delay_s`, an empty cell for a loss, below comments.
+        """Write `time_s,forward_delay_s,backward_delay_s`, with an empty cell for a loss, below comments.
 
         Raises:
-            OSError: A file that cannot be written.
+            OSError: The file cannot be written.
         """
 
 def record(peer: str, *, rate_hz: float = 1000.0, duration_s: float = 10.0, realtime: bool = True) -> Recording:
-    """Measures the network to an `Echo` and back with a stream of probes.
+    """Measure the network to an `Echo` and back with a stream of probes.
 
-    Only the round trip is measured for certain. With the echo's clock ahead by theta, a probe shows
-    `a = forward + theta` and `b = backward - theta`; where it waited least, in windows of time, both directions are taken
-    to be alike, `theta = (a - b) / 2`, and a line through the quieter half of the windows is theta(t).
+    Only the round trip is certain. With the echo's clock ahead by theta, a probe shows `a = forward + theta` and `b =
+    backward - theta`. For the probe with the least wait in each time window, both directions are assumed equal: `theta
+    = (a - b) / 2`. A line through the quieter half of the windows gives theta(t).
 
     Args:
-        peer: Where the echo is, `HOST:PORT`.
-        rate_hz: Probes a second, at most 1000.
-        duration_s: For how long, in s; at most ten million probes.
-        realtime: Whether to request real-time scheduling.
+        peer: Address of the echo, `HOST:PORT`.
+        rate_hz: Probes per second, at most 1000.
+        duration_s: Duration in s; at most ten million probes.
+        realtime: True to request real-time scheduling.
 
     Raises:
-        ValueError: A number outside its range, or an address that is none.
+        ValueError: A number is outside its range, or an address is invalid.
         OSError: Nobody answered, or the network cannot be used.
 
     Source: Mills 1991 (minimum filter); Paxson 1998 (drift through minima).
     """
 
 def check_link(settings: str) -> None:
-    """Refuses settings of a link, as JSON, that describe none.
+    """Check the settings of a link, as JSON.
 
     Raises:
         ValueError: `key = seen: must be ...` or `key: problem`.
     """
 
 def link_bounds(settings: str) -> tuple[float, float]:
-    """Longest time in s that a packet is in flight, and time in s of the last scheduled change.
+    """Return the longest time in s that a packet is in flight, and the time in s of the last scheduled change.
 
     Raises:
         ValueError: As `check_link`.
     """
 
 def read_link_file(form: str, data: bytes, direction: str) -> str:
-    """What a file of a link says, as JSON of the setting that it stands for.
+    """Return the setting of a link file as JSON.
 
     Args:
         form: "csv", "irtt", "mahimahi" or "dist".
-        data: Its bytes.
-        direction: Whose delays, in a recording of both directions.
+        data: Bytes of the file.
+        direction: Direction of the delays in a recording of both directions.
 
     Raises:
-        ValueError: A file that is not what it should be, with line and column.
+        ValueError: The file is invalid; the message gives line and column.
     """
 
 def translate_netem(text: str) -> str:
-    """What arguments of `tc netem` request, as JSON.
+    """Return the request of `tc netem` arguments as JSON.
 
-    `settings` are those of a link that does it; `asked` has the correlations of delay, loss, duplicate, corrupt and
+    `settings` are those of an equivalent link; `asked` has the correlations of delay, loss, duplicate, corrupt and
     reorder, 0 to 1, and the limit.
 
     Raises:
-        ValueError: Text that netem refuses, with its column, or what a link has no settings for.
+        ValueError: Text that netem refuses, with its column, or a request for which a link has no settings.
     """
 
 def verdict_causes() -> list[str]:
-    """Names of the causes of `judge_packets`, by code."""
+    """Return the names of the causes of `judge_packets`, by code."""
 
 def judge_packets(
     settings: str,
@@ -1679,24 +1677,24 @@ def judge_packets(
     direction: str,
     seed: int,
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.uint8]]:
-    """What becomes of each packet: index, when sent, when it arrives, code of the cause; see `netsim.judge_all`.
+    """Return index, times of sending and arrival, and cause code of each packet; see `netsim.judge_all`.
 
     Raises:
-        ValueError: As `check_link`, a number below 0, times that decrease, or no such `direction`.
+        ValueError: As `check_link`, a number below 0, times that decrease, or an invalid `direction`.
     """
 
 # ---------------------------------------------------------------------------------------------- bridge
 
 @final
 class Sinusoid:
-    """An active force `F_v = a sin(w t)`.
+    """Active force `F_v = a sin(w t)`.
 
     Args:
         amplitude_n: a in N.
         rate: w in rad/s.
 
     Raises:
-        ValueError: A number that is not finite.
+        ValueError: A number is not finite.
 
     Source: paper section 4.5.
     """
@@ -1705,39 +1703,39 @@ class Sinusoid:
 
 @type_check_only
 class _ObservedTicks:
-    """What the controllers saw of each tick, and who tripped."""
+    """Observations of the controllers at each tick, and the tripped controllers."""
 
     @property
     def grasp_force(self) -> _Array:
-        """F_h in N as estimated; 0 where no controller reads it.
+        """Estimated F_h in N; 0 if no controller reads it.
 
         Source: paper Eq. 4.
         """
 
     @property
     def velocity_force(self) -> _Array:
-        """S_vf; NaN where not observed.
+        """S_vf; NaN if not observed.
 
         Source: paper Eq. 1.
         """
 
     @property
     def grasp(self) -> _Array:
-        """S_h; NaN where not observed.
+        """S_h; NaN if not observed.
 
         Source: paper Eq. 5.
         """
 
     @property
     def windowed_energy_j(self) -> _Array:
-        """E_wso in J; NaN where not observed.
+        """E_wso in J; NaN if not observed.
 
         Source: paper Eq. 11.
         """
 
     @property
     def tripped(self) -> _Bits:
-        """Who tripped: sum of VFC 1, HSC 2, WSC 4, PC 8; 16 while only held."""
+        """Tripped controllers: sum of VFC 1, HSC 2, WSC 4, PC 8; 16 while only held."""
 
 @final
 class LocalTrace(_ObservedTicks):
@@ -1770,7 +1768,7 @@ class LocalTrace(_ObservedTicks):
 
     @property
     def energy_j(self) -> _Array:
-        """E_so in J; NaN where not observed.
+        """E_so in J; NaN if not observed.
 
         Source: paper Eq. 9.
         """
@@ -1788,36 +1786,36 @@ def run_local(
     start: tuple[float, float] | None = None,
     device_delay: int = 0,
 ) -> LocalTrace:
-    """The loop without a network: device and hand under a force rendered on the spot.
+    """Run the loop without a network: device and hand under a locally rendered force.
 
-    The force is computed once a tick and held; between ticks the motion is exact.
+    The force is computed once per tick and held; between ticks the motion is exact.
 
     Args:
         device: The device.
-        hand: Who holds it.
-        rendered: What is rendered.
+        hand: Hand that holds it.
+        rendered: Source of the rendered force.
         ticks: Number of ticks, at most 2e7.
-        settings: Safety controllers; without them none.
-        estimator: For a device with an encoder; without it the default of `EstimatorKind`.
-        limiter: Bounds; without them the defaults of `LimiterSettings`, without ramp-in.
+        settings: Safety controllers; None for no controller.
+        estimator: Estimator for a device with an encoder; by default that of `EstimatorKind`.
+        limiter: Bounds; by default those of `LimiterSettings`, without ramp-in.
         period_s: dT in s, a whole number of ns between 1e-6 and 1.
-        start: Position in m and velocity in m/s; without it at rest where the hand's path begins.
-        device_delay: Ticks by which the force of the device acts late, at most 1000; no controller knows of it.
+        start: Position in m and velocity in m/s; by default at rest at the start of the hand's path.
+        device_delay: Delay of the device force in ticks, at most 1000; unknown to the controllers.
 
     Raises:
-        ValueError: A parameter outside its range.
+        ValueError: A parameter is outside its range.
 
     Source: paper Eq. 15 and section 4 (the experiments).
     """
 
 @type_check_only
 class _SideTicks:
-    """How a side and its ladder stood at each tick."""
+    """State of a side and its ladder at each tick."""
 
     def __len__(self) -> int: ...
     @property
     def time_s(self) -> _Array:
-        """Time since the run began, in s."""
+        """Time since the start of the run in s."""
 
     @property
     def state(self) -> _Bits:
@@ -1825,11 +1823,11 @@ class _SideTicks:
 
     @property
     def reason(self) -> _Bits:
-        """Why it stands there, for `ladder_reason`; 0 where it began."""
+        """Reason of the state, for `ladder_reason`; 0 for the initial state."""
 
     @property
     def clutch(self) -> _Bits:
-        """1 while the clutch is closed, as far as this side knows."""
+        """1 while this side knows that the clutch is closed."""
 
     @property
     def age_s(self) -> _Array:
@@ -1841,11 +1839,11 @@ class _SideTicks:
 
     @property
     def overshoot_s(self) -> _Array:
-        """How late the loop woke, in s; in virtual time only where the clock of this side is set."""
+        """Lateness of the loop's wake in s; in virtual time only if the clock of this side is set."""
 
     @property
     def fault(self) -> _Bits:
-        """Code for `fault_message`, 0 without fault, shape `(n_ticks,)`."""
+        """Code for `fault_message`; 0 without fault, shape `(n_ticks,)`."""
 
 @final
 class MasterTrace(_SideTicks, _ObservedTicks):
@@ -1857,15 +1855,15 @@ class MasterTrace(_SideTicks, _ObservedTicks):
 
     @property
     def velocity(self) -> _Array:
-        """True velocity V in m/s where the device is a model, else as estimated."""
+        """True velocity V in m/s for a model device, else estimated."""
 
     @property
     def hand_force(self) -> _Array:
-        """True force of the hand in N where the device is a model, else 0."""
+        """True force of the hand in N for a model device, else 0."""
 
     @property
     def rendered_force(self) -> _Array:
-        """F_v in N, faded by the ladder and bounded to what the device can render."""
+        """F_v in N, faded by the ladder and limited to the device's bounds."""
 
     @property
     def safety_force(self) -> _Array:
@@ -1877,31 +1875,31 @@ class MasterTrace(_SideTicks, _ObservedTicks):
 
     @property
     def orientation(self) -> _Array | None:
-        """R as the device measures it, unit quaternions w, x, y, z of shape `(n_ticks, 4)`; none but of kind "pose"."""
+        """Measured R, unit quaternions w, x, y, z of shape `(n_ticks, 4)`; None except for kind "pose"."""
 
     @property
     def angular_velocity(self) -> _Array | None:
-        """True w in rad/s where the device is a model, else as estimated."""
+        """True w in rad/s for a model device, else estimated."""
 
     @property
     def hand_torque(self) -> _Array | None:
-        """True torque of the hand in N m where the device is a model, else 0."""
+        """True torque of the hand in N m for a model device, else 0."""
 
     @property
     def rendered_torque(self) -> _Array | None:
-        """Requested torque in N m, faded by the ladder and bounded to what the device can render."""
+        """Requested torque in N m, faded by the ladder and limited to the device's bounds."""
 
     @property
     def grasp_torque(self) -> _Array | None:
-        """Torque of the hand in N m, as estimated."""
+        """Estimated torque of the hand in N m."""
 
     @property
     def safety_torque(self) -> _Array | None:
-        """Of the controllers in N m."""
+        """Torque of the controllers in N m."""
 
     @property
     def device_torque(self) -> _Array | None:
-        """Of the device in N m, after the limiter."""
+        """Torque of the device in N m, after the limiter."""
 
     @property
     def acted(self) -> _Bits:
@@ -1909,15 +1907,18 @@ class MasterTrace(_SideTicks, _ObservedTicks):
 
     @property
     def trigger(self) -> _Array:
-        """What leads the gripper, 0 (open) to 1 (closed); NaN where it is not known, or without a gripper."""
+        """Command of the gripper, 0 (open) to 1 (closed); NaN if unknown or without a gripper."""
 
     @property
     def trigger_velocity(self) -> _Array | None:
-        """V of a trigger that the finger feels in m/s, positive closing, as estimated; none of others, as all that follows."""
+        """Estimated V of a force-feedback trigger in m/s, positive closing.
+
+        None without one, also for the signals below.
+        """
 
     @property
     def trigger_rendered_force(self) -> _Array | None:
-        """F_v at the trigger in N, as far as it can be rendered."""
+        """F_v at the trigger in N, limited to its bounds."""
 
     @property
     def trigger_safety_force(self) -> _Array | None:
@@ -1929,7 +1930,7 @@ class MasterTrace(_SideTicks, _ObservedTicks):
 
     @property
     def trigger_tripped(self) -> _Bits | None:
-        """Who tripped by the trigger, as `tripped`."""
+        """Tripped controllers of the trigger, coded like `tripped`."""
 
 @final
 class SlaveTrace(_SideTicks):
@@ -1949,7 +1950,7 @@ class SlaveTrace(_SideTicks):
 
     @property
     def orientation(self) -> _Array | None:
-        """R of the tool, unit quaternions w, x, y, z of shape `(n_ticks, 4)`; none but of kind "pose"."""
+        """R of the tool, unit quaternions w, x, y, z of shape `(n_ticks, 4)`; None except for kind "pose"."""
 
     @property
     def command_orientation(self) -> _Array | None:
@@ -1961,7 +1962,7 @@ class SlaveTrace(_SideTicks):
 
     @property
     def limited(self) -> _Bits:
-        """Which bounds acted on the remote command: speed 1, reach 2, angular speed 4, turn 8."""
+        """Bounds that acted on the remote command: speed 1, reach 2, angular speed 4, turn 8."""
 
     @property
     def gripper(self) -> _Array:
@@ -1969,19 +1970,19 @@ class SlaveTrace(_SideTicks):
 
     @property
     def gripper_command(self) -> _Array:
-        """Its last command, 0 (open) to 1 (closed); NaN before the first."""
+        """Last gripper command, 0 (open) to 1 (closed); NaN before the first."""
 
     @property
     def gripper_force(self) -> _Array:
-        """Between its jaws in N; NaN without one."""
+        """Force between the jaws in N; NaN without a gripper."""
 
     @property
     def holds_object(self) -> _Bits:
-        """1 where something stops its jaws."""
+        """1 if something stops the jaws."""
 
 @final
 class LinkStatistics:
-    """What one side has sent and received."""
+    """Sent and received frames of one side."""
 
     @property
     def sent(self) -> int:
@@ -1989,7 +1990,7 @@ class LinkStatistics:
 
     @property
     def fresh(self) -> int:
-        """Frames that were newer than all before when they arrived."""
+        """Frames newer than all earlier ones on arrival."""
 
     @property
     def late(self) -> int:
@@ -1997,11 +1998,11 @@ class LinkStatistics:
 
     @property
     def duplicate(self) -> int:
-        """Frames that had arrived before."""
+        """Frames that had already arrived."""
 
     @property
     def refused(self) -> int:
-        """Datagrams that were no frame of the peer."""
+        """Datagrams that were not a frame of the peer."""
 
     @property
     def missing(self) -> int:
@@ -2009,7 +2010,7 @@ class LinkStatistics:
 
     @property
     def round_trip_s(self) -> float:
-        """Round trip in s of the newest echo, without the time that the peer held it; 0 before any."""
+        """Round trip in s of the newest echo, without the time at the peer; 0 before any."""
 
     @property
     def least_round_trip_s(self) -> float:
@@ -2017,7 +2018,7 @@ class LinkStatistics:
 
 @final
 class PathReport:
-    """What the path did to the peer's frames up to the end of a run, and what is known of the peer's clock."""
+    """Effects of the path on the peer's frames in a run, and knowledge of the peer's clock."""
 
     @property
     def expected(self) -> int:
@@ -2025,15 +2026,15 @@ class PathReport:
 
     @property
     def received(self) -> int:
-        """Different frames among them that arrived."""
+        """Different frames of these that arrived."""
 
     @property
     def lost(self) -> int:
-        """Those that did not."""
+        """Frames of these that did not arrive."""
 
     @property
     def loss(self) -> float:
-        """Their share; 0 before the first frame."""
+        """Share of lost frames; 0 before the first frame."""
 
     @property
     def bursts(self) -> int:
@@ -2045,7 +2046,7 @@ class PathReport:
 
     @property
     def longest_burst(self) -> int:
-        """The longest run in frames."""
+        """Longest run in frames."""
 
     @property
     def reordered(self) -> int:
@@ -2053,19 +2054,19 @@ class PathReport:
 
     @property
     def mean_extent(self) -> float:
-        """By how many arrivals they were too late, on average (RFC 4737); 0 without any."""
+        """Mean lateness of these in arrivals (RFC 4737); 0 without any."""
 
     @property
     def longest_extent(self) -> int:
-        """By how many at most."""
+        """Largest lateness in arrivals."""
 
     @property
     def duplicate(self) -> int:
-        """Frames that had arrived before; those of a session are in `LoopReport.rejections`."""
+        """Frames that had already arrived; those of a session are in `LoopReport.rejections`."""
 
     @property
     def too_late(self) -> int:
-        """Frames so late that they count as lost, or of before the first."""
+        """Frames so late that they count as lost, or from before the first."""
 
     @property
     def jitter_s(self) -> float:
@@ -2081,55 +2082,55 @@ class PathReport:
 
     @property
     def usual_age_s(self) -> float | None:
-        """Bound of the age in s that the link is used to, which the ladder measures against; none before any echo."""
+        """Bound of the usual age in s, the ladder's reference; None before any echo."""
 
     @property
     def offset_s(self) -> float | None:
-        """The peer's clock less ours in s; none before it is known."""
+        """Lead of the peer's clock in s; None before it is known."""
 
     @property
     def offset_bound_s(self) -> float | None:
-        """How wrong `offset_s` may be, in s."""
+        """Error bound of `offset_s` in s."""
 
     @property
     def clock_steps(self) -> int:
-        """How often a clock was proven to step."""
+        """Number of proven clock steps."""
 
     @property
     def clock_faults(self) -> int:
-        """Exchanges that no healthy clocks make, steps included."""
+        """Exchanges that healthy clocks cannot make, steps included."""
 
     @property
     def last_clock_fault(self) -> str | None:
-        """The last of them."""
+        """Most recent clock fault."""
 
 @final
 class RecordingReport:
-    """What became of a recording."""
+    """Result of a recording."""
 
     @property
     def written(self) -> int:
-        """Records that the system took."""
+        """Records that the system accepted."""
 
     @property
     def dropped(self) -> int:
-        """Records of the loop that are not in the file; while it runs, those that wait are among them."""
+        """Records of the loop missing from the file; while it runs, waiting records count too."""
 
     @property
     def end(self) -> str | None:
-        """Why the recording ended before the run; none if it did not."""
+        """Reason if the recording ended before the run, else None."""
 
 @final
 class LoopReport:
-    """How the loop of one side went."""
+    """Result of one side's loop."""
 
     @property
     def ticks(self) -> int:
-        """Ticks done."""
+        """Completed ticks."""
 
     @property
     def skipped(self) -> int:
-        """Ticks left out because the loop woke too late."""
+        """Ticks skipped because the loop woke too late."""
 
     @property
     def dropped_records(self) -> int:
@@ -2145,180 +2146,180 @@ class LoopReport:
 
     @property
     def path(self) -> PathReport:
-        """What the path did to the peer's frames, and what is known of its clock."""
+        """Effects of the path on the peer's frames, and knowledge of its clock."""
 
     @property
     def holds(self) -> int:
-        """How often the ladder went to HOLD."""
+        """Number of transitions to HOLD."""
 
     @property
     def limited(self) -> int:
-        """Ticks at which a bound acted on the remote command; of a master 0."""
+        """Ticks at which a bound limited the remote command; 0 for a master."""
 
     @property
     def outliers(self) -> int:
-        """Samples that left the path of the others and were replaced by their prediction."""
+        """Samples off the path, each replaced by its prediction."""
 
     @property
     def secure(self) -> bool:
-        """Whether frames were encrypted and authenticated."""
+        """True if frames were encrypted and authenticated."""
 
     @property
     def rejections(self) -> dict[str, int]:
-        """Datagrams that the session did not take, by cause; causes without any are left out."""
+        """Datagrams that the session rejected, by cause; causes without any are omitted."""
 
     @property
     def engaged_s(self) -> float:
-        """When the sides first engaged, in s since the start; infinite if never."""
+        """Time in s from the start to the first engagement; infinite if never."""
 
     @property
     def realtime(self) -> str:
-        """What the loop's thread got of the system, as read back from it."""
+        """Real-time settings granted to the loop's thread, as read back from the system."""
 
     @property
     def is_realtime(self) -> bool:
-        """Whether the loop ran under SCHED_FIFO."""
+        """True if the loop ran under SCHED_FIFO."""
 
     @property
     def recording(self) -> RecordingReport | None:
-        """What became of the recording; none without one."""
+        """Result of the recording; None without one."""
 
     @property
     def out_of_memory(self) -> bool:
-        """Whether the loop was ended because no memory was left."""
+        """True if the loop was ended because no memory was left."""
 
 @final
 class SignalRelay:
-    """What signals request of live loops, done by a thread that waits neither for Python nor for whoever reads its output.
+    """Applies signals to live loops, in a thread that waits neither for Python nor for a reader of its output.
 
-    `signal.set_wakeup_fd(relay.fileno())` has Python write the numbers of its signals to it, for those that have a
-    handler. SIGINT, SIGTERM and SIGHUP end the attached loops; SIGUSR1 presses the clutch of a master and allows
-    another master at a slave, unless a stop was requested; a second SIGINT ends the process with status 130, once the
-    loops are at rest, or after 0.3 s. Memory that the system no longer grants ends the loops, too.
+    With `signal.set_wakeup_fd(relay.fileno())` Python writes the numbers of its signals with a handler to it. SIGINT,
+    SIGTERM and SIGHUP end the attached loops; SIGUSR1 presses the clutch of a master and allows another master at a
+    slave, unless a stop was requested; a second SIGINT ends the process with status 130, once the loops are at rest, or
+    after 0.3 s. A failed memory allocation also ends the loops.
 
     Raises:
-        MemoryError: What is set aside for the end of a run is not there.
-        OSError: No thread or socket can be made.
+        MemoryError: The memory reserve for the end of a run is not available.
+        OSError: No thread or socket can be created.
     """
 
     def __new__(cls) -> SignalRelay: ...
     def fileno(self) -> int:
-        """Takes the numbers of signals, a byte each; never blocks."""
+        """Return the descriptor that takes the numbers of signals, a byte each; it never blocks."""
 
     def attach(self, of: LiveMaster | LiveSlave | MasterLoop | SlaveLoop) -> None:
-        """Has signals reach a loop; one that has arrived before ends it."""
+        """Pass signals to a loop; one that has already arrived ends it."""
 
     def stop(self) -> None:
-        """Ends the attached loops, as SIGTERM does."""
+        """End the attached loops, as SIGTERM does."""
 
     @property
     def stopped(self) -> bool:
-        """Whether a stop was requested."""
+        """True if a stop was requested."""
 
     @property
     def out_of_memory(self) -> bool:
-        """Whether the loops of this process were ended because no memory was left."""
+        """True if the loops of this process were ended because no memory was left."""
 
     def spend_reserve(self) -> None:
-        """Ends the loops of this process, and frees the memory that was set aside for that."""
+        """End the loops of this process, and free their memory reserve."""
 
     def take_acknowledgement(self) -> bool:
-        """Whether SIGUSR2 has arrived within the last 0.5 s, and was not taken before."""
+        """Return True if SIGUSR2 has arrived within the last 0.5 s and was not yet taken."""
 
     def close(self) -> None:
-        """Ends its thread."""
+        """End its thread."""
 
 @type_check_only
 class _LiveSide:
-    """What a live side has, whoever paces its loop."""
+    """Common part of live sides, with any pacing of the loop."""
 
     @property
     def address(self) -> str:
-        """Where it listens, with the port that was chosen."""
+        """Listening address, with the chosen port."""
 
     @property
     def state(self) -> str:
-        """Where the ladder stands: a name of `ladder_state_name`."""
+        """State of the ladder: a name of `ladder_state_name`."""
 
     @property
     def kind(self) -> Literal["linear", "joints", "pose"]:
-        """What the coordinates of the scene's sides are."""
+        """Kind of the coordinates of the scene's sides."""
 
     @property
     def ticks(self) -> int:
-        """Ticks done so far."""
+        """Ticks completed so far."""
 
     @property
     def finished(self) -> bool:
-        """Whether the loop has ended."""
+        """True if the loop has ended."""
 
     @property
     def is_answered(self) -> bool:
-        """Whether the peer has answered a frame of this side."""
+        """True if the peer has answered a frame of this side."""
 
     @property
     def recording(self) -> RecordingReport | None:
-        """How the recording stands; none without one."""
+        """State of the recording; None without one."""
 
     def poll(self) -> int:
-        """How many ticks the trace holds by now."""
+        """Return the number of ticks that the trace now holds."""
 
     def stop(self) -> None:
-        """Requests the loop to end after its current tick."""
+        """Request the loop to end after its current tick."""
 
     def security_events(self) -> list[str]:
-        """What has happened to the session since the last call, as text."""
+        """Return the session events since the last call, as text."""
 
     def flight(self) -> str | None:
-        """The last states and commands as JSON, as of the last STOP or FAULT, or of the end; none before."""
+        """Last states and commands as JSON, at the last STOP or FAULT or at the end; None before."""
 
     @property
     def ineffective_presses(self) -> tuple[int, str | None]:
-        """How often the clutch was pressed for nothing, and why the last time, as text; none where `cause` has it.
+        """Return the number of clutch presses without effect, and the last reason as text; None if `cause` has it.
 
-        Counted are calls of `press_clutch` while something else had to be done before, that were read late, or at a device
-        with a button of its own, and a start that was more than 5 s ago when the loop began; 0 at a slave.
+        Counts calls of `press_clutch` before another required step, read late, or at a device with its own button.
+        Counts also a start more than 5 s before the loop. A slave returns 0.
         """
 
     @property
     def start_is_void(self) -> bool:
-        """True if the start was to press the clutch, was too long ago, and no button of the device can press instead."""
+        """True if the start should press the clutch but was too long ago, and the device has no button for it."""
 
     def cause(self) -> str | None:
-        """Why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; none where all is well.
+        """Reason why the two sides are not coupled, as JSON: `state`, `at`, `text` and `steps`; None if coupled.
 
-        `at` is where it happened, "master", "slave" or "link", `text` what, in the driver's own words where there are
-        any. `steps` are what to do in order: `at`, `remedy` (acknowledge, start, wait, turn or press) and `text` of each.
+        `at` is the place, "master", "slave" or "link"; `text` the reason, in the driver's own words if it gave any.
+        `steps` are the remedies in order: `at`, `remedy` (acknowledge, start, wait, turn or press) and `text` of each.
         """
 
     def acknowledge(self) -> None:
-        """Says that the fault of this side is mended: the master's clutch must then be released and pressed.
+        """Acknowledge that the fault of this side is repaired; then release and press the master's clutch.
 
         Raises:
-            RuntimeError: The loop has ended, or hangs.
+            RuntimeError: The loop has ended or hangs.
         """
 
 @type_check_only
 class _MasterSide(_LiveSide):
-    """What the side of the hand has."""
+    """Live side of the hand."""
 
     def press_clutch(self) -> None:
-        """Lets go of the clutch for 0.1 s and presses it again: a command of this side's operator.
+        """Release the clutch for 0.1 s and press it again: a command of this side's operator.
 
-        Void if the loop does not read it within 0.25 s, or was late within 0.25 s before.
+        Without effect if the loop does not read it within 0.25 s, or was late within the preceding 0.25 s.
         """
 
     def set_force_scale(self, scale: float) -> None:
-        """Changes lambda_f from the next tick on: it fades within `safety.ladder.fade_in_s`.
+        """Change lambda_f from the next tick; it fades within `safety.ladder.fade_in_s`.
 
         Raises:
-            ValueError: A scale out of its bounds: while the clutch is closed the scene's value by a factor of
-                `coupling.change_factor` (2), with an open clutch by 100, up and down.
+            ValueError: The scale differs from the scene's by more than a factor of `coupling.change_factor` (2) with a
+                closed clutch, or 100 with an open one.
             RuntimeError: The loop has ended, or hangs.
         """
 
     def finish(self) -> tuple[MasterTrace, LoopReport]:
-        """Ends the loop and returns its newest ticks (`keep_s`) and how it went.
+        """End the loop; return its newest ticks (`keep_s`) and its report.
 
         Raises:
             RuntimeError: Called a second time, or the loop panicked.
@@ -2326,22 +2327,24 @@ class _MasterSide(_LiveSide):
 
 @type_check_only
 class _SlaveSide(_LiveSide):
-    """What the side of the robot has."""
+    """Live side of the robot."""
 
     def allow_takeover(self) -> None:
-        """Lets another master begin, if the one before has been silent for 2 s: a command of the slave's operator."""
+        """Let another master begin if the previous one has been silent for 2 s: a command of the slave's operator."""
 
     def set_position_scale(self, scale: float) -> None:
-        """Changes lambda_p from the next tick on: it fades within `safety.ladder.fade_in_s`; the arm goes on from where it is.
+        """Change lambda_p from the next tick; it fades within `safety.ladder.fade_in_s`.
+
+        The arm continues from its position.
 
         Raises:
-            ValueError: A scale out of its bounds: while the clutch is closed the scene's value by a factor of
-                `coupling.change_factor` (2), with an open clutch by 100, up and down.
+            ValueError: The scale differs from the scene's by more than a factor of `coupling.change_factor` (2) with a
+                closed clutch, or 100 with an open one.
             RuntimeError: The loop has ended, or hangs.
         """
 
     def finish(self) -> tuple[SlaveTrace, LoopReport]:
-        """Ends the loop and returns its newest ticks (`keep_s`) and how it went.
+        """End the loop; return its newest ticks (`keep_s`) and its report.
 
         Raises:
             RuntimeError: Called a second time, or the loop panicked.
@@ -2349,7 +2352,7 @@ class _SlaveSide(_LiveSide):
 
 @type_check_only
 class _DrivenLoop:
-    """What a loop has that a driver steps."""
+    """Loop that a driver steps."""
 
     @property
     def axes(self) -> int:
@@ -2357,68 +2360,70 @@ class _DrivenLoop:
 
     @property
     def is_blocked(self) -> bool:
-        """Whether the driver that `begin` named is in a call that has not returned for 0.5 s."""
+        """True if the driver that `begin` named is in a call that has not returned for 0.5 s."""
 
     def begin(self, driver: str | None = None) -> str:
-        """Time begins; requests real time of the system for this thread, and returns what was granted.
+        """Start time, request real time for this thread, and return the settings granted.
 
         Args:
-            driver: Its name; a thread then watches it. Each turn begins with `take_acknowledgement`. If `read` (before
-                `step`) or `write` (after it) does not return for 0.5 s, or the first `read` for 1 s, the thread ticks in
-                the driver's place: a fault that names the driver and the call, on both sides.
+            driver: Driver name; a thread then monitors it. Each turn begins with `take_acknowledgement`. If `read`
+                (before `step`) or `write` (after it) does not return for 0.5 s, or the first `read` for 1 s, the thread
+                ticks in its place. Both sides then have a fault that names the driver and the call.
 
         Raises:
-            OSError: Real time is required and refused, or there is no room for a thread; the loop is over.
+            OSError: Required real time is refused, or no thread can be created; the loop is over.
         """
 
     def wait(self) -> None:
-        """Sleeps until the next tick is due: for a device that does not wait in `read`."""
+        """Sleep until the next tick is due: for a device that does not wait in `read`."""
 
     def fail(self, text: str = "") -> None:
-        """The device is gone: a fault, which is sent to the peer for 60 ticks; the loop is over.
+        """Report a lost device: the fault is sent to the peer for 60 ticks, and the loop is over.
 
         Args:
-            text: The driver's own, which both sides show: up to 239 bytes of UTF-8 on one line.
+            text: The driver's text, which both sides show: up to 239 bytes of UTF-8 on one line.
         """
 
     def take_acknowledgement(self) -> bool:
-        """Whether the device's fault was acknowledged by the control socket since the last call, and within 0.25 s."""
+        """Return True if the control socket acknowledged the device's fault since the last call and within 0.25 s."""
 
     def announce_end(self) -> None:
-        """Announces to the peer that this side ends, within 20 ms; the loop is over. `finish` does it where nobody has."""
+        """Announce to the peer within 20 ms that this side ends; the loop is over. Otherwise `finish` does it."""
 
 @final
 class LiveMaster(_MasterSide):
-    """The side of the hand, live over UDP on a thread of its own.
+    """Live side of the hand over UDP, on its own thread.
 
     Args:
-        scene: As `scene_json` gives it; its device is a model that its operator holds.
-        peer: The slave or a proxy before it, `HOST:PORT`.
-        run_id: Drawn anew at every start, 0 to 2⁶⁴ - 1.
-        key: The 32 bytes that both sides share, of `read_key`; copied: a bytearray may be wiped then.
-        insecure: Goes without a key: frames travel in the clear, and anybody who can send can steer.
-        listen: Its own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6). If not given, that from which the system
-            sends to the peer, with any free port: a peer on this machine is talked to on loopback.
-        duration_s: Ends this long after the two sides engaged, in s; without it only by a stop.
-        patience_s: Ends if the two sides have not engaged after this time in s; without it never.
-        started_s: When the operator started this side, by `time.monotonic()`; without it now. At the first tick it counts
-            as a press of the clutch if it is at most 5 s old.
-        keep_s: How much of the end of the run the trace holds, in s; its memory is taken at the start. By default 16 MiB:
+        scene: Output of `scene_json`; its device is a model that its operator holds.
+        peer: Address of the slave or a proxy before it, `HOST:PORT`.
+        run_id: New random number at every start, 0 to 2⁶⁴ - 1.
+        key: The 32 bytes that both sides share, of `read_key`. They are copied: a bytearray may then be wiped.
+        insecure: True to run without a key: frames are not encrypted, and any sender can steer.
+        listen: Own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6). By default the system's source address for
+            the peer (loopback for a peer on this machine), with any free port.
+        duration_s: Time in s from engagement to the end; by default only a stop ends it.
+        patience_s: Time in s after which it ends unless the two sides have engaged; by default never.
+        started_s: Time of the operator's start, by `time.monotonic()`; by default now. At the first tick it counts as a
+            press of the clutch if it is at most 5 s old.
+        keep_s: Time in s before the end that the trace holds; its memory is allocated at the start. By default 16 MiB:
             87 s of a master along one axis, 24 s of poses.
-        realtime: "auto": requests SCHED_FIFO and locked memory, and goes on without; "off": requests nothing; "require":
-            fails without.
+        realtime: "auto": requests SCHED_FIFO and locked memory, and continues without; "off": requests nothing;
+            "require": fails without.
         priority: Under SCHED_FIFO, 1 to 99.
-        cpu: Processor that the loop stays on; without it the kernel chooses.
-        record: File for an MCAP recording of every tick (`read_recording`); one that is there is replaced.
-        min_free_bytes: The recording ends, and nothing else does, when fewer are free on its disk.
-        telemetry: A Unix socket of this path sends samples and events, see `TelemetryReader`; the loop waits for no reader.
-        control: A Unix socket of this path takes requests (docs/console.md): stop, press and hold, scales. A thread of its
-            own serves it without the interpreter.
+        cpu: Processor of the loop; by default the kernel chooses.
+        record: File for an MCAP recording of every tick (`read_recording`); an existing file is replaced.
+        min_free_bytes: Free bytes on the disk below which the recording ends, and nothing else.
+        telemetry: A Unix socket of this path sends samples and events, see `TelemetryReader`; the loop waits for no
+            reader.
+        control: A Unix socket of this path takes requests (docs/console.md): stop, press and hold, scales. A thread of
+            its own serves it without the interpreter.
 
     Raises:
-        ValueError: An address that is none, a time outside 0 to 1e9 s, a start that is to come, a key of another length,
-            neither a key nor `insecure`, both, no such real time, or a scene without a [slave] and a [coupling].
-        OSError: An address or a file that cannot be used, or real time that is required and refused.
+        ValueError: An address or `realtime` is invalid; a time is outside 0 to 1e9 s; a start is in the future; a key
+            has the wrong length; key and `insecure` are both given or both missing; or the scene lacks a [slave] or a
+            [coupling].
+        OSError: An address or a file cannot be used, or required real time is refused.
     """
 
     def __new__(
@@ -2444,22 +2449,22 @@ class LiveMaster(_MasterSide):
     ) -> LiveMaster: ...
     @property
     def realtime(self) -> str:
-        """What the loop's thread got of the system, as read back from it."""
+        """Real-time settings granted to the loop's thread, as read back from the system."""
 
 @final
 class LiveSlave(_SlaveSide):
-    """The side of the robot, live over UDP on a thread of its own; it learns the master's address.
+    """Live side of the robot over UDP, on its own thread; it learns the master's address.
 
     Args:
-        scene: As `scene_json` gives it; its arm is a model in its environment.
-        listen: Its address, `HOST:PORT`; port 0 lets the system choose.
+        scene: Output of `scene_json`; its arm is a model in its environment.
+        listen: Own address, `HOST:PORT`; port 0 lets the system choose.
 
-    The others are those of `LiveMaster`.
+    The other arguments are those of `LiveMaster`.
 
     Raises:
-        ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, neither a key nor
-            `insecure`, both, no such real time, or a scene without a [slave] and a [coupling].
-        OSError: An address or a file that cannot be used, or real time that is required and refused.
+        ValueError: An address or `realtime` is invalid; a time is outside 0 to 1e9 s; a key has the wrong length; key
+            and `insecure` are both given or both missing; or the scene lacks a [slave] or a [coupling].
+        OSError: An address or a file cannot be used, or required real time is refused.
     """
 
     def __new__(
@@ -2483,25 +2488,25 @@ class LiveSlave(_SlaveSide):
     ) -> LiveSlave: ...
     @property
     def realtime(self) -> str:
-        """What the loop's thread got of the system, as read back from it."""
+        """Real-time settings granted to the loop's thread, as read back from the system."""
 
 @final
 class MasterLoop(_MasterSide, _DrivenLoop):
-    """The side of the hand, live over UDP, stepped by a driver at each sample of its device: `begin`, `step`, `finish`.
+    """Live side of the hand over UDP, stepped by a driver at each sample of its device: `begin`, `step`, `finish`.
 
     Args:
-        scene: As `scene_json` gives it; its device and its arm are left to drivers.
-        clutch: Of a device without a button: "once" is pressed by the start, if the device opens within 5 s, and anew by
-            `press_clutch` only; "auto" also by a simulated operator, 0.5 s (or its reaction) after each hold.
-            The scene's operator has no say.
+        scene: Output of `scene_json`; drivers replace its device and its arm.
+        clutch: Clutch of a device without a button. "once": the start presses it if the device opens within 5 s,
+            afterwards only `press_clutch`. "auto": also a simulated operator, 0.5 s (or its reaction) after each hold.
+            The scene's operator has no effect.
 
-    The others are those of `LiveMaster`.
+    The other arguments are those of `LiveMaster`.
 
     Raises:
-        ValueError: An address that is none, a time outside 0 to 1e9 s, a start that is to come, a key of another length,
-            neither a key nor `insecure`, both, no such real time or clutch, or a scene without a [slave] and a
-            [coupling], or with times at which its operator presses.
-        OSError: An address or a file that cannot be used.
+        ValueError: An address, `realtime` or `clutch` is invalid; a time is outside 0 to 1e9 s; a start is in the
+            future; a key has the wrong length; key and `insecure` are both given or both missing; or the scene lacks a
+            [slave] or a [coupling], or has times at which its operator presses.
+        OSError: An address or a file cannot be used.
     """
 
     def __new__(
@@ -2538,49 +2543,49 @@ class MasterLoop(_MasterSide, _DrivenLoop):
         angular_velocity: Sequence[float] | None = None,
         buttons: int | None = None,
     ) -> tuple[Any, ...] | None:
-        """One tick, at a sample of the device.
+        """Run one tick at a sample of the device.
 
-        A number that is not finite or absurd leads to zero force and a fault, and no exception.
+        A number that is not finite or out of bounds causes zero force and a fault, not an exception.
 
         Args:
             position: x in m, a number for one axis or shape `(axes,)`.
             velocity: V in m/s from a device that measures it, at every sample or at none.
-            clutch: Whether it is pressed, from a device with a button; none without one.
-            fault: What the device says is wrong with it, which both sides show: up to 239 bytes of UTF-8 on one line.
-            trigger: What leads the slave's gripper, 0 (open) to 1 (closed); none, or another number, leaves it as it is.
-            orientation: R of kind "pose", as a unit quaternion w, x, y, z; of other kinds nothing is taken of it.
+            clutch: True if pressed, from a device with a button; None without one.
+            fault: Fault text of the device, which both sides show: up to 239 bytes of UTF-8 on one line.
+            trigger: Command of the slave's gripper, 0 (open) to 1 (closed); None or another number leaves it unchanged.
+            orientation: R of kind "pose", as a unit quaternion w, x, y, z; ignored for other kinds.
             angular_velocity: w in rad/s in the base frame from a device that measures it, at every sample or at none.
-            buttons: Bit n, button n is pressed; none where they are not known, which is no release. What they do is said
-                by `[master.buttons]` of the scene.
+            buttons: Bit n: button n is pressed; None if unknown, which is no release. The scene's `[master.buttons]`
+                sets their functions.
 
         Returns:
-            F_device in N, shape `(axes,)`, and of kind "pose" that and the torque in N m, shape `(3,)` each; none where
-            the run is over.
+            F_device in N, shape `(axes,)`, for kind "pose" also the torque in N m, shape `(3,)` each; None if the run
+            is over.
 
         Raises:
-            TypeError: A sample that is no number, of another number of axes, or without an orientation of kind "pose";
-                nothing was done.
+            TypeError: A sample is no number, has a wrong number of axes, or lacks an orientation of kind "pose"; the
+                tick did not run.
             RuntimeError: Another thread steps it.
         """
 
     @property
     def trigger_force(self) -> float | None:
-        """F_device in N at the trigger after the last tick, positive closing; none without `[master.gripper]`."""
+        """F_device in N at the trigger after the last tick, positive closing; None without `[master.gripper]`."""
 
 @final
 class SlaveLoop(_SlaveSide, _DrivenLoop):
-    """The side of the robot, live over UDP, stepped by a driver at each sample of its arm: `begin`, `step`, `finish`.
+    """Live side of the robot over UDP, stepped by a driver at each sample of its arm: `begin`, `step`, `finish`.
 
     Args:
-        scene: As `scene_json` gives it; its device and its arm are left to drivers.
-        listen: Its address, `HOST:PORT`; port 0 lets the system choose.
+        scene: Output of `scene_json`; drivers replace its device and its arm.
+        listen: Own address, `HOST:PORT`; port 0 lets the system choose.
 
-    The others are those of `LiveMaster`.
+    The other arguments are those of `LiveMaster`.
 
     Raises:
-        ValueError: An address that is none, a time outside 0 to 1e9 s, a key of another length, neither a key nor
-            `insecure`, both, no such real time, or a scene without a [slave] and a [coupling].
-        OSError: An address or a file that cannot be used.
+        ValueError: An address or `realtime` is invalid; a time is outside 0 to 1e9 s; a key has the wrong length; key
+            and `insecure` are both given or both missing; or the scene lacks a [slave] or a [coupling].
+        OSError: An address or a file cannot be used.
     """
 
     def __new__(
@@ -2614,85 +2619,88 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
         angular_velocity: Sequence[float] | None = None,
         torque: Sequence[float] | None = None,
     ) -> tuple[Any, ...] | None:
-        """One tick, at a sample of the arm.
+        """Run one tick at a sample of the arm.
 
-        A number that is not finite or absurd leads to a stop and a fault, and no exception.
+        A number that is not finite or out of bounds causes a stop and a fault, not an exception.
 
         Args:
-            position: Of the tool in m, a number for one axis or shape `(axes,)`.
-            velocity: Of the tool in m/s.
+            position: Tool position in m, a number for one axis or shape `(axes,)`.
+            velocity: Tool velocity in m/s.
             force: F_e in N.
-            fault: What the arm says is wrong with it, which both sides show: up to 239 bytes of UTF-8 on one line.
-            gripper: Of a scene with `[slave.gripper]`: position, 0 (open) to 1 (closed), velocity in 1/s, force in N, and
-                whether it holds something; numbers that no gripper has are sent as not known.
-            orientation: R of kind "pose", as a unit quaternion w, x, y, z; of other kinds nothing is taken of it.
-            angular_velocity: w in rad/s in the base frame, of kind "pose".
-            torque: Of the environment on the tool in N m, in the base frame about the tool point, of kind "pose".
+            fault: Fault text of the arm, which both sides show: up to 239 bytes of UTF-8 on one line.
+            gripper: For a scene with `[slave.gripper]`: position, 0 (open) to 1 (closed), velocity in 1/s, force in N,
+                and True if it holds an object. Invalid numbers are sent as unknown.
+            orientation: R of kind "pose", as a unit quaternion w, x, y, z; ignored for other kinds.
+            angular_velocity: w in rad/s in the base frame, for kind "pose".
+            torque: Environment torque on the tool in N m, in the base frame about the tool point, for kind "pose".
 
         Returns:
-            "wait", "move" or "stop", and where the arm is to move in m and with which velocity in m/s, shape `(axes,)`
-            each, both empty unless it is to move; of kind "pose" a move has the orientation and the angular velocity as
-            well. None where the run is over. An arm that is no longer led is moved to rest with constant deceleration,
+            "wait", "move" or "stop", and the commanded position in m and velocity in m/s, shape `(axes,)` each, both
+            empty except for "move". For kind "pose" a move also has the orientation and the angular velocity. None if
+            the run is over. An arm without commands is brought to rest with constant deceleration,
             `slave.max_acceleration` of the scene or 5 m/s², and 25 rad/s².
 
         Raises:
-            TypeError: A sample that is no number, of another number of axes, or of kind "pose" without one of the last
-                three; nothing was done.
+            TypeError: A sample is no number, has a wrong number of axes, or for kind "pose" lacks one of the last
+                three; the tick did not run.
             RuntimeError: Another thread steps it.
         """
 
     @property
     def buttons(self) -> int | None:
-        """Of the master, by its newest frame at the last tick: bit n, button n is pressed; none in a scene without."""
+        """Master's buttons in its newest frame at the last tick: bit n is set while button n is pressed.
+
+        None for a scene without buttons.
+        """
 
     @property
     def gripper_command(self) -> tuple[float, float, float] | None:
-        """Position, 0 (open) to 1 (closed), speed in 1/s and force in N after the last tick; none: it keeps its grip."""
+        """Position, 0 (open) to 1 (closed), speed in 1/s and force in N after the last tick; None keeps the grip."""
 
 def ladder_reason(code: int) -> str:
-    """Why the ladder stands where it does, for the codes of `MasterTrace.reason` from 1; 0 stands for no step yet.
+    """Return the reason of the ladder's state, for the codes of `MasterTrace.reason` from 1; 0 means no step yet.
 
     Raises:
-        ValueError: No such code.
-        OverflowError: A code outside 0 to 255.
+        ValueError: The code is invalid.
+        OverflowError: The code is outside 0 to 255.
     """
 
 def ladder_state_name(code: int) -> str:
-    """Name of a state of the ladder: 0 disengaged, 1 aligning, 2 engaged, 3 stale, 4 hold, 5 stop, 6 fault.
+    """Return the name of a ladder state: 0 disengaged, 1 aligning, 2 engaged, 3 stale, 4 hold, 5 stop, 6 fault.
 
     Raises:
-        ValueError: No such code.
-        OverflowError: A code outside 0 to 255.
+        ValueError: The code is invalid.
+        OverflowError: The code is outside 0 to 255.
     """
 
 # ------------------------------------------------------------------------------------------- dynamixel
 
 @final
 class SyncRead:
-    """A read of the same addresses of several servos, whose values come together or not at all.
+    """Read of the same addresses of several servos; their values arrive together or not at all.
 
     Args:
         address: First address.
-        length: Bytes of each.
-        ids: The servos, in the order of their values, none twice.
-        fast: Whether they answer with one packet, which newer firmware can, or each with its own.
+        length: Bytes per servo.
+        ids: Servos in the order of their values, without repetition.
+        fast: True for one common packet, which needs newer firmware; False for one packet each.
 
     Raises:
-        ValueError: What no packet can carry.
+        ValueError: The request does not fit into a packet.
     """
 
     def __new__(cls, address: int, length: int, ids: Sequence[int], *, fast: bool = True) -> SyncRead: ...
     @property
     def alerts(self) -> tuple[int, ...]:
-        """The servos that reported a hardware error in the last read; their values are valid."""
+        """Servos that reported a hardware error in the last read; their values are valid."""
 
 @final
 class DynamixelBus:
-    """The servos on one serial port, with Protocol 2.0 in Rust; calls of several threads are one after the other.
+    """Servos on one serial port, with Protocol 2.0 in Rust; calls of several threads run one after the other.
 
-    An answer must be there `timeout_s` after its bytes could be. Before the first instruction, and after one that
-    failed, the line must be silent for as long, so that no late answer is taken for a new one; it is given up after eight
-    times that. A call that waits while another thread calls `stop` ends within a few ms with `RuntimeError`.
+    An answer must arrive within `timeout_s` beyond its transmission time. Before the first instruction, and after a
+    failed one, the line must be silent for that time. A late answer thus never counts as a new one. After eight times
+    that the call fails. A call that waits while another thread calls `stop` ends within a few ms with `RuntimeError`.
 
     Args:
         port: Path of the serial port.
@@ -2700,134 +2708,135 @@ class DynamixelBus:
         timeout_s: 0.001 to 10 s.
 
     Raises:
-        ValueError: A rate or a timeout that cannot be.
-        OSError: A port that cannot be opened, or that another process has.
+        ValueError: A rate or a timeout is outside its range.
+        OSError: The port cannot be opened, or another process uses it.
     """
 
     BROADCAST: ClassVar[int]
-    """The id that every servo listens to, and none answers to."""
+    """Id that every servo accepts and none answers."""
 
     def __new__(cls, port: str, *, baud: int, timeout_s: float = 0.02) -> DynamixelBus: ...
     def ping(self, servo_id: int) -> tuple[int, int]:
-        """Model number and firmware version.
+        """Return model number and firmware version.
 
         Raises:
-            TimeoutError: No answer, and so below.
-            OSError: The port is gone, and so below.
-            RuntimeError: A wrong answer, or one that says no, and so below.
+            TimeoutError: No answer; also below.
+            OSError: The port is gone; also below.
+            RuntimeError: A wrong or negative answer; also below.
         """
 
     def read(self, servo_id: int, address: int, length: int) -> bytes:
-        """Bytes from an address on."""
+        """Read bytes from an address."""
 
     def write(self, servo_id: int, address: int, written: bytes) -> bool:
-        """Sets bytes from an address on; whether the servo has a hardware error. Of `BROADCAST` nothing is answered."""
+        """Write bytes from an address; return True if the servo has a hardware error. `BROADCAST` gets no answer."""
 
     def reboot(self, servo_id: int) -> None:
-        """Starts a servo anew, which is silent for a while then."""
+        """Restart a servo, which is then silent for a while."""
 
     def sync_read(self, read: SyncRead) -> bytes:
-        """The bytes of all servos, one after the other."""
+        """Return the bytes of all servos, one after the other."""
 
     def sync_write(self, address: int, length: int, ids: bytes, written: bytes) -> None:
-        """Sets `length` bytes of each servo; none answers, and what is refused is not seen.
+        """Write `length` bytes of each servo; none answers, so a refusal is not detected.
 
         Raises:
-            ValueError: Bytes that do not fit the ids.
+            ValueError: The bytes do not fit the ids.
         """
 
     def stop(self, address: int, length: int, ids: bytes, written: bytes) -> None:
-        """Sets `length` bytes of each servo, whatever the line does and other threads have the bus do.
+        """Write `length` bytes of each servo, regardless of the line and other threads.
 
-        It is sent three times. The first goes out at once, or after the few ms in which a call of another thread ends;
-        the others each after the time that was left of an answer it may have collided with, at most `timeout_s`.
+        It is sent three times. The first is sent at once, or after the few ms in which a call of another thread ends.
+        Each other one follows after the remaining time of an answer that it may have collided with, at most
+        `timeout_s`.
 
         Raises:
-            ValueError: Bytes that do not fit the ids.
+            ValueError: The bytes do not fit the ids.
             OSError: None of them could be sent.
         """
 
     def close(self) -> None:
-        """Gives the port back; any other call raises `ValueError` then."""
+        """Release the port; any other call then raises `ValueError`."""
 
 # -------------------------------------------------------------------------------------------- OpenHaptics
 
 @final
 class HdCallback:
-    """What the scheduler of OpenHaptics calls: one frame of a device, in Rust and without the interpreter's lock.
+    """Callback of the OpenHaptics scheduler: one frame of a device, in Rust and without the interpreter's lock.
 
-    It exerts the newest force, and zero before the first one, once that is older than the watchdog's time, after an
-    error until it is acknowledged, and in its last frame. Its memory is never given back.
+    It exerts the newest force. The force is zero before the first one, if it is older than the watchdog's time, after
+    an error until its acknowledgement, and in the last frame. Its memory is never freed.
 
     Args:
-        functions: Addresses of hdMakeCurrentDevice, hdBeginFrame, hdEndFrame, hdGetDoublev, hdGetIntegerv, hdSetDoublev,
-            hdGetError and hdCheckCalibration, in this order; any others end the process.
+        functions: Addresses of hdMakeCurrentDevice, hdBeginFrame, hdEndFrame, hdGetDoublev, hdGetIntegerv,
+            hdSetDoublev, hdGetError and hdCheckCalibration, in this order; any others end the process.
         device: Its handle.
         watchdog_s: 0.001 to 0.1 s.
-        max_force_n: Longer forces are shortened to this.
+        max_force_n: Larger forces are scaled down to this.
 
     Raises:
-        ValueError: An address of 0, or a number that cannot be.
+        ValueError: An address is 0, or a number is outside its range.
     """
 
     def __new__(cls, functions: Sequence[int], device: int, *, watchdog_s: float, max_force_n: float) -> HdCallback: ...
     @property
     def address(self) -> int:
-        """What hdScheduleAsynchronous is to call."""
+        """Address of the callback for hdScheduleAsynchronous."""
 
     @property
     def context(self) -> int:
-        """What it is to be called with."""
+        """Argument of the callback."""
 
     @property
     def starved(self) -> int:
         """Frames without force because the newest one was too old."""
 
     def write(self, force: Sequence[float]) -> None:
-        """The force in N from the next frame on, in the vendor's frame."""
+        """Set the force in N from the next frame, in the vendor's frame."""
 
     def wait(self, after: int, limit_s: float) -> tuple[int, list[float], list[float], int, int, int, int] | None:
-        """The newest sample after a frame, as soon as there is one; none within the time.
+        """Return the newest sample after a frame as soon as it exists; None after the time limit.
 
         Returns:
-            Number of the frame, transform (column by column, mm), velocity (mm/s), buttons, what hdCheckCalibration
-            said, the first error since the last acknowledgement and its internal code.
+            Number of the frame, transform (column by column, mm), velocity (mm/s), buttons, result of
+            hdCheckCalibration, the first error since the last acknowledgement and its internal code.
         """
 
     def acknowledge(self) -> None:
-        """Forgets the first error."""
+        """Forget the first error."""
 
     def end(self, limit_s: float) -> bool:
-        """Has the next frame be the last, of zero force; whether that was within the time."""
+        """Make the next frame the last one, with zero force; return True if it ran within the time."""
 
 # ---------------------------------------------------------------------------------------------- scenes
 
 @final
 class SceneRun:
-    """What `simulate_scene` saw."""
+    """Results of `simulate_scene`."""
 
     @property
     def signals(self) -> dict[str, npt.NDArray[Any]]:
-        """Recorded signals by name, each with the first axis of `time_s`; empty where nothing is recorded.
+        """Recorded signals by name, each with the first axis of `time_s`; empty without a recording.
 
         Signals with a value per axis have the shape `(n, axes)`, for one axis `(n,)`.
         """
 
     @property
     def events(self) -> list[tuple[float, str, str]]:
-        """What happened, in the order of time: time in s, kind, detail."""
+        """Events in the order of time: time in s, kind, detail."""
 
     @property
     def metrics(self) -> dict[str, float | int | bool | str | None]:
-        """The figures of the run, by name; none where it does not apply or was not measured."""
+        """Metrics of the run, by name; None if not applicable or not measured."""
 
     @property
     def reports(self) -> tuple[LoopReport, LoopReport] | None:
-        """How the loops of master and slave went; none without an arm."""
+        """Reports of the loops of master and slave; None without an arm."""
 
 @type_check_only
 class _ResearchFactory(Protocol):
-    """Makes the controllers in Python of a run or a sweep."""
+    """Creates the Python controllers of a run or a sweep."""
 
     def make(self, name: str, options: str, axes: int, period_s: float) -> object: ...
     def spent(self, ticks: int, seconds: float) -> None: ...
@@ -2837,59 +2846,59 @@ def simulate_scene(
     record: tuple[str | PathLike[str], str | PathLike[str]] | None = None,
     research: _ResearchFactory | None = None,
 ) -> SceneRun:
-    """Runs a scene in virtual time, without the interpreter's lock but for a controller in Python.
+    """Run a scene in virtual time, without the interpreter's lock except for a Python controller.
 
     Args:
         scene_json: The scene as `haptether.bridge.scene_json` writes it: every field, nothing else.
-        record: MCAP files for what `--record` of master and slave would write.
-        research: Makes the controller of a scene with `[safety.research]`; without it such a scene is refused.
+        record: MCAP files as `--record` of master and slave would write them.
+        research: Creates the controller of a scene with `[safety.research]`, which is refused without it.
 
     Raises:
-        ValueError: JSON that is no such scene, or a number that a part of it does not take; a file that cannot be written.
-        RuntimeError: The controller in Python has raised; that is its cause.
+        ValueError: The JSON is not a scene, a number is invalid for a part of it, or a file cannot be written.
+        RuntimeError: The Python controller has raised; its exception is the cause.
     """
 
 @final
 class RecordingColumns:
-    """What was read of a recording."""
+    """Contents of a recording."""
 
     @property
     def about(self) -> dict[str, str]:
-        """What the file says of itself: schema, side, security, version, scene; empty where it is no recording."""
+        """Header of the file: schema, side, security, version, scene; empty if it is no recording."""
     @property
     def meanings(self) -> dict[str, str]:
-        """What each signal is, with its unit."""
+        """Meaning of each signal, with its unit."""
     @property
     def columns(self) -> dict[str, npt.NDArray[Any] | tuple[list[str], npt.NDArray[np.uint8]]]:
-        """One value a tick; of what has axes, shape `(n_ticks, axes)`. Null is NaN.
+        """One value per tick; signals with axes have the shape `(n_ticks, axes)`. Null is NaN.
 
-        Of names those that occur, and at each tick the place of that which it was.
+        A signal of names has the list of names, and the index into it at each tick.
         """
     @property
     def causes(self) -> list[bytes]:
-        """Why the two sides were not coupled, as JSON, in the order of the file."""
+        """Reasons why the two sides were not coupled, as JSON, in the order of the file."""
     @property
     def begun_ns(self) -> int:
-        """When the run began, in ns of the wall clock; 0 without a tick."""
+        """Start of the run in ns of the wall clock; 0 without a tick."""
     @property
     def whole(self) -> bool:
         """True if the file was read to its end."""
     @property
     def invalid(self) -> int:
-        """Records, of ticks or others, that are not valid and were left out."""
+        """Invalid records, of ticks or others, which were skipped."""
     @property
     def damaged(self) -> bool:
-        """True if reading ended at bytes that are no record, before the end of the file."""
+        """True if reading ended at invalid bytes, before the end of the file."""
 
 def read_recording_columns(path: str | PathLike[str]) -> RecordingColumns:
-    """Reads an MCAP file of `record=` as far as it goes, without the interpreter's lock.
+    """Read an MCAP file of `record=` up to its last valid record, without the interpreter's lock.
 
-    A message that does not fit is left out: no JSON, a signal of another kind or number of axes than before, a count
-    beyond 64 bits, a time that is negative or not after the one before. What it takes of memory is bounded by a multiple of what it read.
+    Invalid messages are skipped: no JSON, a signal with a new kind or number of axes, a count beyond 64 bits, a time
+    that is negative or not increasing. Memory is bounded by a multiple of the bytes read.
 
     Raises:
-        OSError: It cannot be read.
-        ValueError: A recording whose chunks somebody compressed.
+        OSError: The file cannot be read.
+        ValueError: The chunks of the recording are compressed.
     """
 
 def replay_recording(
@@ -2900,18 +2909,18 @@ def replay_recording(
     recouples: bool,
     hand: tuple[float, float, float] | None = None,
 ) -> dict[str, npt.NDArray[Any]]:
-    """Steps the side of a hand through what was recorded of it.
+    """Step the side of a hand through its recorded signals.
 
     Args:
         scene_json: The scene with the settings, as for `simulate_scene`.
-        signals: What was recorded at each tick, by the names of a recording; `past` as 0 kept, 1 stalled,
-            2 acknowledged, and `grip`, whether the hand holds the device.
-        times_ns: Times of the ticks since the run began, in ns.
-        recouples: Whether the coupling requests anew of the force that was received.
-        hand: M in kg, B in N s/m and K in N/m of a hand that answers to a force that was not recorded.
+        signals: Signals at each tick, by the names of a recording; `past` is 0 kept, 1 stalled, 2 acknowledged; `grip`
+            is True while the hand holds the device.
+        times_ns: Times of the ticks since the start of the run, in ns.
+        recouples: True if the coupling computes its request again from the received force.
+        hand: M in kg, B in N s/m and K in N/m of a hand that responds to a force not in the recording.
 
     Raises:
-        ValueError: A scene that cannot be built, or a signal that is missing or of another length.
+        ValueError: The scene cannot be built, or a signal is missing or has a wrong length.
     """
 
 def sweep_scenes(
@@ -2922,26 +2931,26 @@ def sweep_scenes(
     research: _ResearchFactory | None = None,
     metrics: list[str] | None = None,
 ) -> list[dict[str, npt.NDArray[Any]]]:
-    """Runs each scene once per row of its own, without the interpreter's lock. Threads and lanes change no number.
+    """Run each scene once per row of its own, without the interpreter's lock; threads and lanes change no number.
 
-    Rows that differ in their controllers alone, of one scene or of several, are run once as long as none of these
-    intervenes, which changes no number either. With a controller in Python there is one thread, and nothing is shared.
+    Rows that differ only in their controllers, of one scene or several, share one run until a controller intervenes;
+    this changes no number either. With a Python controller there is one thread, and nothing is shared.
 
     Args:
         parts: Scenes as for `simulate_scene`, each with the numbers that differ between its rows: by their dotted path
             in the JSON ("operator.legs.0.end.0"), with one value per row; whole numbers for fields that count.
-        threads: How many threads, 1 or more.
-        lanes: Whether rows may be advanced side by side in one thread.
-        progress: Called from time to time with the number of rows that are done; what it raises ends the sweep.
-        research: Makes the controllers of a scene with `[safety.research]`, one a row; without it each row is refused.
+        threads: Number of threads, 1 or more.
+        lanes: True if rows may advance side by side in one thread.
+        progress: Called from time to time with the number of completed rows; an exception from it ends the sweep.
+        research: Creates the controllers of a scene with `[safety.research]`, one per row; without it each row is
+            refused.
         metrics: Names of the metrics to measure, of `METRICS`; by default all, those of rotation for poses only.
 
     Returns:
-        Of each scene how its rows ended, the metrics, and why a row was refused or diverged, by name, one value per
-        row; NaN where a metric does not apply or was not measured.
+        For each scene, by name and with one value per row: the outcome, the metrics, and the reason of a refused or
+            diverged row. NaN if a metric does not apply or was not measured.
 
     Raises:
-        ValueError: A metric that there is not; JSON that is no scene; columns of different lengths, or a path that is
-            not there.
-        RuntimeError: A controller in Python has raised; that is its cause.
+        ValueError: A metric or a path does not exist, JSON is not a scene, or columns have different lengths.
+        RuntimeError: A Python controller has raised; its exception is the cause.
     """

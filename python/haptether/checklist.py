@@ -1,20 +1,20 @@
-"""The lines of a checklist before a device moves: what was found, and what to do where it is refused."""
+"""Checklist before a device moves: findings, and a remedy for each refusal."""
 
 import sys
 from collections.abc import Callable
 
 
 class RefusedError(RuntimeError):
-    """The device is not to be moved now."""
+    """The device must not move now."""
 
 
 class Checklist:
-    """Lines of what was found; `finish` raises where one was refused.
+    """Lines of findings; `finish` raises an error if one was refused.
 
     Args:
-        device: Named at the begin of each line, with its address.
-        report: Takes each line; by default they go to standard error.
-        error: What `finish` raises.
+        device: Name and address at the beginning of each line.
+        report: Takes each line; by default standard error.
+        error: Exception type that `finish` raises.
     """
 
     def __init__(
@@ -26,30 +26,30 @@ class Checklist:
         self.refused: list[str] = []
 
     def ok(self, what: str, found: str) -> None:
-        """It is as it should be."""
+        """Report a valid item."""
         self._report(f"{self._device}: ok       {what}: {found}")
 
     def caution(self, what: str, found: str, act: str) -> None:
-        """It goes on, and a person has to do something meanwhile."""
+        """Report an item that needs action by a person but does not stop the checklist."""
         self._report(f"{self._device}: CAUTION  {what}: {found}: {act}")
 
     def refuse(self, what: str, found: str, remedy: str) -> None:
-        """It is not."""
+        """Report a refused item."""
         self._report(f"{self._device}: REFUSED  {what}: {found}: {remedy}")
         self.refused.append(f"{what}: {found}: {remedy}")
 
     def check(self, what: str, found: str, *, good: bool, remedy: str) -> None:
-        """One or the other."""
+        """Report a valid or a refused item."""
         if good:
             self.ok(what, found)
         else:
             self.refuse(what, found, remedy)
 
     def finish(self) -> None:
-        """Ends a part of the list.
+        """End a part of the list.
 
         Raises:
-            RefusedError: Something was refused.
+            RefusedError: An item was refused.
         """
         if self.refused:
             raise self._error("; ".join(self.refused))

@@ -1,4 +1,4 @@
-"""Processes of our own that import nothing from the working folder of their user."""
+"""Child processes that import nothing from the user's working folder."""
 
 import contextlib
 import os
@@ -6,18 +6,18 @@ import sys
 from collections.abc import Iterator, Mapping
 
 SAFE_PATH = "PYTHONSAFEPATH"
-"""With it an interpreter does not import from the folder that it is started in."""
+"""Environment variable that stops an interpreter from importing from its working folder."""
 
 
 def module_command(module: str, *arguments: str) -> list[str]:
-    """The command that runs a module in another interpreter, without the working folder on its path."""
+    """Return the command that runs a module in another interpreter, without the working folder on its path."""
     return [sys.executable, "-P", "-m", module, *arguments]
 
 
 def child_environment(environment: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """The environment of a child: a safe path for it and its children, and only absolute folders in PYTHONPATH.
+    """Return the environment of a child, with a safe path and only absolute folders in PYTHONPATH.
 
-    An empty entry of PYTHONPATH, as a colon at its end makes, is the working folder.
+    An empty PYTHONPATH entry, for example from a trailing colon, means the working folder.
     """
     safe = {**environment, SAFE_PATH: "1"}
     if folders := safe.pop("PYTHONPATH", ""):
@@ -27,7 +27,7 @@ def child_environment(environment: Mapping[str, str] = os.environ) -> dict[str, 
 
 @contextlib.contextmanager
 def safe_children() -> Iterator[None]:
-    """Within it, interpreters that a library starts have the environment of a child."""
+    """Give interpreters that a library starts inside the context the environment of a child."""
     before = dict(os.environ)
     _set_environment(child_environment())
     try:

@@ -1,4 +1,4 @@
-"""Control lines of a process that runs: commands, each a line and answered by a line, from whoever started it."""
+"""Control channel of a running process: one-line commands with one-line answers."""
 
 import contextlib
 import os
@@ -13,29 +13,29 @@ from haptether.printable import printable
 MAX_LINE: Final = 4096
 STDIN: Final = "-"
 SEND_TIMEOUT_S: Final = 1.0
-"""Of an answer: a client that does not read must not stop the process for longer."""
+"""Timeout of an answer in s; a client that does not read must not block the process for longer."""
 
 
 class Answering(Protocol):
-    """Whoever answers control lines."""
+    """Handler of control lines."""
 
     quit: bool
-    """Whether the process is to end."""
+    """True if the process must end."""
 
     def answer(self, line: str, now_s: float) -> str:
-        """The answer to a line, at a time of the process in s."""
+        """Return the answer to a line at a process time in s."""
 
 
 class ControlChannel:
-    """Standard input, or connections to a socket of this machine; `readers` and `serve` are for a loop over `select`.
+    """Standard input, or connections to a socket of this machine; `readers` and `serve` fit a loop over `select`.
 
     Args:
         place: `-` for standard input and output, `127.0.0.1:PORT`, or the path of a Unix socket.
-        line: Answers the lines. The end of standard input is `quit`: the process that started this one is gone.
+        line: Handler of the lines. The end of standard input means `quit`, because the parent process is gone.
 
     Raises:
-        ValueError: Another form of address.
-        OSError: An address that cannot be used.
+        ValueError: The address has another form.
+        OSError: The address cannot be used.
     """
 
     def __init__(self, place: str, line: Answering) -> None:
@@ -55,7 +55,7 @@ class ControlChannel:
         return [self._listening.fileno(), *(client.fileno() for client in self._clients)]
 
     def serve(self, descriptor: int) -> None:
-        """Reads lines of a descriptor and answers them."""
+        """Read lines from a descriptor and answer them."""
         if self._listening is None:
             self._serve_stdin()
         elif descriptor == self._listening.fileno():
@@ -68,7 +68,7 @@ class ControlChannel:
                 self._serve_client(client)
 
     def close(self) -> None:
-        """Closes all sockets, and removes the file of a Unix socket."""
+        """Close all sockets, and remove the file of a Unix socket."""
         for endpoint in (*self._clients, *((self._listening,) if self._listening else ())):
             endpoint.close()
         self._clients = []
@@ -99,9 +99,9 @@ class ControlChannel:
 
     def _answers(self, key: int, received: bytes) -> list[str]:
         *lines, rest = (self._waiting.get(key, b"") + received).split(b"\n")
-        # Too long a line is dropped.
+        # Drop an overlong line.
         self._waiting[key] = rest if len(rest) <= MAX_LINE else b""
-        # Standard output may be a terminal, which would execute escapes that an answer repeats.
+        # Standard output may be a terminal, which would execute escape sequences repeated by an answer.
         return [
             printable(self._line.answer(line.decode("utf-8", "replace").strip(), time.monotonic())) for line in lines
         ]
@@ -116,7 +116,7 @@ class ControlChannel:
             self.address = f"{host}:{listening.getsockname()[1]}"
         else:
             listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-            # Accessible by this user only, from the first moment.
+            # Restrict access to this user from creation on.
             before = os.umask(0o177)
             try:
                 listening.bind(place)

@@ -24,18 +24,18 @@ EXTRAS = {
 
 
 def is_installed(module: str) -> bool:
-    """Whether a module can be imported; it is not imported."""
+    """Return True if a module can be imported, without importing it."""
     return importlib.util.find_spec(module) is not None
 
 
 def missing(purpose: str, module: str, error: ImportError | None = None, extra: str | None = None) -> ImportError:
-    """The error of a job whose library cannot be imported.
+    """Return the error for a task whose library cannot be imported.
 
     Args:
         purpose: Subject of the message: "pictures", "the view".
         module: A key of `EXTRAS`.
-        error: Of its import.
-        extra: Installs it; by default that of `EXTRAS`.
+        error: Exception of the import.
+        extra: Extra that installs it; by default that of `EXTRAS`.
     """
     name, default = EXTRAS[module]
     if module == "rtde_control" and sys.version_info >= (3, 13):
@@ -47,12 +47,12 @@ def missing(purpose: str, module: str, error: ImportError | None = None, extra: 
 
 
 def require(purpose: str, *modules: str, extra: str | None = None) -> None:
-    """Refuses a job whose libraries are not installed, before it begins.
+    """Refuse a task whose libraries are not installed, before it begins.
 
     Args:
         purpose: Subject of the message: "pictures", "the view".
         modules: Keys of `EXTRAS`.
-        extra: Installs all of them; by default that of `EXTRAS`.
+        extra: Extra that installs all of them; by default that of `EXTRAS`.
 
     Raises:
         ImportError: Names the first missing library and the extra.

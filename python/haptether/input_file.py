@@ -1,4 +1,4 @@
-"""Files that a user gives, read whole: plain files up to a size, text in UTF-8."""
+"""Reader of user files: plain files up to a size limit, text in UTF-8."""
 
 import os
 import stat
@@ -11,9 +11,9 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
 MAX_BYTES = 256 * 2**20
-"""Largest recording; a longer one needs to be cut or thinned out."""
+"""Largest recording in bytes; a longer one must be cut or thinned out."""
 BOM = b"\xef\xbb\xbf"
-"""The byte order mark that some editors put before UTF-8."""
+"""Byte order mark that some editors put before UTF-8."""
 _KINDS = {
     stat.S_IFDIR: "a folder",
     stat.S_IFIFO: "a pipe",
@@ -24,11 +24,11 @@ _KINDS = {
 
 
 def refuse_special(path: str | os.PathLike[str]) -> None:
-    """Refuses what is no plain file: to open a pipe may wait for ever, and to open a device may act on it.
+    """Refuse anything but a plain file: opening a pipe may block for ever, and opening a device may act on it.
 
     Raises:
-        OSError: It is not there, or cannot be reached.
-        ValueError: A folder, pipe, device or socket. The message is without the path.
+        OSError: The file does not exist, or cannot be accessed.
+        ValueError: A folder, pipe, device or socket. The message omits the path.
     """
     _refuse_kind(Path(path).stat().st_mode)
 
@@ -37,18 +37,18 @@ def read_bytes(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> bytes:
     """Read a plain file or the target of a link, without a byte order mark.
 
     Raises:
-        OSError: It is not there, or cannot be read.
-        ValueError: No plain file, or longer than `limit` bytes. The message is without the path.
+        OSError: The file does not exist, or cannot be read.
+        ValueError: Not a plain file, or longer than `limit` bytes. The message omits the path.
     """
     refuse_special(path)
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOCTTY)
     with os.fdopen(descriptor, "rb") as file:
-        # The path may lead elsewhere since.
+        # Check the open file, because the path may lead elsewhere now.
         _refuse_kind(os.fstat(descriptor).st_mode)
         try:
             content = file.read(limit + 1)
         except OSError as error:
-            # Python does not say which file a failing read was of.
+            # Python omits the file name if a read fails.
             raise type(error)(error.errno, error.strerror, os.fspath(path)) from None
     if len(content) > limit:
         message = f"more than {limit} bytes: give a shorter file"
@@ -57,11 +57,11 @@ def read_bytes(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> bytes:
 
 
 def read_text(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> str:
-    """The text of a plain file in UTF-8, as `read_bytes`.
+    """Read the text of a plain UTF-8 file; see `read_bytes`.
 
     Raises:
-        OSError: It is not there, or cannot be read.
-        ValueError: As `read_bytes`, or another encoding. The message is without the path.
+        OSError: The file does not exist, or cannot be read.
+        ValueError: Same as `read_bytes`, or another encoding. The message omits the path.
     """
     content = read_bytes(path, limit)
     if content[:2] in {b"\xff\xfe", b"\xfe\xff"}:
@@ -75,18 +75,18 @@ def read_text(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> str:
 
 
 def read_npz(path: str | os.PathLike[str]) -> "dict[str, npt.NDArray[Any]]":
-    """The arrays of a NumPy `.npz` file.
+    """Read the arrays of a NumPy `.npz` file.
 
     Raises:
-        OSError: It is not there, or cannot be read.
-        ValueError: No plain file, no such file, or one of something else than arrays. The message is without the path.
+        OSError: The file does not exist, or cannot be read.
+        ValueError: Not a plain file, not an `.npz` file, or not only arrays. The message omits the path.
     """
     import numpy as np  # noqa: PLC0415  # not for a key
 
     refuse_special(path)
     try:
         with zipfile.ZipFile(path):
-            # NumPy would take what is no archive for a pickle, and advise to allow those.
+            # NumPy would take a non-archive for a pickle, and advise to allow pickles.
             pass
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}

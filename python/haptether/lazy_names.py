@@ -1,4 +1,4 @@
-"""Public names of a package that are loaded when they are asked for (PEP 562)."""
+"""Public names of a package that load on first use (PEP 562)."""
 
 import sys
 from collections.abc import Callable, Mapping
@@ -8,7 +8,7 @@ from importlib import import_module
 def lazy_names(
     package: str, modules: Mapping[str, tuple[str, ...]]
 ) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """The `__getattr__` and `__dir__` of `package`, by its modules and the names that each of them gives."""
+    """Return `__getattr__` and `__dir__` of `package`, for the names of each of its modules."""
     module_of = {name: module for module, names in modules.items() for name in names}
 
     def load(name: str) -> object:
@@ -18,7 +18,7 @@ def lazy_names(
         try:
             found = import_module(f"{package}.{module}")
         except AttributeError as error:
-            # Whoever imports the name would be told that it is not there, and not why.
+            # An AttributeError would say that the name is missing, but not why.
             message = f"{package}.{module} cannot be loaded: {error}"
             raise ImportError(message) from error
         value = getattr(found, name)

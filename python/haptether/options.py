@@ -1,4 +1,4 @@
-"""The options of a driver: read from what a scene has, and what each may be, as text, from its annotation."""
+"""Options of a driver: conversion from a scene, and the allowed values as text from annotations."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -12,16 +12,16 @@ Options = TypeVar("Options", bound=Struct)
 
 
 def converted(kind: type[Options], given: Mapping[str, Any], device: str, required: Mapping[str, str]) -> Options:
-    """The options from what a scene has, whose numbers may be written as text.
+    """Convert the options of a scene; numbers may be given as text.
 
     Args:
-        kind: Their type.
-        given: What the scene has.
-        device: What names the driver in the scene, such as `device = ur`.
-        required: What must be given, each with what it must be.
+        kind: Type of the options.
+        given: Options in the scene.
+        device: Scene text that names the driver, such as `device = ur`.
+        required: Required keys with their allowed values.
 
     Raises:
-        ValueError: A key that there is not or that is missing, or a value that it cannot have; names the key.
+        ValueError: A key is unknown or missing, or a value is invalid; names the key.
     """
     known = kind.__struct_fields__
     for key in given:
@@ -43,14 +43,14 @@ def converted(kind: type[Options], given: Mapping[str, Any], device: str, requir
 
 
 def refused(device: str, key: str, value: object, why: str) -> ValueError:
-    """The error of an option: driver, key, what was given, and what it must be."""
+    """Return the error of an option: driver, key, given value, allowed values."""
     return ValueError(f"{device}: {key} = {value!r}: {why}")
 
 
 def allowed(options: type[Struct], key: str) -> str:
-    """What may stand at a key of the options, such as `0 to 50 kg`.
+    """Describe the allowed values of an option, such as `0 to 50 kg`.
 
-    The unit is that of the annotation, `Meta(extra={"unit": "kg"})`.
+    The unit comes from the annotation, `Meta(extra={"unit": "kg"})`.
     """
     return _text(get_type_hints(options, include_extras=True)[key], Meta())
 
@@ -61,7 +61,7 @@ def _text(kind: Any, meta: Meta) -> str:  # noqa: ANN401  # a type as typing wri
     if origin is Annotated:
         text = _text(parts[0], parts[1])
     elif origin in {UnionType, Union}:
-        # A scene cannot write the none that stands for a default.
+        # A scene cannot express the None of a default.
         text = " or ".join(_text(part, meta) for part in parts if part is not NoneType)
     elif origin is Literal:
         text = f"one of {', '.join(parts)}" if isinstance(parts[0], str) else " or ".join(map(str, parts)) + unit

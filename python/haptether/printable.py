@@ -1,6 +1,6 @@
-"""Text of files, of the network and of drivers, as a screen may have it."""
+"""Printable form of text from files, the network and drivers."""
 
 
 def printable(text: str) -> str:
-    """The text with all that no screen shows (control characters, escapes, marks of direction) as its escape."""
+    """Replace unprintable characters (control characters, escapes, direction marks) by escapes."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

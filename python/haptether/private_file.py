@@ -1,4 +1,4 @@
-"""Files for their owner alone: mode 0600, no link followed, and never seen half written."""
+"""Owner-only output files: mode 0600, symbolic links are not followed, replaced atomically."""
 
 import errno
 import os
@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import IO
 
 STREAMS = frozenset(map(Path, ("/dev", "/dev/fd", "/proc/self/fd")))
-"""Folders whose links only the system makes: to the streams of this process."""
+"""Folders with system-made links to the streams of this process."""
 
 
 def refuse_link(path: Path) -> None:
-    """Refuses to write where a link leads: whoever may make one would choose what is overwritten.
+    """Refuse to write through a symbolic link, whose creator could choose the overwritten file.
 
     Raises:
-        OSError: A symbolic link to a file, or to nothing: like another file that cannot be written.
+        OSError: The path is a symbolic link to a file, or a dangling one.
     """
     if path.is_symlink() and not is_stream(path):
         message = f"{path}: is a symbolic link, must be a file"
@@ -35,13 +35,13 @@ def refuse_existing(path: Path) -> None:
 
 
 def is_stream(path: Path) -> bool:
-    """Whether it is a pipe, a device or a stream of this process, which stays what it is."""
+    """Return True for a pipe, a device or a stream of this process, which must not be replaced."""
     return path.exists() and (not path.is_file() or path.parent in STREAMS)
 
 
 @contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Has an error of a disk say which file it was."""
+    """Add the file name to a disk error."""
     try:
         yield
     except OSError as error:
@@ -54,7 +54,7 @@ def _named(path: Path) -> Iterator[None]:
 
 
 def _stream(path: Path) -> int:
-    """Opens a pipe or a device to write to; a pipe that nobody reads is not waited for: no signal would end that."""
+    """Open a pipe or a device for writing; fail if the pipe has no reader, because no signal would end the wait."""
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
     except OSError as error:
@@ -68,27 +68,27 @@ def _stream(path: Path) -> int:
 
 @contextmanager
 def private_file(path: Path) -> Iterator[IO[bytes]]:
-    """A file to write, which then replaces the one that is there, or the link; a pipe or a device is written to.
+    """Open a file that replaces an existing file or link on success; write directly to a pipe or a device.
 
     Raises:
-        OSError: It cannot be made, or not put into its place.
+        OSError: The file cannot be created, or cannot replace the target.
     """
     if is_stream(path):
-        # What a redirected stream has already is not cut off.
+        # Do not truncate the content of a redirected stream.
         with _named(path), os.fdopen(_stream(path), "ab") as file:
             yield file
         return
     beside = path.with_name(f".{secrets.token_hex(8)}.part")
-    # Nobody knows its name before, and what is there already is not opened.
+    # The name is unpredictable, and an existing file is never opened.
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     try:
         descriptor = os.open(beside, flags, 0o600)
     except OSError as error:
-        # Of the name that its user knows.
+        # Report the name that the user knows.
         raise type(error)(error.errno, error.strerror, str(path)) from None
     try:
         with _named(path), os.fdopen(descriptor, "wb") as file:
-            # The umask may have taken the owner's own rights.
+            # The umask may have removed permissions of the owner.
             os.fchmod(file.fileno(), 0o600)
             yield file
         beside.replace(path)
@@ -98,20 +98,20 @@ def private_file(path: Path) -> Iterator[IO[bytes]]:
 
 
 def write_private(path: Path, content: bytes) -> None:
-    """Writes all of a file, as `private_file`.
+    """Write a whole file like `private_file`.
 
     Raises:
-        OSError: It cannot be made, or not put into its place.
+        OSError: The file cannot be created, or cannot replace the target.
     """
     with private_file(path) as file:
         file.write(content)
 
 
 def begin_private(path: Path) -> None:
-    """Makes an empty file for what opens it by its name, and leaves a pipe or a device alone.
+    """Create an empty file to be opened by name; leave a pipe or a device unchanged.
 
     Raises:
-        OSError: It cannot be made, or not put into its place; a symbolic link.
+        OSError: The file cannot be created, cannot replace the target, or is a symbolic link.
     """
     refuse_link(path)
     if not is_stream(path):

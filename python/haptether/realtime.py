@@ -1,4 +1,4 @@
-"""Scheduling of the process of an emulated device: before ordinary processes, as a device of its own would run."""
+"""Scheduling of an emulated device's process: ahead of ordinary processes, like a real device."""
 
 import contextlib
 import os
@@ -6,15 +6,15 @@ from collections.abc import Iterator
 from typing import Final, Literal
 
 PRIORITY: Final = 80
-"""Under SCHED_FIFO: that of a bridge, so that a client that spins cannot hold the device up."""
+"""SCHED_FIFO priority, same as the bridge, so that a spinning client cannot delay the device."""
 
 
 @contextlib.contextmanager
 def realtime(wanted: Literal["auto", "off", "require"]) -> Iterator[str]:
-    """Runs under SCHED_FIFO where the system grants it, until the end; yields what was granted, for the screen.
+    """Run under SCHED_FIFO inside the context if the system grants it; yield the result for display.
 
     Raises:
-        OSError: It is required and was not granted.
+        OSError: Real time is required and was not granted.
     """
     if wanted == "off":
         yield "not asked for"

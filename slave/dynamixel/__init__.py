@@ -1,1 +1,1 @@
-"""An arm of Dynamixel servos as the slave: `device = "dynamixel"`."""
+"""Arm of Dynamixel servos as the slave: `device = "dynamixel"`."""

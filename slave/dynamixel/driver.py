@@ -1,4 +1,4 @@
-"""The driver of an arm of Dynamixel servos as the slave: `device = "dynamixel"`."""
+"""Driver of an arm of Dynamixel servos as the slave: `device = "dynamixel"`."""
 
 import sys
 import time
@@ -12,24 +12,24 @@ from haptether.slave.dynamixel.options import DynamixelSlaveOptions, dynamixel_s
 from haptether.slave.dynamixel.torque import JointTorque
 
 MAX_STEP_S: Final = 0.02
-"""Of the speed limit, after a pause."""
+"""Longest step in s of the speed limit after a pause."""
 REST_LAG: Final = 0.05
-"""How far in rad beyond where it is a joint may be held at rest: what lifts its weight is a goal beyond it."""
+"""Largest offset in rad of a goal from the joint at rest; the offset carries the joint's weight."""
 
 
 class DynamixelSlave:
-    """An arm of servos that holds its joints at what is commanded; see `SlaveDevice` and docs/dynamixel.md.
+    """Servo arm whose joints follow commanded positions; see `SlaveDevice` and docs/dynamixel.md.
 
     Args:
-        options: Those of `DynamixelSlaveOptions`.
+        options: Fields of `DynamixelSlaveOptions`.
 
     Raises:
-        ValueError: Options that cannot be. From `open` also `ArmRefusedError`: the arm is not ready.
+        ValueError: The options are invalid. `open` also raises `ArmRefusedError` if the arm is not ready.
     """
 
     paces = False
     exerts_by_itself = True
-    """It holds its joints from `open` on."""
+    """The arm holds its joints from `open` on."""
     kinds = ("joints",)
 
     @property
@@ -39,19 +39,19 @@ class DynamixelSlave:
 
     @property
     def max_speed(self) -> float:
-        """Largest speed of a joint in rad/s; behind a faster command the arm would go on after it was let go."""
+        """Largest joint speed in rad/s; behind a faster command the arm would continue to move after the release."""
         return self.options.max_speed
 
     @property
     def cycle_s(self) -> float | None:
-        """Least time in s of a cycle on its bus, once it is open."""
+        """Shortest bus cycle in s, once open."""
         return self.servos.cycle_s
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
         self.options: DynamixelSlaveOptions = dynamixel_slave_options(options)
         self.settings: ArmSettings = self.options.settings()
         self.servos = ServoArm(self.settings)
-        """On their bus."""
+        """Servos on their bus."""
         self._torque = JointTorque(
             self.settings.servos,
             constant=self.options.torque_constant,
@@ -66,32 +66,32 @@ class DynamixelSlave:
         self._velocity: Vector = np.zeros(count)
         self._felt: Vector = np.zeros(count)
         self._goal: Vector | None = None
-        """What was sent last; none until the joints are held."""
+        """Last sent goal; None until the joints are held."""
         self._led = False
-        """Whether a command came since the last stop."""
+        """True if a command came since the last stop."""
         self._refused: str | None = None
-        """A command that was not obeyed; the arm holds its joints where they are."""
+        """Refused command; the arm holds its joints."""
         self._shown: str | None = None
         self._read_s = self._written_s = 0.0
         self._is_measured = False
 
     def carry(self, grip: GripServo) -> None:
-        """Takes a gripper to the bus of its joints, before it is open.
+        """Add a gripper to the bus of its joints, before it is open.
 
         Raises:
-            ValueError: It has the id of a joint.
+            ValueError: The gripper has the id of a joint.
         """
         self.servos = ServoArm(self.settings, grip=grip)
 
     def open(self) -> None:
-        """Goes through the checklist; with the first `read` the arm takes up its own weight where it stands."""
+        """Run the checklist; with the first `read` the arm carries its own weight at its position."""
         self._goal, self._led, self._refused, self._is_measured = None, False, None, False
         self.servos.open(give_torque=False)
         self._torque.reset()
         self._read_s = self._written_s = time.monotonic()
 
     def read(self) -> SlaveSample:
-        """The newest sample; where a read fails it is asked again, until there is one or a fault."""
+        """Return the latest sample; a failed read is retried until a sample or a fault."""
         arm = self.servos
         if not self._is_measured:
             arm.begin()
@@ -104,7 +104,7 @@ class DynamixelSlave:
             self._position, self._velocity = arm.position.copy(), arm.velocity.copy()
         if arm.fault is not None:
             self._goal, self._led = None, False
-            # Its servos have no torque: nothing is felt by their currents.
+            # The servos have no torque, so their currents show no force.
             self._felt = np.zeros(len(self._felt))
             self._torque.reset()
         elif fresh:
@@ -112,14 +112,14 @@ class DynamixelSlave:
             if self._goal is None:
                 self._goal = self._within(self._position)
             if arm.ramp < 1.0:
-                # The caps rise as it is written to.
+                # The caps rise with each write.
                 arm.write_positions(self._goal)
         self._read_s = now_s
         self._shown = arm.fault or self._refused
         return self._sample()
 
     def write(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:  # noqa: ARG002  # of SlaveDevice
-        """Sends the joints on, within their limits and their speed; nothing where there is a fault."""
+        """Send the joints on, within their limits and speed; no effect during a fault."""
         if self._goal is None or self._refused is not None or self.servos.fault is not None:
             return
         now_s = time.monotonic()
@@ -147,22 +147,22 @@ class DynamixelSlave:
         self.servos.write_positions(self._goal)
 
     def stop(self) -> None:
-        """Holds the joints where they are; what carries their weight, a goal that is a little beyond them, stays."""
+        """Hold the joints in place; keep the goal offset that carries their weight."""
         self._led = False
         if self._goal is not None and self.servos.fault is None:
             self._goal = self._within(np.clip(self._goal, self._position - REST_LAG, self._position + REST_LAG))
             self.servos.write_positions(self._goal)
 
     def acknowledge(self) -> None:
-        """The operator has removed the fault: the checklist runs again, and says when the arm is ready."""
+        """Acknowledge a fixed fault: the checklist runs again, and reports when the arm is ready."""
         if self._shown is None or self._shown != (self.servos.fault or self._refused):
-            # One since the last sample was not shown to anybody.
+            # A fault since the last sample has not been shown yet.
             return
         self._refused, self._led = None, False
         self.servos.acknowledge(self._shown)
 
     def close(self) -> None:
-        """Lets the arm down where its mode allows it, and ends all torque."""
+        """Lower the arm if its mode allows it, and end all torque."""
         self.servos.close()
 
     def _refuse(self, text: str) -> None:

@@ -1,4 +1,4 @@
-"""What the driver of an arm of servos is called with: `[slave.options]` of a scene."""
+"""Options of a servo arm's driver: `[slave.options]` of a scene."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -24,48 +24,48 @@ Viscous: TypeAlias = Annotated[float, Meta(ge=0.0, le=20.0, extra={"unit": "N m 
 
 
 class DynamixelSlaveOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Options of the driver `dynamixel` of a slave, in SI units; lists have an entry of each joint."""
+    """Options of the slave driver `dynamixel`, in SI units; lists have one entry per joint."""
 
     port: str
-    """The serial port, such as /dev/serial/by-id/usb-FTDI_..."""
+    """Serial port, such as /dev/serial/by-id/usb-FTDI_..."""
     arm: str
-    """The file of the arm, which `haptether dynamixel calibrate` writes."""
+    """Calibration file from `haptether dynamixel calibrate`."""
     mode: Literal["current-position", "position"] = "current-position"
-    """How the servos hold a joint: with a current below its cap, or with all that they have."""
+    """Joint control with a capped current, or with the full current."""
     max_speed: Annotated[float, Meta(gt=0.0, le=10.0, extra={"unit": "rad/s"})] = 1.0
-    """Fastest that a joint is sent."""
+    """Largest commanded joint speed."""
     max_jump: Annotated[float, Meta(gt=0.0, le=0.5, extra={"unit": "rad"})] = 0.1
-    """How far from the joints a first command may be."""
+    """Largest distance of a first command from the joints."""
     max_lag: Annotated[float, Meta(ge=0.05, le=1.0, extra={"unit": "rad"})] = 0.3
-    """How far a joint is sent beyond where it is: so far it springs when what blocked it gives way."""
+    """Largest distance of a goal from the joint, which bounds the jump when an obstacle gives way."""
     start: Literal["refuse", "ramp"] = "refuse"
-    """What a first command does that is further: it is a fault, or the joints go there at `max_speed`."""
+    """Reaction to a first command beyond that: a fault, or motion at `max_speed`."""
     torque_constant: tuple[Annotated[float, Meta(gt=0.0, le=20.0, extra={"unit": "N m/A"})], ...] = ()
-    """Torque at the output per ampere; by default that of `arm`, what the maker states, or that of the stall."""
+    """Output torque per ampere; by default from `arm`, the maker, or the stall."""
     coulomb: tuple[Torque, ...] = ()
-    """Dry friction of each gear; by default 0, for no maker states it."""
+    """Dry friction of each gear; by default 0, because no maker states it."""
     viscous: tuple[Viscous, ...] = ()
     """Viscous friction of each gear; by default 0."""
     force_filter_hz: Annotated[float, Meta(gt=0.0, le=1000.0, extra={"unit": "Hz"})] | None = 20.0
-    """Corner of the low-pass on the torque; None for none."""
+    """Corner frequency of the torque low-pass; None for none."""
     watchdog_s: Annotated[float, Meta(ge=0.04, le=2.54, extra={"unit": "s"})] = 0.1
-    """Silence after which the servos end their torque by themselves."""
+    """Silence after which the servos end their torque."""
     timeout_s: Annotated[float, Meta(ge=0.001, le=0.1, extra={"unit": "s"})] = 0.02
-    """How late an answer may come."""
+    """Timeout of an answer."""
     lost_after_s: Annotated[float, Meta(ge=0.0, le=1.0, extra={"unit": "s"})] = 0.06
-    """For so long reads may fail until it is a fault."""
+    """Duration of failing reads that counts as a fault."""
     ramp_s: Annotated[float, Meta(ge=0.0, le=10.0, extra={"unit": "s"})] = 1.0
-    """In which the arm takes up its own weight after it has torque."""
+    """Time in which the arm takes over its own weight after torque is on."""
     release_s: Annotated[float, Meta(ge=0.0, le=5.0, extra={"unit": "s"})] = 1.0
-    """In which it lets itself down at the end."""
+    """Time for lowering the arm at the end."""
     verify_watchdog: bool = True
-    """Let the bus watchdog fire once before the first motion."""
+    """True to trip the bus watchdog once as a test before the first motion."""
 
     def settings(self) -> ArmSettings:
-        """Those of the arm, from its file.
+        """Return the settings of the arm from its file.
 
         Raises:
-            ValueError: The file cannot be read, or has an arm that cannot be one of this driver.
+            ValueError: The file cannot be read, or its arm does not fit this driver.
         """
         try:
             baud, servos = read_calibration(Path(self.arm))
@@ -96,10 +96,10 @@ class DynamixelSlaveOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_un
 
 
 def dynamixel_slave_options(given: Mapping[str, Any]) -> DynamixelSlaveOptions:
-    """The options from what a scene has, whose numbers may be written as text.
+    """Convert the options of a scene; numbers may be given as text.
 
     Raises:
-        ValueError: A key that there is not or that is missing, or a value that it cannot have; names the key.
+        ValueError: A key is unknown or missing, or a value is invalid; names the key.
     """
     required = {"port": "the path of the serial port", "arm": "the file of the arm"}
     return converted(DynamixelSlaveOptions, given, DEVICE, required)

@@ -1,4 +1,4 @@
-"""What the environment does to the joints, from the currents of their motors."""
+"""Estimate of environment torques on the joints from motor currents."""
 
 import math
 from collections.abc import Sequence
@@ -9,22 +9,22 @@ import numpy as np
 from haptether.dynamixel.arm import ServoSettings, Vector
 
 STANDING_RAD_S: Final = 0.05
-"""Below it a gear may stand: two units of Present Velocity."""
+"""Speed below which a gear may stand: two units of Present Velocity."""
 
 
 class JointTorque:
-    """Torque of the environment on each joint, in N m, positive along q.
+    """Torque of the environment on each joint in N m, positive along q.
 
-    Moving: tau_e = -K_t i + c sign(v) + b v. Standing, friction may take any part of -c to c, and what is nearest to 0
-    of all that it may be is told: tau_e = -sign(i) max(K_t |i| - c, 0). In between the one goes over into the other.
-    The weight of the arm is in it, and what accelerates it: neither is known here.
+    Moving: tau_e = -K_t i + c sign(v) + b v. Standing: friction may be anything from -c to c, so the value nearest to 0
+    is reported: tau_e = -sign(i) max(K_t |i| - c, 0). In between, the two are blended. The estimate includes weight and
+    acceleration of the arm, which are unknown here.
 
     Args:
-        servos: Of the arm.
-        constant: K_t in N m/A; by default the likely one of each.
+        servos: Servos of the arm.
+        constant: K_t in N m/A; by default the likely value of each servo.
         coulomb: c in N m; by default 0.
         viscous: b in N m s/rad; by default 0.
-        filter_hz: Corner of the low-pass of first order; none for none.
+        filter_hz: Corner frequency of the first-order low-pass; None for none.
     """
 
     def __init__(
@@ -47,11 +47,11 @@ class JointTorque:
 
     @property
     def uncertainty_nm(self) -> Vector:
-        """c: what friction may hide of each joint's torque while it stands."""
+        """c: friction that may hide each joint's torque while it stands."""
         return self._coulomb
 
     def of(self, current_a: Vector, velocity: Vector, period_s: float) -> Vector:
-        """The torque, from currents in A and velocities in rad/s; 0 of a servo that measures no current."""
+        """Return the torque from currents in A and velocities in rad/s; 0 for a servo without current measurement."""
         motor = self._constant * current_a
         motor[self._blind] = 0.0
         moving = -motor + self._coulomb * np.sign(velocity) + self._viscous * velocity
@@ -68,5 +68,5 @@ class JointTorque:
         return self._felt
 
     def reset(self) -> None:
-        """Forgets what was felt."""
+        """Clear the filter."""
         self._begun = False

@@ -1,4 +1,4 @@
-"""Robotiq grippers on the URCap of a UR arm: the driver `robotiq`."""
+"""Robotiq grippers on the URCap of a UR arm: driver `robotiq`."""
 
 from typing import TYPE_CHECKING
 
@@ -9,7 +9,7 @@ __all__ = ["RobotiqGripper"]
 
 
 def __getattr__(name: str) -> object:
-    # Whoever wants the models alone, as the emulator, does not wait for the driver.
+    # Users of the models only, such as the emulator, must not load the driver.
     if name == "RobotiqGripper":
         from haptether.slave.robotiq.driver import RobotiqGripper  # noqa: PLC0415
 

@@ -1,4 +1,4 @@
-"""How a gripper is activated: it moves."""
+"""Activation of a gripper, which moves it."""
 
 from collections.abc import Generator
 from typing import Final
@@ -8,13 +8,13 @@ from haptether.slave.robotiq.protocol import ACTIVE, FAULTS, RESET, Request, fau
 POLL_S: Final = 0.1
 RESET_TRIES: Final = 50
 PAUSE_S: Final = 0.5
-"""Between a reset that is seen and the activation."""
+"""Pause in s between a confirmed reset and the activation."""
 BEGUN_S: Final = 1.0
-"""After which the activation is looked at first."""
+"""Time in s before the activation is first checked."""
 ACTIVE_TRIES: Final = 150
-"""15 s; a real one takes a few."""
+"""15 s; a real gripper takes a few."""
 PENDING: Final = frozenset({0, 5, 7})
-"""Values of FLT that an activation goes through."""
+"""FLT values during an activation."""
 
 
 class ActivationError(RuntimeError):
@@ -22,14 +22,14 @@ class ActivationError(RuntimeError):
 
 
 def activation() -> Generator[Request | float, int | None, None]:
-    """Resets and activates: yields requests, to be sent their replies, and times in s to wait.
+    """Reset and activate: yields requests, to be sent their replies, and waiting times in s.
 
-    Resetting is repeated until it shows, since a URCap that is busy drops a setting.
+    The reset is repeated until confirmed, because a busy URCap drops settings.
 
     Raises:
-        ActivationError: It has not become active in time, or has a fault.
+        ActivationError: The gripper is not active in time, or has a fault.
 
-    Source: the order and pauses of GELLO's gripper class, wuphilipp/gello_software.
+    Source: order and pauses of GELLO's gripper class, wuphilipp/gello_software.
     """
     for _ in range(RESET_TRIES):
         yield set_({"ACT": 0})

@@ -1,4 +1,4 @@
-"""The checklist before a gripper is led: each line says what was found, and what to do where it is refused."""
+"""Checklist before a gripper is commanded: findings, and a remedy for each refusal."""
 
 import time
 from collections.abc import Callable, Generator
@@ -24,16 +24,16 @@ from haptether.slave.robotiq.wire import Wire
 from haptether.slave.ur.services import ProbeError, resolved
 
 LOOKS: Final = 5
-"""Round trips that are measured."""
+"""Number of measured round trips."""
 SLOW_S: Final = 0.1
 MOVES: Final = "the activation opens and closes its jaws once: are hands and parts out of them?"
 
 
 def check_address(host: str, checklist: Checklist) -> str:
-    """The controller's address, which is not looked up again.
+    """Resolve the controller's address once.
 
     Raises:
-        RefusedError: It has none.
+        RefusedError: There is no address.
     """
     try:
         return resolved(host)
@@ -50,17 +50,17 @@ def check_gripper(
     ask: Callable[[str], bool],
     pause: Callable[[float], None] = time.sleep,
 ) -> dict[str, int]:
-    """Server, fault, activation, jaws; the values that a session begins with.
+    """Check server, fault, activation and jaws; return the initial values of a session.
 
     Args:
-        wire: To the server.
-        options: Of the driver.
+        wire: Connection to the server.
+        options: Options of the driver.
         checklist: Takes the lines.
-        ask: Whether the jaws may move now, for an activation; the text says why.
-        pause: Waits for a time in s.
+        ask: Asks for permission to move the jaws for an activation, with the reason.
+        pause: Sleeps for a time in s.
 
     Raises:
-        RefusedError: The gripper is not ready, and was not made so.
+        RefusedError: The gripper is not ready, and was not activated.
         WireError: The server does not answer.
     """
     took_s = []
@@ -92,7 +92,7 @@ def check_gripper(
 
 
 def choose(wire: Wire, options: RobotiqOptions) -> None:
-    """Has the server speak of the gripper that the options name, if they do.
+    """Select the gripper that the options name, if any.
 
     Raises:
         WireError: The server does not answer.
@@ -102,10 +102,10 @@ def choose(wire: Wire, options: RobotiqOptions) -> None:
 
 
 def look(wire: Wire) -> dict[str, int]:
-    """The values that a session begins with, of a gripper that is active; nothing moves.
+    """Return the initial values of a session with an active gripper, without motion.
 
     Raises:
-        RefusedError: It is not active, or has a fault.
+        RefusedError: The gripper is not active, or has a fault.
         WireError: The server does not answer.
     """
     values = {variable: _read(wire, variable) for variable in START}
@@ -132,10 +132,10 @@ def _activate(
 
 
 def perform(wire: Wire, steps: Generator[Request | float, int | None, None], pause: Callable[[float], None]) -> None:
-    """Sends what the steps yield, waits where they yield a time in s.
+    """Send the requests of an activation, and sleep for yielded times in s.
 
     Raises:
-        ActivationError: From the steps.
+        ActivationError: The activation failed.
         WireError: The server does not answer.
     """
     value: int | None = None

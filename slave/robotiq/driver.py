@@ -1,4 +1,4 @@
-"""The driver of a Robotiq gripper on the URCap of a UR arm: `robotiq`."""
+"""Driver of a Robotiq gripper on the URCap of a UR arm: `robotiq`."""
 
 import sys
 import threading
@@ -14,17 +14,18 @@ from haptether.slave.robotiq.session import Order, Session
 from haptether.slave.robotiq.wire import CONNECT_S, Wire, WireError
 
 IDLE_S: Final = 0.5
-"""Longest that the thread waits without looking whether it is to end."""
+"""Longest wait of the thread in s without a check for the end."""
 
 
 class RobotiqGripper:
-    """A Robotiq gripper; see `Gripper` and docs/gripper.md. A thread of its own talks to the server.
+    """Robotiq gripper; see `Gripper` and docs/gripper.md. A separate thread talks to the server.
 
     Args:
-        options: Those of `RobotiqOptions`.
+        options: Fields of `RobotiqOptions`.
 
     Raises:
-        ValueError: Options that cannot be. From `open` also `RefusedError` and `WireError`: it is not ready, or silent.
+        ValueError: The options are invalid. `open` also raises `RefusedError` if it is not ready, `WireError` if it is
+            silent.
     """
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
@@ -37,21 +38,22 @@ class RobotiqGripper:
         self._ending = threading.Event()
         self._wake = threading.Event()
         self._acknowledged = False
-        # What follows one thread writes and the other reads, each as one assignment of what never changes.
+        # Each of the following is written by one thread and read by the other, by single assignments of immutable
+        # values.
         self._order: Order | None = None
         self._orders = 0
         self._sample: GripperSample
         self._looked_s = 0.0
-        """When the thread was alive last."""
+        """Time of the thread's last cycle."""
         self._stalled: str | None = None
-        """The fault of a thread that stood still, latched by the one that reads."""
+        """Fault of a stalled thread, latched by the reading thread."""
         self._shown: str | None = None
-        """The fault of the last sample."""
+        """Fault of the last sample."""
 
     # -------------------------------------------------------------------------------------------------- Gripper
 
     def open(self) -> None:
-        """Goes through the checklist and connects; the jaws move only where `activate` allows it."""
+        """Run the checklist and connect; the jaws move only if `activate` allows it."""
         options, checklist = self.options, Checklist(self._name)
         self._address = check_address(options.host, checklist)
         self._wire = Wire(self._address, options.port, options.reply_timeout_s)
@@ -68,7 +70,7 @@ class RobotiqGripper:
         self._thread.start()
 
     def read(self) -> GripperSample:
-        """The newest sample."""
+        """Return the latest sample."""
         sample = self._sample
         age_s = time.monotonic() - self._looked_s
         if sample.fault is None and self._stalled is None and age_s > self._longest_s:
@@ -80,19 +82,19 @@ class RobotiqGripper:
         return sample
 
     def write(self, command: GripperCommand) -> None:
-        """Sends the jaws on; nothing where there is a fault."""
+        """Command the jaws; no effect during a fault."""
         if self._sample.fault is None and self._stalled is None:
             self._give(command)
 
     def hold(self) -> None:
-        """Stops the jaws, unless they press on something: then they keep their force."""
+        """Stop the jaws, unless they press on an object; then they keep their force."""
         self._give(None)
 
     def acknowledge(self) -> None:
-        """The operator has removed the fault: connects again if need be, and moves nothing."""
+        """Acknowledge a fixed fault: reconnect if needed, without motion."""
         fault = self._sample.fault or self._stalled
         if fault is None or fault is not self._shown:
-            # One since the last sample was not shown to anybody.
+            # A fault since the last sample has not been shown yet.
             return
         self._stalled = None
         if self._sample.fault is not None:
@@ -100,7 +102,7 @@ class RobotiqGripper:
             self._wake.set()
 
     def close(self) -> None:
-        """Holds and disconnects, within what one reply and one connection may take."""
+        """Hold and disconnect, within the timeouts of one reply and one connection."""
         self._ending.set()
         self._wake.set()
         thread, self._thread = self._thread, None
@@ -115,12 +117,12 @@ class RobotiqGripper:
 
     @property
     def round_trip_s(self) -> float:
-        """From a request to its reply, in s, averaged."""
+        """Average time in s from a request to its reply."""
         return self._session.round_trip_s
 
     @property
     def _longest_s(self) -> float:
-        """What the thread takes at most between two looks, in s, while nothing is wrong."""
+        """Longest cycle of the thread in s without a fault."""
         return IDLE_S + 2.0 * self.options.reply_timeout_s
 
     def _give(self, move: GripperCommand | None) -> None:
@@ -139,14 +141,14 @@ class RobotiqGripper:
             while not self._ending.is_set():
                 self._step()
             self._leave()
-        except Exception as error:  # a thread that ends with a traceback would leave the last sample standing
+        except Exception as error:  # if the thread ended with a traceback, the last sample would persist
             self._lose(f"its driver failed: {type(error).__name__}: {error}")
         finally:
             if self._wire is not None:
                 self._wire.close()
 
     def _step(self) -> None:
-        """One exchange, or a wait."""
+        """Perform one exchange, or a wait."""
         self._looked_s = time.monotonic()
         if self._acknowledged:
             self._acknowledged = False
@@ -192,7 +194,7 @@ class RobotiqGripper:
         self._report("ready")
 
     def _leave(self) -> None:
-        """The last exchange: jaws that may move are stopped, those that press on something are left alone."""
+        """Perform the last exchange: stop moving jaws, leave pressing jaws unchanged."""
         if self._wire is None:
             return
         request = self._session.due(Order(self._orders + 1, None), time.monotonic_ns())
@@ -203,7 +205,7 @@ class RobotiqGripper:
                 self._report(f"at the end: {error}")
 
     def _lose(self, fault: str) -> None:
-        """Nothing is sent any more; the gripper keeps its grip, and what it was doing it does to its end."""
+        """Stop sending; the gripper keeps its grip, and finishes its current motion."""
         if self._wire is not None:
             self._wire.close()
         self._wire = None

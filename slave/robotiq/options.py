@@ -1,4 +1,4 @@
-"""What the driver of a Robotiq gripper is called with."""
+"""Options of a Robotiq gripper's driver."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, TypeAlias
@@ -20,25 +20,25 @@ class RobotiqOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     host: str
     """Address or name of the UR controller that the URCap runs on."""
     port: Annotated[int, Meta(ge=1, le=65535)] = PORT
-    """Of the URCap's server."""
+    """Port of the URCap's server."""
     model: Literal["2f-85", "2f-140", "hand-e"] = "2f-85"
-    """The gripper: its stroke, speeds and forces."""
+    """Gripper model, which sets stroke, speeds and forces."""
     slave_id: Count | None = None
-    """Which gripper, where the URCap has several; by default its own, which is 9."""
+    """Id of the gripper if the URCap has several; by default 9."""
     activate: bool = False
-    """Let `open` activate a gripper that is not active: its jaws open and close once, and drop what they hold."""
+    """True to let `open` activate an inactive gripper: its jaws open and close once, and drop any object."""
     rate_hz: Annotated[float, Meta(ge=1.0, le=100.0, extra={"unit": "Hz"})] = 50.0
-    """How often the position is asked for at most; a server that answers slowly is asked less often."""
+    """Largest rate of position reads; lower if the server is slow."""
     reply_timeout_s: Annotated[float, Meta(ge=0.05, le=2.0, extra={"unit": "s"})] = 0.5
-    """How long a reply may take."""
+    """Timeout of a reply."""
     open_count: Count | None = None
-    """What POS reads when the jaws are open; by default that of the model."""
+    """POS with open jaws; by default from the model."""
     closed_count: Count | None = None
-    """What POS reads when the jaws are closed; by default that of the model."""
+    """POS with closed jaws; by default from the model."""
 
     @property
     def scale(self) -> Scale:
-        """Counts to SI units and back."""
+        """Return the map between counts and SI units."""
         model = ROBOTIQ_MODELS[self.model]
         opened, closed = model.counts
         return Scale(
@@ -51,10 +51,10 @@ class RobotiqOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 def robotiq_options(given: Mapping[str, Any]) -> RobotiqOptions:
-    """The options from what a scene has, whose numbers may be written as text.
+    """Convert the options of a scene; numbers may be given as text.
 
     Raises:
-        ValueError: A key that there is not or that is missing, or a value that it cannot have; names the key.
+        ValueError: A key is unknown or missing, or a value is invalid; names the key.
     """
     options = converted(RobotiqOptions, given, DEVICE, {"host": "the address of the UR controller"})
     host = options.host

@@ -1,11 +1,11 @@
-r"""The text that the URCap's server speaks: one request, one reply.
+r"""Text protocol of the URCap's server: one request, one reply.
 
-`SET POS 100 SPE 255 FOR 10 GTO 1\n` is answered by `ack`, `GET POS\n` by `POS 100`. Neither reply has an end of line,
-so that a number of fewer digits than it may have could go on; what tells is that nothing follows. A request without an
-end of line is answered otherwise (bare digits, as URScript reads them): none is sent here.
+`SET POS 100 SPE 255 FOR 10 GTO 1\n` is answered by `ack`, `GET POS\n` by `POS 100`. Replies have no end of line, so a
+number with fewer than the maximum digits could continue; only a pause marks its end. A request without an end of line
+gets another kind of reply (bare digits, for URScript), so none is sent here.
 
 Source: wuphilipp/gello_software and pyrobotiqur 0.2.2, clients of it; Robotiq, 2F-85 and 2F-140 instruction manual, for
-what the values mean.
+the meaning of the values.
 """
 
 from collections.abc import Mapping
@@ -13,23 +13,23 @@ from enum import Enum
 from typing import Final, NamedTuple
 
 MAX_REPLY: Final = 64
-"""Bytes: more is no reply of this server."""
+"""Longest reply of this server in bytes."""
 MAX_SHOWN: Final = 24
-"""Bytes of a wrong reply that are repeated in an error."""
+"""Longest part of a malformed reply in an error, in bytes."""
 ACK: Final = b"ack"
 MAX_VALUE: Final = {
     "ACT": 1, "GTO": 1, "ATR": 1, "FOR": 255, "SPE": 255, "POS": 255, "PRE": 255,
     "STA": 3, "OBJ": 3, "FLT": 15, "SID": 255,
 }  # fmt: skip
-"""The variables that are read or written here, and the largest value of each."""
+"""Used variables with their largest values."""
 
 RESET, ACTIVATING, ACTIVE = 0, 1, 3
-"""STA; 2 is unused."""
+"""Values of STA; 2 is unused."""
 MOVING, CONTACT_OPENING, CONTACT_CLOSING, ARRIVED = range(4)
-"""OBJ: without GTO it says nothing, and until PRE echoes a request it is that of the one before."""
+"""Values of OBJ; undefined without GTO, and outdated until PRE echoes the request."""
 CONTACT: Final = frozenset({CONTACT_OPENING, CONTACT_CLOSING})
 REACTIVATION: Final = frozenset({5, 7, *range(10, 16)})
-"""Values of FLT that only an activation ends."""
+"""FLT values that only an activation clears."""
 
 CLEAR: Final = "clear the jaws of hands and parts, then open the driver with activate = true"
 FAULTS: Final = {
@@ -44,11 +44,11 @@ FAULTS: Final = {
     14: ("its motor drew too much current", f"see what blocks the jaws; {CLEAR}"),
     15: ("its automatic release has ended", CLEAR),
 }
-"""FLT: what each means, and its remedy."""
+"""Meaning and remedy of each FLT value."""
 
 
 class MalformedReplyError(ValueError):
-    """Bytes that are no reply to what was asked."""
+    """Bytes that are not a reply to the request."""
 
 
 class Request(NamedTuple):
@@ -56,27 +56,27 @@ class Request(NamedTuple):
 
     text: bytes
     reads: str | None = None
-    """The variable whose value is the reply; none where the reply is `ack`."""
+    """Variable whose value is the reply; None if the reply is `ack`."""
 
     @property
     def shown(self) -> str:
-        """Without its end of line."""
+        """Return the request without its end of line."""
         return self.text.decode().strip()
 
 
 def get(variable: str) -> Request:
-    """Asks for a value."""
+    """Return a request for a value."""
     return Request(f"GET {variable}\n".encode(), variable)
 
 
 def set_(values: Mapping[str, int]) -> Request:
-    """Sets some variables at once."""
+    """Return a request that sets variables at once."""
     pairs = " ".join(f"{variable} {value}" for variable, value in values.items())
     return Request(f"SET {pairs}\n".encode())
 
 
 class Progress(Enum):
-    """How far a reply is."""
+    """Completeness of a reply."""
 
     PARTIAL = "more must follow"
     OPEN = "more may follow"
@@ -84,14 +84,14 @@ class Progress(Enum):
 
 
 def parsed(received: bytes, reads: str | None) -> tuple[Progress, int | None]:
-    """How far the bytes since a request are its reply, and the value that they have until now.
+    """Parse the bytes since a request; return their completeness and current value.
 
     Args:
-        received: All that has come; an end of line before it belongs to the reply before.
+        received: All received bytes; a leading end of line belongs to the previous reply.
         reads: See `Request`.
 
     Raises:
-        MalformedReplyError: They cannot become it.
+        MalformedReplyError: The bytes cannot become a valid reply.
     """
     text = received.lstrip()
     if len(received) > MAX_REPLY:
@@ -116,7 +116,7 @@ def parsed(received: bytes, reads: str | None) -> tuple[Progress, int | None]:
 
 
 def fault_text(flt: int) -> str:
-    """A value of FLT by name, with its remedy."""
+    """Return the name and remedy of an FLT value."""
     what, remedy = FAULTS.get(flt, ("a fault that the manual does not name", "see the gripper's own software"))
     return f"FLT {flt}: {what}: {remedy}"
 

@@ -1,4 +1,4 @@
-"""Which request a gripper is sent next, and what its replies say of it: a state machine, time is an argument."""
+"""State machine of a gripper's requests and replies; time is an argument."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -21,45 +21,46 @@ from haptether.slave.robotiq.protocol import (
 
 NS: Final = 1_000_000_000
 BUSY: Final = 3.0
-"""A position is asked for, and a command sent, at most each so many round trips: the server has other clients, commands
-are to get through at once, and a stream of them is to hide no fault."""
+"""Smallest interval of position requests and commands in round trips: the server has other clients, commands must pass
+at once, and a stream of them must not hide a fault.
+"""
 AVERAGED: Final = 8
-"""Round trips that the measured one follows."""
+"""Averaging length of the round trip."""
 TURNS: Final = {"POS": 1, "OBJ": 2, "FLT": 5, "STA": 10}
-"""Each is read every so many periods of the position."""
+"""Interval of each variable's reads in position periods."""
 RESENT_NS: Final = 300_000_000
-"""After which a request is sent again that the gripper does not echo: one that comes right after GTO may be dropped."""
+"""Time in ns after which a request without echo is sent again; a request right after GTO may be dropped."""
 ECHOED_NS: Final = 1_000_000_000
 MAX_ECHOES: Final = 256
 GIVES: Final = 2
-"""Counts by which jaws may move that are on something."""
+"""Motion in counts that is allowed for jaws on an object."""
 HELD_GIVES: Final = 10
-"""The same while they are to hold, 4 mm of a 2F-85: further they are stopped."""
+"""Same while they must hold; 4 mm on a 2F-85, beyond it they are stopped."""
 STALL_NS: Final = 200_000_000
-"""After which jaws that are sent on and stand still are on something; the slowest move 10 counts meanwhile."""
+"""Standing time in ns of commanded jaws that indicates an object; the slowest move 10 counts meanwhile."""
 VELOCITY_NS: Final = 100_000_000
-"""Over which the velocity is measured: a count each 20 ms is 0.2 /s."""
+"""Velocity window in ns; one count per 20 ms is 0.2 /s."""
 START: Final = ("STA", "FLT", "POS", "PRE", "OBJ", "GTO", "FOR")
-"""What a session begins with."""
+"""Variables read at the start of a session."""
 
 
 class Order(NamedTuple):
-    """What the gripper is to do, the newest of all."""
+    """Latest order for the gripper."""
 
     number: int
-    """Another one for each order."""
+    """Unique number of the order."""
     move: GripperCommand | None
-    """None to hold."""
+    """Command, or None to hold."""
 
 
 class Session:
-    """One connection to a gripper that is active.
+    """Connection to an active gripper.
 
     Args:
-        scale: Of the gripper.
-        rate_hz: How often the position is read at most.
-        values: Those of `START`, as they were read.
-        order: The last order that is not to be followed any more.
+        scale: Scale of the gripper.
+        rate_hz: Largest rate of position reads.
+        values: Read values of `START`.
+        order: Last order that must not be executed any more.
         now_ns: Time in ns.
     """
 
@@ -67,38 +68,38 @@ class Session:
         self, scale: Scale, rate_hz: float, values: Mapping[str, int], order: Order | None, now_ns: int
     ) -> None:
         self.fault: str | None = None
-        """Latched."""
+        """Latched fault."""
         self._scale = scale
         self._least_ns = round(NS / rate_hz)
         self._round_trip_ns = 0.0
         self._position = values["POS"]
         self._going = values["GTO"] == 1
         self._contact = values["OBJ"] if self._going and values["OBJ"] in CONTACT else None
-        """OBJ, where it is that of something between the jaws."""
+        """Contact value of OBJ if there is an object, otherwise None."""
         self._contact_at: int | None = self._position
-        """Where the jaws were at the first position read after OBJ showed it; None until there is one."""
+        """Position at the first read after OBJ showed contact; None before it."""
         self._moves = self._going and values["OBJ"] == MOVING
         self._holding = False
         self._sent_on: int | None = None
-        """Which contact it would be if they stood still now: the direction that they are sent in, if any."""
+        """Contact that a standstill now would indicate, by the commanded direction, or None."""
         self._stands_at, self._stands_ns = self._position, now_ns
-        """Since when they stand still, and are sent in one direction."""
+        """Start of the current standstill under a command in one direction."""
         self._force_n = scale.force_n(values["FOR"])
         self._done = -1 if order is None else order.number
         self._sent: dict[str, int] | None = None
-        """The newest request; none where this session has made none."""
+        """Latest request; None before the first of this session."""
         self._sent_ns = now_ns
         self._echoes: deque[tuple[int, int]] = deque(maxlen=MAX_ECHOES)
-        """Requested positions that PRE has not shown, each with when it was sent, the newest last."""
+        """Requested positions without echo in PRE, with sending times, newest last."""
         self._unread = False
-        """Whether OBJ was not read since PRE shows the newest request."""
+        """True if OBJ has not been read since PRE echoed the latest request."""
         self._read_ns = dict.fromkeys((*TURNS, "PRE"), now_ns - NS)
         self._positions = deque([(now_ns, self._position)], maxlen=64)
 
     # ------------------------------------------------------------------------------------------------- requests
 
     def due(self, order: Order | None, now_ns: int) -> Request | None:
-        """The request that is due, if any; its reply must be reported before the next."""
+        """Return the due request, or None; its reply must be reported before the next one."""
         request = self._setting(order, now_ns)
         if request is not None:
             return request
@@ -109,7 +110,7 @@ class Session:
         return get(variable)
 
     def wait_ns(self, order: Order | None, now_ns: int) -> int:
-        """How long until something is due, in ns, unless there is a newer order."""
+        """Return the time in ns until a request is due, without a newer order."""
         due_ns = min(map(self._due_ns, self._read))
         if order is not None and order.number != self._done:
             due_ns = min(due_ns, self._sent_ns + self._period_ns)
@@ -117,7 +118,7 @@ class Session:
 
     @property
     def round_trip_s(self) -> float:
-        """From a request to its reply, in s, averaged."""
+        """Average time in s from a request to its reply."""
         return self._round_trip_ns / NS
 
     @property
@@ -134,7 +135,7 @@ class Session:
 
     def _setting(self, order: Order | None, now_ns: int) -> Request | None:
         if order is not None and (order.move is None or self.fault is not None):
-            # What was ordered before a fault is not followed after it.
+            # Do not execute after a fault an order that precedes it.
             self._done = order.number
             self._holding = True
         if self.fault is not None:
@@ -147,7 +148,7 @@ class Session:
             self._holding = False
             return None if self._going and wanted == self._sent else self._go(wanted, now_ns)
         if self._holding:
-            # Not once: what they pressed on may be gone later.
+            # Repeatedly, because the object may disappear later.
             return self._stop()
         if self._echoes and self._sent is not None and now_ns - self._sent_ns >= RESENT_NS:
             self._sent_ns = now_ns
@@ -159,14 +160,14 @@ class Session:
         self._sent, self._sent_ns, self._going = wanted, now_ns, True
         self._force_n = self._scale.force_n(wanted["FOR"])
         if before is not None and before["POS"] == wanted["POS"]:
-            # A position that is requested anew would be taken for the begin of a motion.
+            # A repeated position would be taken for the start of a motion.
             return set_({variable: value for variable, value in wanted.items() if value != before[variable]})
         self._echoes.append((now_ns, wanted["POS"]))
         self._unread = True
         return set_({**wanted, "GTO": 1})
 
     def _stop(self) -> Request | None:
-        """GTO 0, unless the jaws rest: those that press on something keep their force."""
+        """Return GTO 0 unless the jaws rest; pressing jaws keep their force."""
         if not self._may_move:
             return None
         self._going = self._unread = self._moves = False
@@ -178,18 +179,18 @@ class Session:
     def _may_move(self) -> bool:
         if not self._going or (self._contact is not None and self._presses(self._contact)):
             return False
-        # What they do about a request that is not echoed is not known.
+        # The reaction to a request without echo is unknown.
         return self._unread or self._moves
 
     def _presses(self, contact: int) -> bool:
-        """Whether the newest request goes on against what was met."""
+        """Return True if the latest request presses against the contact."""
         requested = self._position if self._sent is None else self._sent["POS"]
         return requested >= self._position if contact == CONTACT_CLOSING else requested <= self._position
 
     # -------------------------------------------------------------------------------------------------- replies
 
     def replied(self, request: Request, value: int | None, sent_ns: int, now_ns: int) -> None:
-        """The reply to a request, as it was sent at a time in ns."""
+        """Take the reply to a request that was sent at a time in ns."""
         self._round_trip_ns += (now_ns - sent_ns - self._round_trip_ns) / AVERAGED
         if request.reads is None or value is None:
             return
@@ -208,11 +209,11 @@ class Session:
                 pass
 
     def latch(self, fault: str) -> None:
-        """Something is wrong; the first that is stays until `acknowledge`."""
+        """Latch a fault; the first one stays until `acknowledge`."""
         self.fault = self.fault or fault
 
     def acknowledge(self) -> None:
-        """The operator has removed the fault; what still is wrong shows again with the next readings."""
+        """Acknowledge a fixed fault; a persistent one reappears with the next readings."""
         self.fault = None
         self._echoes.clear()
 
@@ -221,7 +222,7 @@ class Session:
         self._positions.append((now_ns, value))
         gives = HELD_GIVES if self._holding else GIVES
         if self._contact is not None and self._contact_at is None:
-            # The position before OBJ may be that of jaws under way.
+            # A position before OBJ may belong to moving jaws.
             self._contact_at = value
         if self._contact is not None and (
             (self._contact_at is not None and abs(value - self._contact_at) > gives) or not self._presses(self._contact)
@@ -233,14 +234,14 @@ class Session:
         if sent_on != self._sent_on or abs(value - self._stands_at) > 1:
             self._sent_on, self._stands_at, self._stands_ns = sent_on, value, now_ns
         elif sent_on is not None and self._unread and now_ns - self._stands_ns >= STALL_NS:
-            # Each request of a stream makes OBJ 0 again: that they stand still tells.
+            # Each request of a stream resets OBJ to 0, so a standstill indicates contact.
             self._contact, self._contact_at = sent_on, value
 
     def _look_at_jaws(self, value: int) -> None:
         if not self._going:
             return
         if value == MOVING:
-            # Also of jaws that press on, until the new request shows the same contact: their position tells.
+            # Also for pressing jaws, until the new request shows the same contact; their position decides.
             self._moves = True
         elif value in CONTACT and (not self._echoes or self._presses(value)):
             if value != self._contact:
@@ -266,7 +267,7 @@ class Session:
     # --------------------------------------------------------------------------------------------------- sample
 
     def sample(self, now_ns: int) -> GripperSample:
-        """What is known of the gripper."""
+        """Return the known state of the gripper."""
         while len(self._positions) > 2 and now_ns - self._positions[1][0] >= VELOCITY_NS:
             self._positions.popleft()
         (first_ns, first), (last_ns, last) = self._positions[0], self._positions[-1]

@@ -1,4 +1,4 @@
-"""The connection to the URCap's server: each call within a time limit, each failure by name."""
+"""Connection to the URCap's server: each call has a timeout, each failure a name."""
 
 import contextlib
 import socket
@@ -9,24 +9,24 @@ from haptether.slave.robotiq.protocol import MAX_REPLY, MAX_SHOWN, MalformedRepl
 
 CONNECT_S: Final = 2.0
 SETTLE_S: Final = 0.002
-"""After which a number that could have had more digits has none: a reply is one segment."""
+"""Pause in s after which a number is complete; a reply is one segment."""
 SEE_URCAP: Final = "is the arm on, in this network, and the Robotiq URCap installed, its gripper found on the pendant?"
 
 
 class WireError(RuntimeError):
-    """The connection cannot be used any more; begins with the name of the fault."""
+    """Unusable connection; the text begins with the name of the fault."""
 
 
 class Wire:
-    """A connection, for one thread; `close` ends what another thread does with it.
+    """Connection for one thread; `close` interrupts another thread's call.
 
     Args:
         host: An IPv4 address.
-        port: Of the server.
-        limit_s: How long a reply may take, in s.
+        port: Port of the server.
+        limit_s: Timeout of a reply in s.
 
     Raises:
-        WireError: Nobody takes the connection.
+        WireError: The connection fails.
     """
 
     def __init__(self, host: str, port: int, limit_s: float) -> None:
@@ -39,10 +39,10 @@ class Wire:
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def exchange(self, request: Request) -> int | None:
-        """Sends a request and waits for its reply; the value that it has, if any.
+        """Send a request and wait for its reply; return the value, or None.
 
         Raises:
-            WireError: No reply, or something else.
+            WireError: No reply, or a malformed one.
         """
         end_s = time.monotonic() + self._limit_s
         try:
@@ -60,9 +60,9 @@ class Wire:
         raise WireError(message)
 
     def close(self) -> None:
-        """Ends the connection; a second time does nothing."""
+        """Close the connection; may be repeated."""
         with contextlib.suppress(OSError):
-            # Whoever waits for a reply wakes up.
+            # Wake a thread that waits for a reply.
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
@@ -80,14 +80,14 @@ class Wire:
         return value
 
     def _discard_line_end(self) -> None:
-        """What still comes of the reply before may be an end of line, nothing else."""
+        """Accept only an end of line after the previous reply."""
         late = self._received(0.0)
         if late is not None and late.strip():
             message = f"{late[:MAX_SHOWN]!r}: nothing was asked"
             raise MalformedReplyError(message)
 
     def _received(self, limit_s: float) -> bytes | None:
-        """What comes within a time in s; none where nothing does."""
+        """Return data received within a time in s, or None."""
         self._socket.settimeout(max(0.0, limit_s))
         try:
             part = self._socket.recv(MAX_REPLY + 1)

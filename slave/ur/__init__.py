@@ -1,1 +1,1 @@
-"""The driver of a UR arm, `device = "ur"`, and the arm's kinematics."""
+"""Driver of a UR arm, `device = "ur"`, and the arm's kinematics."""

@@ -1,6 +1,6 @@
-"""The checklist before a UR arm moves, and the way back to it after a fault.
+"""Checklist before a UR arm moves, and recovery after a fault.
 
-Each line says what was found, and what to do where it is refused.
+Each line gives a finding, and a remedy for each refusal.
 """
 
 import math
@@ -39,20 +39,22 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 OLDEST: Final = {3: (3, 15), 5: (5, 4)}
-"""Before these, registers or status bits that the library needs are missing. Other series are not supported."""
+"""Oldest supported versions: earlier ones lack registers or status bits that the library needs. Other series are not
+supported.
+"""
 REMOTE_SINCE: Final = (5, 6)
 POLYSCOPE_X: Final = 10
 TOOL_M: Final = 1e-4
-"""How far what was set as tool may be from what the controller says it has, in m and rad."""
+"""Largest difference between set and reported tool, in m and rad."""
 MODEL_M: Final = 0.03
-"""Farthest that the chosen model's tool may be from the controller's: calibrations are millimetres."""
+"""Largest distance in m between the model's and the controller's tool; calibrations are millimetres."""
 UNLOCK_AFTER_S: Final = 5.0
-"""The controller refuses before."""
+"""The controller refuses earlier."""
 UNLOCKED_WITHIN_S: Final = 3.0
 
 
 class UrRefusedError(RefusedError):
-    """The arm is not to be moved now."""
+    """The arm must not move now."""
 
 
 ENABLE: Final = "is the {} enabled (Settings > Security > Services)?"
@@ -60,10 +62,10 @@ REACHABLE: Final = "is it on, in this network, and RTDE not disabled in its secu
 
 
 def check_address(host: str, checklist: Checklist) -> str:
-    """The controller's address, which is not looked up again.
+    """Resolve the controller's address once.
 
     Raises:
-        UrRefusedError: It has none.
+        UrRefusedError: There is no address.
     """
     try:
         address = resolved(host)
@@ -76,7 +78,7 @@ def check_address(host: str, checklist: Checklist) -> str:
 
 
 def check_before(options: UrOptions, checklist: Checklist) -> Probe:
-    """What can be seen before anything is sent: controller, version, modes, stops, program, remote control.
+    """Check everything visible before sending: controller, version, modes, stops, program, remote control.
 
     Raises:
         UrRefusedError: The arm is not ready.
@@ -97,10 +99,10 @@ def check_before(options: UrOptions, checklist: Checklist) -> Probe:
 
 
 def check_version(seen: Probe, checklist: Checklist) -> None:
-    """Check that the driver supports the software of the controller.
+    """Check that the driver supports the controller software.
 
     Raises:
-        UrRefusedError: It does not; the services of the next checks may not exist.
+        UrRefusedError: Unsupported; the services of the next checks may not exist.
     """
     version = seen.version[:2]
     oldest = OLDEST.get(version[0])
@@ -112,7 +114,7 @@ def check_version(seen: Probe, checklist: Checklist) -> None:
 
 
 def check_services(seen: Probe, host: str, checklist: Checklist) -> None:
-    """Check that the controller takes scripts and its dashboard server answers."""
+    """Check that the controller accepts scripts and its dashboard server answers."""
     try:
         check_script_port(host)
         checklist.ok("scripts", f"port {SCRIPT_PORT}")
@@ -134,7 +136,7 @@ def check_services(seen: Probe, host: str, checklist: Checklist) -> None:
 
 
 def check_program(seen: Probe, host: str, checklist: Checklist) -> None:
-    """Check that no program plays. A control script without a client is ended, unless something was refused."""
+    """Check that no program plays. End a control script without a client, unless an item was refused."""
     what, plays = mode_text(RuntimeState, seen.runtime_state), seen.runtime_state == RuntimeState.PLAYING
     remedy = "somebody else's program plays: stop it on the pendant"
     if plays and not checklist.refused:
@@ -148,13 +150,13 @@ def check_program(seen: Probe, host: str, checklist: Checklist) -> None:
 
 
 def check_state(seen: Probe, checklist: Checklist) -> None:
-    """Robot mode, safety mode and speed slider."""
+    """Check robot mode, safety mode and speed slider."""
     robot_mode, safety_mode = seen.robot_mode, seen.safety_mode
     checklist.check(
         "robot mode", mode_text(RobotMode, robot_mode), good=robot_mode == RobotMode.RUNNING,
         remedy="power the arm on and release its brakes on the pendant",
     )  # fmt: skip
-    # Reduced is normal with the lower limits of a zone: those are the controller's to keep.
+    # Reduced mode is normal within a zone's lower limits, which the controller enforces.
     good = safety_mode == SafetyMode.NORMAL and not seen.safety_bits & ~0b11
     stopped = safety_mode == SafetyMode.PROTECTIVE_STOP
     checklist.check(
@@ -170,16 +172,16 @@ def check_state(seen: Probe, checklist: Checklist) -> None:
 def check_after(
     options: UrOptions, connection: RtdeConnection, checklist: Checklist, *, sensor: bool = True
 ) -> UrState:
-    """What needs the control script: payload, tool, watchdog, force sensor.
+    """Check what needs the control script: payload, tool, watchdog, force sensor.
 
     Args:
-        options: Of the driver.
-        connection: Connected, its script playing.
+        options: Options of the driver.
+        connection: Connection with a playing script.
         checklist: Takes the lines.
-        sensor: Whether to zero the force sensor: not where the tool may touch something.
+        sensor: True to zero the force sensor; False if the tool may be in contact.
 
     Raises:
-        UrRefusedError: Something was refused.
+        UrRefusedError: An item was refused.
     """
     steps: list[tuple[str, str, Callable[[], str]]] = []
     if options.payload_kg is not None:
@@ -190,7 +192,7 @@ def check_after(
     if sensor and options.zero_ft_sensor:
         remedy = "the tool must touch nothing; zero_ft_sensor = false leaves it"
         steps.append(("force sensor", remedy, lambda: _zero(connection)))
-    # Last: from then on this side must be heard.
+    # Last, because from then on the controller must hear this side.
     steps.append(
         ("watchdog", "without it nothing stops the arm when this side dies", lambda: _watchdog(options, connection))
     )
@@ -199,17 +201,17 @@ def check_after(
             checklist.ok(what, step())
         except RtdeConnectionError as error:
             checklist.refuse(what, str(error), remedy)
-            # What follows would only wait for the same.
+            # Later steps would only time out too.
             break
     checklist.finish()
     return connection.state()
 
 
 def check_model(distance_m: float, options: UrOptions, checklist: Checklist) -> None:
-    """Whether the arm is the one that the options name.
+    """Check that the arm is the model that the options name.
 
     Raises:
-        UrRefusedError: The tool of that model would be elsewhere.
+        UrRefusedError: The tool of that model would be at another position.
     """
     checklist.check(
         "model", f"{options.model}, its tool {1e3 * distance_m:.1f} mm from where the controller has it",
@@ -219,10 +221,10 @@ def check_model(distance_m: float, options: UrOptions, checklist: Checklist) -> 
 
 
 def check_workspace(beyond_m: float, beyond_rad: float, options: UrOptions, checklist: Checklist) -> None:
-    """Whether the tool is inside the planes, and its axis in the cone, that the options name.
+    """Check that the tool is within the planes, and its axis within the cone, of the options.
 
     Raises:
-        UrRefusedError: It is outside by more than a first command may be away.
+        UrRefusedError: The tool is outside by more than the largest distance of a first command.
     """
     if options.tool_cone is not None:
         checklist.check(
@@ -242,18 +244,18 @@ def check_workspace(beyond_m: float, beyond_rad: float, options: UrOptions, chec
 
 
 def recover(options: UrOptions, connection: RtdeConnection, stopped_at_s: float) -> UrState:
-    """Unlocks a protective stop, connects again and uploads the script again, as far as each is needed.
+    """Unlock a protective stop, reconnect and upload the script again, as needed.
 
-    It powers nothing on and leaves emergency and safeguard stops to people beside the arm. The force sensor stays as it
-    is: the tool may touch something.
+    Does not power on the arm; people beside the arm must clear emergency and safeguard stops. The force sensor is not
+    zeroed, because the tool may be in contact.
 
     Args:
-        options: Of the driver.
-        connection: Its connections, in whatever state.
-        stopped_at_s: When the fault was seen, on the monotonic clock.
+        options: Options of the driver.
+        connection: Connections in any state.
+        stopped_at_s: Time of the fault on the monotonic clock.
 
     Raises:
-        Exception: What still stands against it; the arm stays where it is.
+        Exception: The remaining obstacle; the arm does not move.
     """
     seen = _unlocked(options.host, probe(options.host), stopped_at_s)
     checklist = Checklist(options.host)
@@ -265,7 +267,7 @@ def recover(options: UrOptions, connection: RtdeConnection, stopped_at_s: float)
         and seen.runtime_state == RuntimeState.PLAYING
         and not end_control_script(options.host)
     ):
-        # Ours has ended: to connect would stop what somebody has started meanwhile.
+        # Our program has ended, and connecting would stop another one started meanwhile.
         message = "a program plays that is not ours: stop it on the pendant, then acknowledge again"
         raise RtdeConnectionError(message)
     connection.connect()
@@ -295,7 +297,7 @@ def _watchdog(options: UrOptions, connection: RtdeConnection) -> str:
     if not options.verify_watchdog:
         return f"{options.watchdog_hz:g} Hz, not tried"
     connection.setting("watchdog", lambda: connection.control.setWatchdog(options.watchdog_hz))
-    # Silence: the program must end.
+    # Stay silent: the program must end.
     try:
         connection.await_state(
             "the program ends in silence", lambda state: state.runtime_state != RuntimeState.PLAYING, period_s + 1.0
@@ -303,7 +305,7 @@ def _watchdog(options: UrOptions, connection: RtdeConnection) -> str:
     except RtdeConnectionError as error:
         message = f"does not bite: {error}"
         raise RtdeConnectionError(message) from None
-    # The driver arms it again with its first sample, from when on it is heard.
+    # The driver arms it again with its first sample, and is heard from then on.
     connection.upload()
     return f"{options.watchdog_hz:g} Hz, tried: it ends the program"
 

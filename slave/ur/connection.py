@@ -1,4 +1,4 @@
-"""The connections to a UR controller: the vendor's library, each of its calls within a time limit."""
+"""Connections to a UR controller: vendor library calls with timeouts."""
 
 import contextlib
 import ctypes
@@ -15,39 +15,39 @@ from haptether.slave.ur.state import RAW_WRENCH, VARIABLES, RuntimeState, UrStat
 from haptether.slave.ur.worker import Call, CallTimeoutError, ControlProcess, Idle, TimedWorker
 
 Control: TypeAlias = Any
-"""An `rtde_control.RTDEControlInterface`; the library has no types."""
+"""`rtde_control.RTDEControlInterface`; the library has no types."""
 Order: TypeAlias = Callable[[Control], bool]
-"""Calls of the library, to be made on its thread."""
+"""Library calls to be made on its thread."""
 
 START_S: Final = 5.5
-"""For the start of the control script: the library waits for 5 s and the time that its naps take longer."""
+"""Timeout of the control script's start: the library waits 5 s plus its own sleeps."""
 CONNECT_S: Final = DASHBOARD_S + 6.0 * REPLY_S + 5.0 + START_S + 2.0
-"""The library's own limits together: dashboard with six lines, synchronisation, start of the control script."""
+"""Sum of the library's timeouts: dashboard with six lines, synchronisation, start of the control script."""
 RECEIVE_S: Final = 4.0
 SETTING_S: Final = 2.0
-"""For a command that the control script acknowledges; two control cycles as a rule."""
+"""Timeout of a command acknowledged by the control script; normally two control cycles."""
 STREAM_S: Final = 0.1
-"""For a command that is sent on and not acknowledged; 0.2 ms as a rule."""
+"""Timeout of an unacknowledged command; normally 0.2 ms."""
 UPLOAD_S: Final = 8.0
 END_S: Final = 0.8
-"""For `stopScript`, and for the disconnection."""
+"""Timeout of `stopScript`, and of the disconnection."""
 LAST_STOP_S: Final = PROGRAM_END_S + 0.5
-"""For the program to be ended without the library, at the end: longer than its own limits together."""
+"""Timeout of the last program end without the library; longer than the sum of its own timeouts."""
 POLL_S: Final = 0.005
 
 
 class RtdeConnectionError(RuntimeError):
-    """A call of the library failed or timed out, or the controller refused it."""
+    """A library call failed or timed out, or the controller refused it."""
 
 
 def vendor_module() -> Any:  # noqa: ANN401  # it has no types
-    """`rtde_receive`, once `rtde_control` is there as well.
+    """Return `rtde_receive` after checking for `rtde_control`.
 
     Raises:
-        RtdeConnectionError: They are not installed.
+        RtdeConnectionError: The modules are not installed.
     """
     try:
-        # Only whoever has such an arm; it has no types.
+        # Imported only for such an arm; it has no types.
         import_module("rtde_control")
         module = import_module("rtde_receive")
     except ImportError as error:
@@ -56,11 +56,11 @@ def vendor_module() -> Any:  # noqa: ANN401  # it has no types
 
 
 class RtdeConnection:
-    """Control and receive interface of one controller. What moves the arm goes through `worker` alone.
+    """Control and receive interface of one controller. All motion goes through `worker`.
 
     Args:
-        options: Of the driver.
-        version: Of the controller.
+        options: Options of the driver.
+        version: Version of the controller.
     """
 
     def __init__(self, options: UrOptions, version: tuple[int, ...]) -> None:
@@ -71,7 +71,7 @@ class RtdeConnection:
         self.worker = TimedWorker("ur-control")
         self._receiver = TimedWorker("ur-receive")
         self.control: Control = None
-        """None where it is not connected, or was cut."""
+        """None if not connected, or cut."""
         self.receive: Any = None
         self._closed = False
         self._uploads = False
@@ -79,29 +79,29 @@ class RtdeConnection:
 
     @property
     def rate_hz(self) -> float:
-        """Packages a second that were requested."""
+        """Requested packages per second."""
         return float(self._options.frequency or self._default_rate)
 
     @property
     def broken(self) -> bool:
-        """Whether the control interface does not answer any more, so that it can only be cut."""
+        """True if the control interface no longer answers and can only be cut."""
         return self.worker.stuck is not None or not self.control.alive
 
     # -------------------------------------------------------------------------------------------------- connect
 
     def connect(self) -> None:
-        """Connects what is not connected, uploads the control script and waits until it plays.
+        """Connect missing connections, upload the control script and wait until it plays.
 
-        The constructor of the receive interface holds the interpreter and has no time limit: call `probe` before, so
-        that it finds somebody who answers.
+        The constructor of the receive interface holds the interpreter without a timeout. Call `probe` first to verify
+        that the controller answers.
 
         Raises:
-            RtdeConnectionError: No connection, inputs that another client has, or a script that does not start.
+            RtdeConnectionError: No connection, inputs in use by another client, or a script that does not start.
         """
         self._check_open()
         host, rate = self._options.host, self.rate_hz
         if self.receive is None or not self.receive.isConnected() or not self._receives():
-            # Never the old one again: to reconnect it may hang, to disconnect it may end this process.
+            # Never reuse an old interface: reconnecting may hang, and disconnecting may end this process.
             if self._receiver.stuck is not None:
                 self._receiver = TimedWorker("ur-receive")
             names = [*VARIABLES, *([RAW_WRENCH] if self._raw_wrench else [])]
@@ -114,20 +114,20 @@ class RtdeConnection:
             self._uploads = True
             self.control = ControlProcess(host, rate)
             try:
-                # Closed just now, or from here on by whoever closes it.
+                # Recheck, because another thread may close from here on.
                 self._check_open()
                 self._run(self.worker, "connect (control)", self.control.connect, CONNECT_S)
             except RtdeConnectionError:
-                # It would go on, and upload its script whenever that comes through.
+                # Otherwise the library continues, and may upload its script later.
                 self.cut()
                 raise
         self.upload()
 
     def upload(self) -> None:
-        """Has the control script play, anew where it does not.
+        """Make the control script play; upload it again if it does not.
 
         Raises:
-            RtdeConnectionError: It does not start.
+            RtdeConnectionError: The script does not start.
         """
         if self.state().runtime_state != RuntimeState.PLAYING:
             self.setting("upload of the control script", self.control.reuploadScript, UPLOAD_S)
@@ -139,7 +139,7 @@ class RtdeConnection:
             raise RtdeConnectionError(message)
 
     def _receives(self) -> bool:
-        """Whether packages come."""
+        """Return True if packages arrive."""
         before, end_s = self.receive.getTimestamp(), time.monotonic() + 0.1
         while time.monotonic() < end_s:
             if self.receive.getTimestamp() != before:
@@ -150,14 +150,14 @@ class RtdeConnection:
     # -------------------------------------------------------------------------------------- packages and commands
 
     def state(self) -> UrState:
-        """The newest package."""
+        """Return the latest package."""
         return read_state(self.receive, raw_wrench=self._raw_wrench)
 
     def await_state(self, what: str, holds: Callable[[UrState], bool], limit_s: float) -> UrState:
-        """The first state in which something holds.
+        """Wait for the first state that satisfies a condition.
 
         Raises:
-            RtdeConnectionError: It has not come to that in time.
+            RtdeConnectionError: The condition is not satisfied in time.
         """
         end_s = time.monotonic() + limit_s
         while not holds(state := self.state()):
@@ -168,10 +168,10 @@ class RtdeConnection:
         return state
 
     def setting(self, name: str, function: Callable[[], Any], limit_s: float = SETTING_S) -> Any:  # noqa: ANN401
-        """Makes a call that the controller acknowledges, and returns its result.
+        """Make a call that the controller acknowledges, and return its result.
 
         Raises:
-            RtdeConnectionError: It failed or was refused.
+            RtdeConnectionError: The call failed or was refused.
         """
         result = self._run(self.worker, name, function, limit_s)
         if result is False:
@@ -180,14 +180,14 @@ class RtdeConnection:
         return result
 
     def start(self, name: str, order: Order, limit_s: float) -> Call:
-        """Queues an order and drops what was streamed and has not started; does not wait."""
+        """Queue an order without waiting; drop streamed orders that have not started."""
         control = self.control
         return self.worker.start(name, lambda: order(control), limit_s)
 
     def stream(self, name: str, order: Order, idle: Idle | None = None) -> None:
-        """Has an order made as soon as the library is free, instead of the streamed one that has not started.
+        """Execute an order as soon as the library is free, replacing a streamed order that has not started.
 
-        `idle` follows where nothing else is requested within its time.
+        `idle` is called if nothing else is requested within its time.
         """
         control = self.control
         self.worker.stream(name, lambda: order(control), STREAM_S, idle)
@@ -195,16 +195,16 @@ class RtdeConnection:
     # ----------------------------------------------------------------------------------------------------- end
 
     def cut(self) -> None:
-        """Ends the control interface, whatever it does: nothing of this side moves the arm any more."""
+        """End the control interface in any state; this side cannot move the arm any more."""
         if self.control is not None:
             self.control.kill()
             self.worker.end()
             self.control, self.worker = None, TimedWorker("ur-control")
 
     def close(self) -> list[str]:
-        """Ends the script and both connections; what of that failed.
+        """End the script and both connections; return the failures.
 
-        Within `LAST_STOP_S` and 2 s where the controller does not answer; within a second as a rule.
+        Takes `LAST_STOP_S` plus 2 s if the controller does not answer, normally less than a second.
         """
         failed: list[str] = []
         self._closed = True
@@ -212,20 +212,20 @@ class RtdeConnection:
         last_stop: Callable[[str], object] | None = end_control_script if self._uploads else None
         if control is not None:
             try:
-                # The library stops no script that does not play yet.
+                # The library does not stop a script that is not playing yet.
                 plays = self.state().runtime_state == RuntimeState.PLAYING
                 self.worker.run("stopScript", control.stopScript, END_S)
                 last_stop = None if plays else last_stop
-            except Exception as error:  # of the library
+            except Exception as error:  # errors of the library
                 failed.append(f"stopScript: {error}")
                 last_stop = end_program
         self.cut()
         if last_stop is not None:
-            # The script may play on, or start later without a watchdog.
+            # The script may still play, or start later without a watchdog.
             try:
                 ended = self.worker.run("end of the program", lambda: last_stop(host), LAST_STOP_S)
                 failed = [STILL_PLAYS] if ended is False else []
-            except Exception as error:  # of the network
+            except Exception as error:  # errors of the network
                 failed.append(str(error))
         if receive is not None and receive.isConnected():
             with contextlib.suppress(Exception):
@@ -239,12 +239,12 @@ class RtdeConnection:
             return worker.run(name, function, limit_s)
         except CallTimeoutError:
             message = f"{name}: has not returned within {limit_s:g} s"
-        except Exception as error:  # of the library
+        except Exception as error:  # errors of the library
             message = f"{name}: {' '.join(str(error).split())}"
         raise RtdeConnectionError(message)
 
 
 def _never_destroyed(interface: Any) -> Any:  # noqa: ANN401  # rtde_receive.RTDEReceiveInterface
-    """One more reference than anybody lets go of: its destructor disconnects, and where that fails ends the process."""
+    """Add a reference that is never released: the destructor disconnects, and on failure ends the process."""
     ctypes.pythonapi.Py_IncRef(ctypes.py_object(interface))
     return interface

@@ -1,4 +1,4 @@
-"""The driver of a UR arm: `device = "ur"`."""
+"""Driver of a UR arm: `device = "ur"`."""
 
 import sys
 import time
@@ -30,30 +30,30 @@ from haptether.slave.ur.worker import Call, TimedWorker
 from haptether.slave.ur.wrench import UrWrench
 
 READ_S: Final = 0.025
-"""Longest that `read` waits for a package: beyond the 20 ms that make the ladder hold."""
+"""Timeout of `read` for a package in s; longer than the 20 ms after which the ladder holds."""
 STALE_S: Final = 0.1
-"""Age of the newest package that is a fault."""
+"""Age of the latest package in s that is a fault."""
 POLL_S: Final = 1e-4
 EARLY: Final = 0.7
-"""Share of the period after which a package is looked for."""
+"""Fraction of the period after which a package is polled."""
 
 
 class UrSlave:
-    """A UR arm through ur_rtde, for one thread; see `SlaveDevice` and docs/ur.md.
+    """UR arm through ur_rtde, for one thread; see `SlaveDevice` and docs/ur.md.
 
     Args:
-        options: Those of `UrOptions`.
+        options: Fields of `UrOptions`.
 
     Raises:
-        ValueError: Options that cannot be. From `open` also `UrRefusedError` and `RtdeConnectionError`: the arm is not
-            ready, or ur-rtde is missing.
+        ValueError: The options are invalid. `open` also raises `UrRefusedError` and `RtdeConnectionError` if the arm is
+            not ready, or ur-rtde is missing.
     """
 
     paces = True
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Of the sides that it can be."""
+        """Supported kinds of sides."""
         return ("linear", "pose") if self.options.axes == 3 else ("linear",)
 
     @property
@@ -63,12 +63,12 @@ class UrSlave:
 
     @property
     def period_s(self) -> float | None:
-        """Between two samples in s, once it is open: that of the controller's packages."""
+        """Interval between two samples in s, once open: that of the controller's packages."""
         return self._period_s if self._opened else None
 
     @property
     def max_speed(self) -> float:
-        """Largest speed of the tool in m/s; behind a faster command the arm would go on after it was let go."""
+        """Largest tool speed in m/s; behind a faster command the arm would continue to move after the release."""
         return self.options.max_speed
 
     speed_bound = 10.0
@@ -88,22 +88,22 @@ class UrSlave:
         self._wrench: UrWrench
         self._state: UrState
         self._before: UrState | None = None
-        """The last state in which the arm was allowed to move."""
+        """Last state in which the arm was allowed to move."""
         self._opened = False
         self._closed = False
-        """Maybe while it still opens."""
+        """May be set during `open`."""
         self._period_s = 0.002
         self._arrived_s = self._read_s = 0.0
         self._fault: str | None = None
         self._shown: str | None = None
-        """The fault of the last sample."""
+        """Fault of the last sample."""
         self._fault_s = 0.0
         self._recovery: Call | None = None
 
     # ---------------------------------------------------------------------------------------------- SlaveDevice
 
     def open(self) -> None:
-        """Goes through the checklist and connects; the arm does not move."""
+        """Run the checklist and connect; the arm does not move."""
         vendor_module()
         self._closed = False
         checklist = Checklist(f"ur {self.options.host}", error=UrRefusedError)
@@ -122,7 +122,7 @@ class UrSlave:
         self._connection.connect()
         x, y, z, rx, ry, rz = options.tool or (self._connection.setting("tool", self._connection.control.getTCPOffset))
         offset = (x, y, z, rx, ry, rz)
-        # With CasADi, which takes its time: before the watchdog listens.
+        # Loading CasADi takes time, so it precedes the start of the watchdog.
         mode = ur_mode(options, self._period_s, offset)
         self._motion = motion = Motion(
             options, self._connection, self._soft_stop, mode, self._period_s, report=self._report
@@ -138,14 +138,14 @@ class UrSlave:
         distance_m = model_distance(mode)
         if distance_m is not None and mode.finds_joints:
             check_model(distance_m, options, checklist)
-        # What is imported and compiled at the first order takes longer than the watchdog waits.
+        # Imports and compilation of the first order would exceed the watchdog's period.
         motion.rehearse(self._state)
         if options.force_source == "raw" and options.zero_ft_sensor:
             self._wrench.zero(self._state.wrench, self._state.pose)
         self._arrived_s = self._read_s = time.monotonic()
 
     def read(self) -> SlaveSample:
-        """The next package, or the last one where none comes in time."""
+        """Return the next package, or the last one after a timeout."""
         if self._recovery is not None:
             self._look_at_recovery(self._recovery)
         if self._recovery is not None:
@@ -163,7 +163,7 @@ class UrSlave:
             if self._fault is None:
                 self._latch(text)
             else:
-                # The fault that it was stopped for stands; this is graver.
+                # The original fault remains, but this is more serious.
                 self._report(f"{text}; if it moves, press its emergency stop")
             self._soft_stop.cut()
         return self._sample()
@@ -175,7 +175,7 @@ class UrSlave:
         orientation: tuple[float, ...] | None = None,
         angular_velocity: tuple[float, ...] | None = None,
     ) -> None:
-        """Sends the tool on, within its bounds; nothing where there is a fault or the watchdog is not armed."""
+        """Send the tool on within its bounds; no effect during a fault or without an armed watchdog."""
         if self._recovery is not None:
             self._latch("engaged before the arm was ready: acknowledge again, and wait for the line that says so")
         if self._fault is not None or not self._watchdog.armed or self._motion is None:
@@ -186,15 +186,15 @@ class UrSlave:
             self._latch(str(error))
 
     def stop(self) -> None:
-        """Has the arm come to rest; returns at once, `read` sees to it that it does."""
-        # One that was never led may have no state yet.
+        """Bring the arm to rest without blocking; `read` supervises it."""
+        # An arm without a command may have no state yet.
         if self._motion is not None and self._soft_stop.commanded:
             self._soft_stop.stop(self._motion.mode.brake(self._state))
 
     def acknowledge(self) -> None:
-        """The operator has removed the fault: unlocks, connects and uploads again, and says when the arm is ready."""
+        """Acknowledge a fixed fault: unlock, connect and upload again; report when the arm is ready."""
         if self._fault is None or self._fault is not self._shown or self._recovery is not None:
-            # A fault since the last sample was not shown to anybody.
+            # A fault since the last sample has not been shown yet.
             return
         self._fault = None
         self._watchdog.reset()
@@ -212,7 +212,7 @@ class UrSlave:
         self._recovery = self._aside.start("recovery", recovered, 60.0)
 
     def close(self) -> None:
-        """Ends the control script and disconnects: within 5 s where the controller answers, else 20 s."""
+        """End the control script and disconnect: within 5 s if the controller answers, otherwise 20 s."""
         self._closed = True
         if not self._opened:
             return
@@ -229,7 +229,7 @@ class UrSlave:
 
     @property
     def latency_s(self) -> float | None:
-        """From what was written to where the arm was, in s, over the last seconds of motion; none without motion."""
+        """Delay in s from command to motion over the last seconds of motion; None without motion."""
         return None if self._motion is None else self._motion.latency.seconds
 
     # ---------------------------------------------------------------------------------------------------- read
@@ -249,7 +249,7 @@ class UrSlave:
         if state.finite:
             self._state = state
         else:
-            # None of it is used: a filter would keep a number that is none for ever.
+            # Discard the package, because a NaN would persist in the filter.
             self._state = self._state._replace(timestamp=state.timestamp)
             self._latch("the controller has sent a number that is none: see its log, then acknowledge")
 
@@ -257,7 +257,7 @@ class UrSlave:
         lost = not self._connection.receive.isConnected() or now_s - self._arrived_s > STALE_S
         if self._fault is not None:
             if lost and self._connection.control is not None:
-                # The library would connect again by itself, and upload a script without a watchdog.
+                # The library would reconnect, and upload a script without a watchdog.
                 self._soft_stop.cut()
             return
         state = self._state
@@ -287,11 +287,11 @@ class UrSlave:
         if recovery.error is not None:
             stopped_s, text = self._fault_s, " ".join(str(recovery.error).split())
             if self._fault is not None:
-                # Somebody has engaged too early; the cause is reported all the same.
+                # A premature engagement occurred; report the cause nevertheless.
                 self._report(f"not ready: {text}")
-            # The next acknowledgement connects anew: what failed may be a connection that nothing else shows is gone.
+            # The next acknowledgement reconnects, because the failure may be an undetected lost connection.
             self._latch(text, lost=True)
-            # Still the same stop.
+            # Same stop as before.
             self._fault_s = stopped_s
             return
         self._state = recovery.result
@@ -312,10 +312,10 @@ class UrSlave:
     # -------------------------------------------------------------------------------------------------- faults
 
     def _latch(self, text: str, *, lost: bool = False) -> None:
-        """A fault stays until it is acknowledged; the arm is stopped, or the connection cut where it is lost."""
+        """Latch a fault until it is acknowledged; stop the arm, or cut a lost connection."""
         if self._fault is None:
             self._fault, self._fault_s = text, time.monotonic()
-            # First the arm: whoever reads the report may be slow, or stopped.
+            # Stop the arm first, because the report handler may be slow or blocked.
             if lost:
                 self._soft_stop.cut()
             else:

@@ -1,4 +1,4 @@
-"""The commands that can move a UR arm: each follows the same set point, and without an orientation keeps its own."""
+"""Motion commands of a UR arm: each follows the same set point, and keeps its orientation if none is given."""
 
 import math
 from typing import TYPE_CHECKING, Any, Final, Protocol
@@ -29,38 +29,39 @@ if TYPE_CHECKING:
 
 DIRECT_TORQUE_SINCE: Final = (5, 26)
 ROTATION_SPEED: Final = 0.5
-"""rad/s at most, to keep the orientation of the begin under speedl."""
+"""Largest angular speed in rad/s that keeps the initial orientation under speedl."""
 WRIST_SHARE: Final = 0.2
-"""Stiffness and damping of the three wrists, of those of the large joints."""
+"""Ratio of the wrists' stiffness and damping to those of the large joints."""
 CORRECTION_PERIODS: Final = 4.0
-"""Periods in which the joints make up for what they are beside the set point."""
+"""Periods in which the joints correct their deviation from the set point."""
 MAX_BEHIND_M: Final = 0.02
-"""How far the joints may stay behind it: what more there is would be made up for at once, somewhere else."""
+"""Largest lag in m of the joints behind the set point; more would be corrected at once at another position."""
 MAX_BEHIND_RAD: Final = 0.3
-"""The same of their orientation, which gives way near a singularity."""
+"""Largest orientation lag in rad; the orientation yields near a singularity."""
 CATCH_UP: Final = 1.2
-"""Times `max_angular_speed` at most, to make up for what the orientation stayed behind."""
+"""Largest factor of `max_angular_speed` for correcting an orientation lag."""
 JOINT_ACCELERATION: Final = 25.0
-"""rad/s² at most: what the bounds of the tool need over the shortest lever, not what makes it smooth."""
+"""Largest joint acceleration in rad/s²: required by the tool's bounds over the shortest lever, not for smoothness."""
 APPROACH_HZ: Final = 10.0
-"""A distance to a plane, or of the arm to itself, shrinks at most at this rate times what is left of it; of a tool that
-may be faster than 1 m/s so much slower that it brakes with 10 m/s²."""
+"""A plane or self distance shrinks at most at this rate times the remaining distance. For a tool faster than 1 m/s the
+rate is lower, so that it brakes with 10 m/s².
+"""
 JOINT_SPEED_SHARE: Final = 0.9
-"""Of the largest speed of a joint: what is commanded stays this far below."""
+"""Fraction of a joint's largest speed that commands may use."""
 POSE_SPEED_SHARE: Final = 0.7
-"""The same where the tool is turned: near a singularity joints go that fast, and an arm overshoots."""
+"""Same for a rotating tool: near a singularity joints reach it, and an arm overshoots."""
 SPRUNG_SPEED_SHARE: Final = 0.5
-"""The same under direct-torque."""
+"""Same under direct-torque."""
 SPRUNG_ACCELERATION: Final = 12.0
-"""rad/s² at most under direct-torque where the tool is turned: springs saturate at `torque_share`."""
+"""Largest joint acceleration in rad/s² under direct-torque with a rotating tool; springs saturate at `torque_share`."""
 MIN_MANIPULABILITY: Final = 0.05
-"""As a part of `|a2 a3| (|a2| + |a3|)`: below it a controller inverts no poses of a chain that is not its own."""
+"""As a fraction of `|a2 a3| (|a2| + |a3|)`; below it a controller cannot invert poses of another chain."""
 MIN_TWIST_MANIPULABILITY: Final = 0.15
-"""Below it no twists: those are of joints some ms ahead of its own."""
+"""Same for twists, which refer to joints some ms ahead of the controller's."""
 SAME_CHAIN: Final = 1e-4
-"""How far the model's tool may be from the controller's, in m and rad, for both to have the same joint angles there."""
+"""Largest deviation of the model's tool in m and rad at which both chains have equal joint angles."""
 POSE_COST: Final[dict[str, Any]] = {"weights": (1.0, 1.0, 1.0, 0.01, 0.01, 0.01), "damping": 1e-3}
-"""Of a tool that is turned: 1 rad/s weighs as much as 0.1 m/s, and damping in proportion."""
+"""Cost for a rotating tool: 1 rad/s counts like 0.1 m/s, with proportional damping."""
 
 
 UNKNOWN_CAUSE: Final = "its joints are at their limits, or the arm is near a singularity"
@@ -68,43 +69,44 @@ SINGULAR: Final = "the arm is beside a singularity: with its calibration, or und
 
 
 class UnreachableError(ValueError):
-    """The arm cannot go on to where it is sent."""
+    """The arm cannot reach its target."""
 
 
 class Mode(Protocol):
-    """A command that moves the arm, and the one that stops it."""
+    """Command that moves the arm, and the command that stops it."""
 
     name: str
-    """Of the call of the library."""
+    """Name of the library call."""
     goes_on: bool
-    """Whether the arm goes on moving where nothing more is sent: then the driver ends that itself."""
+    """True if the arm continues to move without further commands; the driver then ends the motion."""
     finds_joints: bool
-    """Whether it finds joint angles of positions too; else of poses alone, which the controller is led by."""
+    """True if it computes joint angles for positions too; otherwise only for poses, which the controller then receives.
+    """
 
     @property
     def joints(self) -> "JointTracking | None":
-        """What finds joint angles; none where it never does."""
+        """Source of joint angles; None if never used."""
 
     def begin(self, state: UrState) -> None:
-        """Motion begins where the arm is."""
+        """Start a motion at the arm's pose."""
 
     def order(
         self, position: Three, velocity: Three, state: UrState, elapsed_s: float, attitude: Attitude | None = None
     ) -> Order:
-        """What sends the arm to the set point after a time in s, in m and m/s along the axes of the base.
+        """Return the order that moves the arm to the set point after a time in s, in m and m/s in the base frame.
 
-        Without an attitude in all orders since the begin the orientation is that of the begin.
+        Without any attitude since the start the initial orientation is kept.
 
         Raises:
-            UnreachableError: It cannot get there.
+            UnreachableError: The arm cannot reach it.
         """
 
     def brake(self, state: UrState) -> Order:
-        """What has the arm come to rest softly; returns once it is done."""
+        """Return the order that brings the arm softly to rest and returns when done."""
 
 
 class _Servo:
-    """The controller follows each target with its lookahead and gain, and holds the last."""
+    """The controller follows each target with its lookahead and gain, and holds the last one."""
 
     goes_on = False
 
@@ -121,7 +123,7 @@ class _Servo:
 
 
 class ServoJ(_Servo):
-    """`servoJ` on joint angles that are found here: the least work for the controller."""
+    """`servoJ` with joint angles computed here: the least work for the controller."""
 
     name = "servoJ"
     finds_joints = True
@@ -149,10 +151,10 @@ class ServoJ(_Servo):
 
 
 class ServoL(_Servo):
-    """`servoL`: the controller finds the joint angles, on its own calibrated chain.
+    """`servoL`: the controller computes the joint angles on its calibrated chain.
 
-    Where it finds none it ends the program. With an orientation it is sent the poses of joints that are tracked here:
-    those it can reach within their limits.
+    If it finds none it ends the program. With an orientation it receives poses of joints tracked here, which are
+    reachable within their limits.
     """
 
     name = "servoL"
@@ -186,14 +188,14 @@ class ServoL(_Servo):
 
 
 class SpeedL:
-    """`speedL` under a position loop that closes here: `v = v_set + k (x_set - x)`, at most as fast as the tool may be.
+    """`speedL` with a position loop closed here: `v = v_set + k (x_set - x)`, limited to the tool speed.
 
-    The arm goes on at the last velocity where nothing follows, so the driver ends that, and the watchdog where there is
-    no driver any more.
+    The arm continues at the last velocity without a command. The driver ends that, or the watchdog if the driver is
+    gone.
 
-    With an orientation `w = w_set + k log(R_set R')` as well, and the set point is that of joints that are tracked
-    here, as in `ServoL`. Beside a singularity, where no controller can invert a twist, it is `speedJ` with the same
-    law on the joints, `q' = q_set' + k (q_set - q)`: one velocity goes over into the other.
+    With an orientation, also `w = w_set + k log(R_set R')`, and the set point comes from joints tracked here, as in
+    `ServoL`. Near a singularity, where a controller cannot invert a twist, it switches to `speedJ` with the same law on
+    the joints, `q' = q_set' + k (q_set - q)`, with continuous velocity.
     """
 
     name = "speedL"
@@ -246,7 +248,7 @@ class SpeedL:
             ),
             *_limited([w + gain * a for w, a in zip(twist[3:], away, strict=True)], options.max_angular_speed),
         ]
-        # The controller takes one number for m/s² and rad/s².
+        # The controller uses one number for m/s² and rad/s².
         acceleration = max(options.max_acceleration, options.max_angular_acceleration)
         return lambda control: bool(control.speedL(xd, acceleration, time_s))
 
@@ -257,11 +259,10 @@ class SpeedL:
 
 
 class DirectTorque:
-    """`directTorque`: springs and dampers on the joints, `tau = K (q_set - q) + D (q_set' - q')`, each bounded.
+    """`directTorque`: springs and dampers on the joints, `tau = K (q_set - q) + D (q_set' - q')`, each saturated.
 
-    Gravity and friction are the controller's. The arm yields to a force instead of insisting on its position. The joint
-    angles are those of the set orientation as well: so these springs are the spring of its rotation, `J^-T K J^-1` at
-    the tool, and no second one acts on the same joints.
+    The controller compensates gravity and friction. The arm yields to a force. The joint angles include the set
+    orientation, so these springs also act on the rotation, `J^-T K J^-1` at the tool, without a second spring.
     """
 
     name = "directTorque"
@@ -295,7 +296,7 @@ class DirectTorque:
         deceleration = joint_deceleration(self._options, state)
 
         def order(control: Control) -> bool:
-            # It has no stop of its own; this one returns nothing. Whether the arm rests is seen in what it does.
+            # Has no stop of its own; stopJ returns nothing. The arm's motion shows whether it rests.
             control.stopJ(deceleration, False)
             return True
 
@@ -303,32 +304,30 @@ class DirectTorque:
 
 
 class JointTracking:
-    """From a set point of the tool to joint angles, within the limits of the joints.
+    """Tracking from a tool set point to joint angles within the joint limits.
 
-    Each period the joint velocities are those that follow `v_set + (x_set - x)/T` best within the limits
-    (`UrStreaming`): near a singularity, or at the end of a joint, the tool stays behind instead of a joint
-    going faster than it may. The set point is fed forward, so this smooths nothing: `(x_set - x)/T` takes out what
-    joint velocities that are even over a period miss of a straight line, and what the limits have kept the tool from.
-    Bounds of speed and acceleration are those of the set point. The planes of the workspace are limits here as well,
-    before which the joints brake (the set point stops on them at once), as is a keep-out of the arm from itself, of
-    which the set point knows nothing.
+    Each period the joint velocities best follow `v_set + (x_set - x)/T` within the limits (`UrStreaming`). Near a
+    singularity, or at a joint limit, the tool lags; no joint exceeds its speed. The set point is fed forward without
+    smoothing: `(x_set - x)/T` removes the deviation of constant joint velocities from a straight line, and the lag
+    caused by limits. Speed and acceleration bounds are those of the set point. Workspace planes are also limits here,
+    before which the joints brake (the set point stops on them at once). So is the self keep-out, which the set point
+    does not know.
 
-    Without an attitude the orientation is that of the begin. With one it is a task as the position is, of less weight:
-    where both do not go together, near a singularity or at limits, the tool's point is followed and its orientation
-    stays behind. Joint velocities never leave the branch that the arm is in, and a wrist turns over by passing its
-    singularity within its limits, or not at all.
+    Without an attitude the initial orientation is kept. With one, it is a task of lower weight than the position: if
+    both conflict, near a singularity or at limits, the tool point is followed and the orientation lags. Joint
+    velocities never leave the arm's branch. A wrist turns over only by passing its singularity within its limits.
 
-    Under servol the controller finds the joint angles of a pose by itself, beside a singularity the same ones only
-    where its chain is that of the model. Else the joints do not come to one: the manipulability w shrinks at most at
-    `APPROACH_HZ` times what is left of it above `MIN_MANIPULABILITY`.
+    Under servol the controller computes the joint angles of a pose; near a singularity they agree only if its chain
+    equals the model. Otherwise the joints avoid singularities: the manipulability w shrinks at most at `APPROACH_HZ`
+    times its excess over `MIN_MANIPULABILITY`.
 
-    The unit's chain is only nearly that of its model, so motion is counted from where both have the tool at the begin:
-    what they differ by stays where it was, and the first command is exactly where the joints are.
+    The unit's chain only approximates its model, so motion is relative to the tool pose of both at the start. Their
+    initial difference is kept, and the first command equals the joint angles.
 
     Args:
-        kinematics: The arm with its tool.
-        options: Of the driver.
-        period_s: Between two commands, in s.
+        kinematics: Kinematics of the arm with its tool.
+        options: Options of the driver.
+        period_s: Period of commands in s.
     """
 
     def __init__(self, kinematics: "UrKinematics", options: UrOptions, period_s: float) -> None:
@@ -351,7 +350,7 @@ class JointTracking:
             approach_rate_hz=APPROACH_HZ / max(1.0, options.max_speed),
         )
         self.max_speed = np.array(speeds)
-        """Of the joints, in rad/s."""
+        """Largest joint speeds in rad/s."""
         self.q, self.qd = np.zeros(6), np.zeros(6)
         self._kinematics = kinematics
         self._streaming = UrStreaming(kinematics, limits, period_s=period_s)
@@ -365,12 +364,12 @@ class JointTracking:
                 max_acceleration=(SPRUNG_ACCELERATION if sprung else JOINT_ACCELERATION,) * 6,
             )
             self._posed = UrStreaming(kinematics, slower, period_s=period_s, cost=StreamingCost(**POSE_COST))
-            # Compiled now, and not in the first period that needs it.
+            # Compile now, not in the first period that needs it.
             kinematics.manipulability(self.q)
         self._sends_poses = options.mode == "servol"
         self._avoids_singularities = False
         self._slowed = ""
-        """Why joints were slowed down that nothing else held back."""
+        """Reason why joints were slowed without an active limit."""
         a2, a3 = abs(model.a[1]), abs(model.a[2])
         self._manipulability_unit = a2 * a3 * (a2 + a3)
         self._max_turn_rate = CATCH_UP * options.max_angular_speed
@@ -381,13 +380,13 @@ class JointTracking:
         self._braked = BrakedPoint(limits, period_s)
         self._rotation = np.eye(3)
         self._model_turn = np.eye(3)
-        """From the controller's orientation of the tool to that of the model: `R' R_model` at the begin."""
+        """Rotation from the controller's tool orientation to the model's: `R' R_model` at the start."""
         self._twist = np.zeros(6)
         self.offset = np.zeros(3)
-        """From the controller's tool to that of the model, in m."""
+        """Offset from the controller's tool to the model's in m."""
 
     def begin(self, state: UrState) -> None:
-        """Motion begins where the arm is."""
+        """Start a motion at the arm's pose."""
         transform = self._kinematics.forward(state.q)
         self._rotation = np.array(transform[:3, :3])
         self._model_turn = matrix_from_rotvec(state.pose[3:]).T @ self._rotation
@@ -401,17 +400,17 @@ class JointTracking:
         self._braked.begin(np.array(transform[:3, 3]), self.offset)
 
     def tool(self) -> tuple[Three, Quaternion, list[float]]:
-        """Position in m, orientation, and twist in m/s and rad/s of the tool at these angles, for the controller."""
+        """Return position in m, orientation, and twist in m/s and rad/s of the tool at these angles."""
         transform, jacobian = self._kinematics.forward_and_jacobian(self.q)
         orientation = quat_wxyz_from_matrix(transform[:3, :3] @ self._model_turn.T)
         x, y, z = (transform[:3, 3] - self.offset).tolist()
         return (x, y, z), orientation, (jacobian @ self.qd).tolist()
 
     def follow(self, position: Three, velocity: Three, elapsed_s: float, attitude: Attitude | None = None) -> None:
-        """Goes on for a time in s, in whole periods.
+        """Advance for a time in s, in whole periods.
 
         Raises:
-            UnreachableError: The tool stays far behind.
+            UnreachableError: The tool lags too far.
         """
         target = np.array(position) + self.offset
         feed_forward = np.array(velocity)
@@ -420,9 +419,9 @@ class JointTracking:
         for _ in range(max(1, round(elapsed_s / self._period_s))):
             transform = self._kinematics.forward(self.q)
             tool = transform[:3, 3]
-            # From where the target was a period ago: else the joints would run ahead by v times a period.
+            # Relative to the target one period ago; otherwise the joints would lead by v times a period.
             behind = target - tool - feed_forward * self._period_s
-            # Before a plane the arm brakes, and the set point stops on it: no fault while it comes on as it brakes.
+            # Before a plane the arm brakes while the set point stops on it; not a fault while the arm approaches.
             behind_braked = self._braked.position - tool
             self._braked.step(target)
             self._twist[:3] = feed_forward + behind * self._rate_hz
@@ -445,11 +444,11 @@ class JointTracking:
 
     @property
     def singular(self) -> bool:
-        """Whether the arm is so close to a singularity that the controller is to invert no twist."""
+        """True if the arm is too close to a singularity for the controller to invert a twist."""
         return self._kinematics.manipulability(self.q) < MIN_TWIST_MANIPULABILITY * self._manipulability_unit
 
     def _slow_before_singularity(self) -> None:
-        """Takes of the joint velocities what would bring the arm closer to a singularity than it may."""
+        """Reduce joint velocities that would approach a singularity too fast."""
         now, least = self._kinematics.manipulability(self.q), MIN_MANIPULABILITY * self._manipulability_unit
         lost = now - self._kinematics.manipulability(self.q + self.qd * self._period_s)
         allowed = max(0.0, now - least) * APPROACH_HZ * self._period_s
@@ -458,7 +457,7 @@ class JointTracking:
             self.qd *= allowed / lost
 
     def _turn(self, attitude: Attitude, rotation: Array) -> float:
-        """Sets the angular velocity towards an attitude; how far that is away beside what a period turns, in rad."""
+        """Set the angular velocity towards an attitude; return the remaining angle beyond one period's turn in rad."""
         target = matrix_from_quat_wxyz(attitude.orientation) @ self._model_turn
         feed_forward = np.array(attitude.angular_velocity)
         behind = rotvec_from_matrix(target @ rotation.T) - feed_forward * self._period_s
@@ -467,10 +466,10 @@ class JointTracking:
 
 
 def check_mode(options: UrOptions, version: tuple[int, ...]) -> None:
-    """Whether a controller has the mode that the options name.
+    """Check that a controller supports the mode of the options.
 
     Raises:
-        ValueError: It does not.
+        ValueError: The mode is not supported.
     """
     if options.mode == "direct-torque" and tuple(version[:2]) < DIRECT_TORQUE_SINCE:
         text = ".".join(map(str, version[:3]))
@@ -481,17 +480,17 @@ def check_mode(options: UrOptions, version: tuple[int, ...]) -> None:
 
 
 def model_distance(mode: Mode) -> float | None:
-    """How far the tool of the model was at the begin from where the controller has it, in m; none without a model."""
+    """Return the initial distance in m between the model's and the controller's tool; None without a model."""
     return None if mode.joints is None else math.hypot(*mode.joints.offset)
 
 
 def ur_mode(options: UrOptions, period_s: float, tool: Numbers) -> Mode:
-    """The mode that the options name.
+    """Return the mode that the options name.
 
     Args:
-        options: Of the driver.
-        period_s: Between two commands, in s.
-        tool: The tool's point in the frame of the flange, as a pose.
+        options: Options of the driver.
+        period_s: Period of commands in s.
+        tool: Tool point in the flange frame, as a pose.
     """
     if options.axes == 1 and options.mode == "servol":
         return ServoL(options, period_s)

@@ -1,4 +1,4 @@
-"""What moves a UR arm: from the command of the scene to a set point within the bounds of the options, to its mode."""
+"""Motion of a UR arm: from the scene's command to a bounded set point, and to the mode."""
 
 import math
 import time
@@ -18,30 +18,30 @@ from haptether.slave.ur.state import UrState
 from haptether.slave.ur.stop import Phase, SoftStop
 
 MAX_PERIODS: Final = 5.0
-"""Time between two commands that is made up for at once."""
+"""Longest time between commands, in periods, that is caught up at once."""
 LAG_S: Final = 0.3
-"""How late an arm may be beside its lookahead before it counts as one that does not follow."""
+"""Largest lag in s in addition to the lookahead before the arm counts as not following."""
 LAG_M: Final = 0.02
-"""What contact and the controller's own errors may add."""
+"""Additional lag in m by contact and control errors."""
 LAG_RAD: Final = 0.3
-"""The same of a turn, which gives way near a singularity."""
+"""Same for the orientation in rad, which yields near a singularity."""
 TURNED_OVER: Final = 0.02
-"""Sine of joint 5 from which on a wrist that has passed its singularity is said to have turned over."""
+"""Sine of joint 5 above which a wrist that passed its singularity counts as turned over."""
 
 
 class MotionError(ValueError):
-    """The arm must not, or does not, go where it is sent."""
+    """The arm must not, or does not, follow its command."""
 
 
 class Motion:
-    """One arm in one mode; nothing here waits for the arm.
+    """One arm in one mode, without blocking.
 
     Args:
-        options: Of the driver.
+        options: Options of the driver.
         connection: Takes the commands.
-        soft_stop: Stops the arm, and says whether it may be moved.
-        mode: The command that moves it.
-        period_s: Between two commands, in s.
+        soft_stop: Stops the arm, and permits motion.
+        mode: Motion command.
+        period_s: Period of commands in s.
         report: Takes lines for the operator.
     """
 
@@ -66,10 +66,10 @@ class Motion:
             options.max_angular_speed, options.max_angular_acceleration, period_s, options.cone
         )
         self._turns = False
-        """Whether an orientation was commanded since motion began; else that of the begin is kept."""
+        """True if an orientation was commanded since the start of motion; otherwise the initial one is kept."""
         self._goal = self.turning.attitude
         self._wrist = 0.0
-        """Sine of joint 5 on the side of its singularity on which it was last."""
+        """Sine of joint 5 on its last side of the singularity."""
         self.latency = Latency(period_s)
         self._written_s = 0.0
         self._max_behind_m = LAG_M + options.max_speed * (LAG_S + options.lookahead_time)
@@ -83,13 +83,13 @@ class Motion:
         orientation: tuple[float, ...] | None = None,
         angular_velocity: tuple[float, ...] | None = None,
     ) -> None:
-        """Sends the tool on towards a position in m with a velocity in m/s, along the axes of the scene.
+        """Move the tool towards a position in m with a velocity in m/s, along the scene axes.
 
-        Nothing while it still comes to rest from what it did before. An orientation, base_from_tool as `quat_wxyz`,
-        turns in rad/s; without one the tool keeps that of the begin, or the last that was commanded since.
+        No effect while the arm comes to rest. An orientation is base_from_tool as `quat_wxyz` and turns in rad/s;
+        without one the tool keeps the initial or last commanded one.
 
         Raises:
-            MotionError: It is not allowed, or not possible, from where the arm is, or the orientation is none.
+            MotionError: The motion is not allowed or not possible from the arm's pose, or the orientation is invalid.
         """
         commanded = None if orientation is None else _attitude(orientation, angular_velocity)
         now_s = time.monotonic()
@@ -101,7 +101,7 @@ class Motion:
         if not stop.commanded:
             self._begin(state, target, commanded)
         elif stop.phase is Phase.PAUSED:
-            # On from where it is at rest, as fast as it may.
+            # Continue from rest at full speed.
             self._at_rest(state)
             stop.begin()
             self._written_s = now_s - self._period_s
@@ -121,21 +121,21 @@ class Motion:
         self.latency.add(now_s, along(self._options, target), along(self._options, state.pose))
 
     def outside(self, state: UrState) -> float:
-        """How far the tool is beyond the workspace, in m; 0 within."""
+        """Return the distance of the tool beyond the workspace in m; 0 inside."""
         return self.point.outside(_three(state.pose))
 
     def tilted(self, state: UrState) -> float:
-        """How far the tool's axis is beyond its cone, in rad; 0 within."""
+        """Return the angle of the tool's axis beyond its cone in rad; 0 inside."""
         return self.turning.outside(quat_wxyz_from_rotvec(state.pose[3:]))
 
     def rehearse(self, state: UrState) -> None:
-        """Makes an order of each kind and throws it away."""
+        """Create and discard an order of each kind."""
         self._at_rest(state)
         for attitude in (None, self.turning.attitude)[: 2 if self._options.axes == 3 else 1]:
             self.mode.order(self.point.position, self.point.velocity, state, self._period_s, attitude)
 
     def _turn(self, commanded: Attitude | None, elapsed_s: float) -> Attitude | None:
-        """The orientation that is set; none where the one of the begin is kept."""
+        """Return the set orientation; None to keep the initial one."""
         if not self._turns:
             if commanded is not None:
                 message = "commanded to turn in the middle of a motion that keeps its orientation: engage anew"
@@ -169,7 +169,7 @@ class Motion:
         self._written_s = time.monotonic() - self._period_s
 
     def _check_turn(self, commanded: Attitude) -> None:
-        """Whether a motion with poses may begin where the arm is at rest."""
+        """Check that a motion with poses may start from rest here."""
         options = self._options
         if options.axes != 3:
             message = "commanded an orientation along one axis: axes = 3 in the options takes poses, acknowledge then"
@@ -190,7 +190,7 @@ class Motion:
             raise MotionError(message)
 
     def _at_rest(self, state: UrState) -> None:
-        """Motion begins where the arm is."""
+        """Start a motion at the arm's pose."""
         self.point.begin(_three(state.pose))
         self.turning.begin(quat_wxyz_from_rotvec(state.pose[3:]))
         self._goal = self.turning.attitude
@@ -198,7 +198,7 @@ class Motion:
         self.mode.begin(state)
 
     def _check_follows(self, state: UrState) -> None:
-        """What an arm is behind it makes up for as soon as it can: so it must not be much."""
+        """Limit the lag, because the arm corrects it as soon as it can."""
         behind_m = math.dist(self.point.position, _three(state.pose))
         if behind_m > self._max_behind_m:
             message = (
@@ -210,7 +210,7 @@ class Motion:
             self._check_turns(state)
 
     def _check_turns(self, state: UrState) -> None:
-        """The same of its orientation; and whether its wrist has turned over."""
+        """Limit the orientation lag, and detect a turned wrist."""
         tool = quat_wxyz_from_rotvec(state.pose[3:])
         behind_rad = math.hypot(*turn_between(tool, self.turning.attitude.orientation))
         if behind_rad > self._max_behind_rad:
@@ -227,7 +227,7 @@ class Motion:
 
 
 def placed(options: UrOptions, vector: tuple[float, ...], at: Three) -> Three:
-    """A vector of the scene in the frame of the base; one axis leaves the other two as they are in `at`."""
+    """Convert a scene vector to the base frame; one axis keeps the other two from `at`."""
     if len(vector) == 3:
         return vector[0], vector[1], vector[2]
     unit = options.axis_unit
@@ -236,13 +236,13 @@ def placed(options: UrOptions, vector: tuple[float, ...], at: Three) -> Three:
 
 
 def along(options: UrOptions, vector: tuple[float, ...]) -> float:
-    """The part of a vector in the frame of the base that lies along the one axis."""
+    """Return the component of a base-frame vector along the one axis."""
     unit = options.axis_unit
     return unit[0] * vector[0] + unit[1] * vector[1] + unit[2] * vector[2]
 
 
 def _attitude(orientation: tuple[float, ...], angular_velocity: tuple[float, ...] | None) -> Attitude:
-    """What was commanded, held to what it must be."""
+    """Return the checked command."""
     try:
         unit = unit_quaternion("orientation", orientation)
         x, y, z = finite("angular_velocity", ORIGIN if angular_velocity is None else angular_velocity, 3)
@@ -253,36 +253,36 @@ def _attitude(orientation: tuple[float, ...], angular_velocity: tuple[float, ...
 
 
 class Latency:
-    """The delay d at which `x(t)` is nearest to `x_set(t - d)`, means taken away: the minimum of the sum of squares.
+    """Delay d at which `x(t)` best matches `x_set(t - d)` without means: minimum of the sum of squares.
 
-    A constant distance, as in contact, does not count. The arm is taken to be a pure delay; what it is besides smooths
-    the minimum and moves it towards the lag that it has for slow motion.
+    A constant offset, as in contact, does not count. The arm is modelled as a pure delay; its other dynamics smooth the
+    minimum and shift it towards the lag at slow motion.
 
     Args:
-        period_s: Between two samples.
+        period_s: Sample period.
     """
 
     MAX_DELAY_S: Final = 0.4
-    """Largest delay that is looked for."""
+    """Largest searched delay in s."""
     STEP_S: Final = 0.001
     WINDOW_S: Final = 8.0
     MIN_MOTION_M: Final = 0.002
-    """Standard deviation of the motion below which no delay can be found."""
+    """Standard deviation of the motion in m below which no delay can be found."""
 
     def __init__(self, period_s: float) -> None:
         self._rows: deque[tuple[float, float, float]] = deque(maxlen=int(self.WINDOW_S / period_s))
 
     def add(self, time_s: float, commanded: float, measured: float) -> None:
-        """A position along one axis in m, as commanded and as measured."""
+        """Add a commanded and a measured position along one axis in m."""
         self._rows.append((time_s, commanded, measured))
 
     def clear(self) -> None:
-        """Motion begins anew."""
+        """Restart with the next motion."""
         self._rows.clear()
 
     @property
     def seconds(self) -> float | None:
-        """The delay in s; none where there was too little motion."""
+        """Return the delay in s; None without enough motion."""
         rows = np.array(self._rows)
         if len(rows) < 3:
             return None
@@ -298,7 +298,7 @@ class Latency:
         best = int(squares.argmin())
         if not 0 < best < len(delays) - 1:
             return float(delays[best])
-        # The parabola through the three lowest.
+        # Parabola through the three lowest points.
         before, at, after = squares[best - 1 : best + 2]
         bend = before - 2.0 * at + after
         return float(delays[best] + (0.5 * self.STEP_S * (before - after) / bend if bend > 0.0 else 0.0))

@@ -1,4 +1,4 @@
-"""What the driver of a UR arm is called with: `[slave.options]` of a scene."""
+"""Options of a UR arm's driver: `[slave.options]` of a scene."""
 
 import math
 from collections.abc import Mapping
@@ -16,101 +16,101 @@ Four: TypeAlias = tuple[float, float, float, float]
 Mode: TypeAlias = Literal["servoj", "servol", "speedl", "direct-torque"]
 
 FARTHEST_M: Final = 10.0
-"""No number of metres in these options is larger: it was meant in millimetres."""
+"""Largest length in m in these options; a larger value was meant in millimetres."""
 MIN_NORM: Final = 1e-6
 MIN_CONE: Final = 0.1
-"""rad; a narrower cone leaves nothing to brake in."""
+"""Smallest cone in rad; a narrower one leaves no room to brake."""
 
 
 class UrOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Options of the driver `ur`, in SI units; directions and positions in the base frame of the controller."""
+    """Options of the driver `ur`, in SI units; directions and positions in the controller's base frame."""
 
     host: str
     """Address or name of the controller."""
     model: str = "ur5e"
-    """The arm: ur3, ur5, ur10, ur3e, ur5e, ur7e, ur10e, ur12e, ur16e, ur20 or ur30."""
+    """Model: ur3, ur5, ur10, ur3e, ur5e, ur7e, ur10e, ur12e, ur16e, ur20 or ur30."""
     calibration: str | None = None
-    """File with the deltas of this unit; without it the arm is as its data sheet has it."""
+    """File with the deltas of this unit; by default the data sheet applies."""
     mode: Mode = "servoj"
-    """Which command of the controller moves the arm."""
+    """Motion command of the controller."""
     frequency: Annotated[Literal[125, 500], Meta(extra={"unit": "Hz"})] | None = None
-    """Packages a second; by default the rate of the controller, 500 Hz or 125 Hz (CB3)."""
+    """Packages per second; by default the controller's rate, 500 Hz or 125 Hz (CB3)."""
     axes: Literal[1, 3] = 1
     """1 for motion along `axis`, 3 for x, y and z of the base."""
     axis: Three = (1.0, 0.0, 0.0)
     """Direction of the one axis, of any length."""
     lookahead_time: Annotated[float, Meta(ge=0.03, le=0.2, extra={"unit": "s"})] = 0.05
-    """servoj and servol: by which the arm trails a target that moves, in s."""
+    """servoj and servol: lag of the arm behind a moving target in s."""
     gain: Annotated[float, Meta(ge=100.0, le=2000.0, extra={"unit": "1/s²"})] = 1000.0
-    """servoj and servol: pull towards the target, in 1/s²."""
+    """servoj and servol: proportional gain towards the target in 1/s²."""
     position_gain: Annotated[float, Meta(ge=0.5, le=30.0, extra={"unit": "1/s"})] = 10.0
-    """speedl: speed for a distance from the target, in 1/s; what the delay of the loop bears."""
+    """speedl: speed per distance from the target in 1/s, limited by the loop delay."""
     joint_stiffness: Annotated[float, Meta(ge=10.0, le=2000.0, extra={"unit": "N m/rad"})] = 300.0
-    """direct-torque: of the three large joints in N m/rad; the wrists have a fifth."""
+    """direct-torque: stiffness of the three large joints in N m/rad; the wrists have a fifth."""
     joint_damping: Annotated[float, Meta(ge=0.0, le=200.0, extra={"unit": "N m s/rad"})] = 30.0
-    """direct-torque: of the three large joints in N m s/rad; the wrists have a fifth."""
+    """direct-torque: damping of the three large joints in N m s/rad; the wrists have a fifth."""
     torque_share: Annotated[float, Meta(gt=0.0, le=0.8)] = 0.3
-    """direct-torque: of the largest torque of each joint, the most that is commanded."""
+    """direct-torque: largest commanded fraction of each joint's torque."""
     payload_kg: Annotated[float, Meta(ge=0.0, le=50.0, extra={"unit": "kg"})] | None = None
-    """Mass of all that the flange carries; by default what is set on the pendant."""
+    """Mass of everything on the flange; by default as set on the pendant."""
     payload_cog: Three | None = None
-    """Its centre of gravity in the frame of the flange, in m; needs `payload_kg`."""
+    """Centre of gravity in the flange frame in m; requires `payload_kg`."""
     tool: Six | None = None
-    """The tool's point in the frame of the flange, x y z rx ry rz in m and rad; by default as set on the pendant."""
+    """Tool point in the flange frame, x y z rx ry rz in m and rad; by default as set on the pendant."""
     zero_ft_sensor: bool = True
-    """Zero the force sensor before the first motion: the tool must touch nothing then."""
+    """True to zero the force sensor before the first motion; the tool must be free then."""
     force_source: Literal["tcp", "raw"] = "tcp"
-    """The controller's own force at the tool, or what the sensor in the flange shows (e-Series from 5.9 on)."""
+    """The controller's force at the tool, or the raw flange sensor (e-Series from 5.9 on)."""
     force_filter_hz: Annotated[float, Meta(gt=0.0, le=1000.0, extra={"unit": "Hz"})] | None = 50.0
-    """Corner of the low-pass on the force; None for none."""
+    """Corner frequency of the force low-pass; None for none."""
     force_deadband_n: Annotated[float, Meta(ge=0.0, le=100.0, extra={"unit": "N"})] = 0.0
-    """What of the force is taken away, as noise."""
+    """Force subtracted as noise."""
     max_speed: Annotated[float, Meta(gt=0.0, le=3.0, extra={"unit": "m/s"})] = 0.25
-    """Fastest that the tool is sent, in m/s."""
+    """Largest commanded tool speed in m/s."""
     max_acceleration: Annotated[float, Meta(gt=0.0, le=20.0, extra={"unit": "m/s²"})] = 5.0
-    """Largest acceleration that it is sent with, in m/s²."""
+    """Largest commanded acceleration in m/s²."""
     max_angular_speed: Annotated[float, Meta(gt=0.0, le=6.0, extra={"unit": "rad/s"})] = 1.0
-    """Fastest that the tool is turned, in rad/s."""
+    """Largest commanded angular speed of the tool in rad/s."""
     max_angular_acceleration: Annotated[float, Meta(gt=0.0, le=50.0, extra={"unit": "rad/s²"})] = 10.0
-    """Largest angular acceleration that it is turned with, in rad/s²."""
+    """Largest commanded angular acceleration in rad/s²."""
     stop_deceleration: Annotated[float, Meta(ge=0.1, le=20.0, extra={"unit": "m/s² or rad/s²"})] = 5.0
-    """Of a soft stop: m/s² of the tool (speedl), rad/s² of the joints (the others)."""
+    """Deceleration of a soft stop: m/s² of the tool (speedl), rad/s² of the joints (others)."""
     max_jump: Annotated[float, Meta(gt=0.0, le=0.1, extra={"unit": "m"})] = 0.005
-    """How far from the tool a first command may be, in m."""
+    """Largest distance of a first command from the tool in m."""
     max_turn: Annotated[float, Meta(gt=0.0, le=0.5, extra={"unit": "rad"})] = 0.05
-    """How far from the tool's orientation a first one may be, in rad."""
+    """Largest angle of a first orientation from the tool's in rad."""
     workspace: tuple[Four, ...] = ()
-    """Planes nx, ny, nz, d: the tool's point is sent to where n . p >= d, n of any length."""
+    """Planes nx, ny, nz, d: the tool point is commanded to n . p >= d only, n of any length."""
     tool_cone: Four | None = None
-    """x, y, z, angle: the tool's z axis is sent no further than the angle in rad from that axis, of any length."""
+    """x, y, z, angle: the tool's z axis is commanded within the angle in rad from that axis, of any length."""
     watchdog_hz: Annotated[float, Meta(ge=5.0, le=100.0, extra={"unit": "Hz"})] = 10.0
-    """The controller ends the program where it hears less often than this."""
+    """Rate below which the controller ends the program."""
     verify_watchdog: bool = True
-    """Let the watchdog bite once before the first motion."""
+    """True to trip the watchdog once as a test before the first motion."""
 
     @property
     def axis_unit(self) -> Three:
-        """Direction of the one axis, of length 1."""
+        """Unit direction of the one axis."""
         length = math.hypot(*self.axis)
         x, y, z = self.axis
         return x / length, y / length, z / length
 
     @property
     def planes(self) -> tuple[WorkspacePlane, ...]:
-        """Those of `workspace`, their normals of length 1."""
+        """Planes of `workspace` with unit normals."""
         return tuple(WorkspacePlane.through(*numbers) for numbers in self.workspace)
 
     @property
     def cone(self) -> ToolCone | None:
-        """That of `tool_cone`, its axis of length 1."""
+        """Cone of `tool_cone` with a unit axis."""
         return None if self.tool_cone is None else ToolCone.around(*self.tool_cone)
 
 
 def ur_options(given: Mapping[str, Any]) -> UrOptions:
-    """The options from what a scene has, whose numbers may be written as text.
+    """Convert the options of a scene; numbers may be given as text.
 
     Raises:
-        ValueError: A key that there is not or that is missing, or a value that it cannot have; names the key.
+        ValueError: A key is unknown or missing, or a value is invalid; names the key.
     """
     options = converted(UrOptions, given, "device = ur", {"host": "the address of the controller"})
     _check(options)

@@ -1,9 +1,9 @@
-"""What a UR controller answers without the vendor's library: a look over RTDE, and its dashboard server.
+"""Services of a UR controller without the vendor's library: RTDE queries and the dashboard server.
 
-The constructors of ur_rtde wait for replies without a limit and hold Python's interpreter meanwhile: from a controller
-that accepts connections and says nothing they never come back, and no other thread runs any more. So whether it answers
-is found out here, with time limits, and what it says about itself with it. Of the dashboard server the vendor's client
-has no `unlock protective stop` in Python, and its `isProgramSaved` is always false.
+The constructors of ur_rtde wait for replies without a timeout and hold the Python interpreter. A controller that
+accepts connections and stays silent would block all threads for ever. Therefore this module checks with timeouts
+whether it answers, and reads its state. The vendor's dashboard client lacks `unlock protective stop` in Python, and its
+`isProgramSaved` is always false.
 
 Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", protocol version 2; "Dashboard Server e-Series".
 """
@@ -26,9 +26,9 @@ SCRIPT_PORT: Final = 30003
 """Port of the Real-Time Client interface, to which ur_rtde sends its control script."""
 RESOLVE_S: Final = 3.0
 CONNECT_S: Final = 2.0
-"""For a connection to the dashboard server or the script port: that of ur_rtde to its dashboard server."""
+"""Timeout of a connection to dashboard server or script port, same as ur_rtde's for its dashboard server."""
 REPLY_S: Final = 2.5
-"""For each line of the dashboard server, as in ur_rtde."""
+"""Timeout of each line of the dashboard server, same as ur_rtde."""
 REQUEST_VERSION, CONTROLLER_VERSION, PACKAGE, OUTPUTS, INPUTS, START = b"VvUOIS"
 FRAME: Final = struct.Struct(">HB")
 NAMES: Final = (
@@ -42,38 +42,38 @@ NAMES: Final = (
     "target_speed_fraction",
 )
 COMMAND: Final = "input_int_register_0"
-"""The control script takes its commands from this register."""
+"""Register from which the control script takes its commands."""
 READY: Final = 1
-"""The control script writes this to its answer while the command is 0."""
+"""Answer of the control script while the command is 0."""
 STOP_SCRIPT: Final = 255
-"""The command that ends the control script."""
+"""Command that ends the control script."""
 SCRIPT_NAMES: Final = ("runtime_state", "output_int_register_0")
 SETTLED: Final = 10
-"""Packages after a command that may be older than its effect."""
+"""Packages after a command that may precede its effect."""
 SCRIPT_END_S: Final = 2.0
-"""For a control script to be ended over RTDE."""
+"""Timeout for ending a control script over RTDE."""
 PROGRAM_END_S: Final = SCRIPT_END_S + CONNECT_S + 2.0 * REPLY_S + SCRIPT_END_S
-"""For `end_program`: RTDE, the dashboard server with its greeting and one answer, RTDE again; 30 ms as a rule."""
+"""Timeout of `end_program`: RTDE, the dashboard server with greeting and one answer, RTDE again; normally 30 ms."""
 ANSWERED_S: Final = 0.4
-"""For the control script to answer, and to end; more than the longest period of the watchdog."""
+"""Timeout of the control script's answer, and of its end; longer than the longest watchdog period."""
 RELEASED_S: Final = 0.5
-"""For the register of a client that was killed just now."""
+"""Timeout for the register of a client that was just killed."""
 POLL_S: Final = 0.02
 FORMATS: Final = {"DOUBLE": "d", "INT32": "i", "UINT32": "I", "VECTOR6D": "6d"}
 PACKAGES: Final = 5
-"""How many are waited for: whether time goes on there."""
+"""Number of packages awaited to check that time advances."""
 UNLOCKED: Final = "Protective stop releasing"
 STOPPED: Final = "Stopped"
 STILL_PLAYS: Final = "a program still plays: stop it on the pendant"
 
 
 class ProbeError(RuntimeError):
-    """No controller, or one that does not answer."""
+    """No controller, or no answer."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Probe:
-    """What a controller says about itself."""
+    """State that a controller reports."""
 
     version: tuple[int, int, int, int]
     """Major, minor, bugfix, build."""
@@ -84,23 +84,23 @@ class Probe:
     q: Numbers
     """Joint angles in rad."""
     pose: Numbers
-    """Of the tool, x y z rx ry rz in m and rad."""
+    """Tool pose, x y z rx ry rz in m and rad."""
     rate_hz: float
-    """Of its packages, by its own clock."""
+    """Package rate by the controller's clock."""
     speed_fraction: float
-    """Where its speed slider stands, 0 to 1."""
+    """Position of the speed slider, 0 to 1."""
 
     @property
     def version_text(self) -> str:
-        """As it is written."""
+        """Version in the usual form."""
         return ".".join(map(str, self.version[:3]))
 
 
 def resolved(host: str, limit_s: float = RESOLVE_S) -> str:
-    """The IPv4 address of a host, looked up once: a name server may be slow when the arm is to be stopped.
+    """Resolve a host to IPv4 once, because a name server may be slow when the arm must be stopped.
 
     Raises:
-        ProbeError: There is none, or none within a time in s.
+        ProbeError: There is no address, or none within the timeout in s.
     """
     try:
         return str(ipaddress.IPv4Address(host))
@@ -111,7 +111,7 @@ def resolved(host: str, limit_s: float = RESOLVE_S) -> str:
         found = resolver.run(
             "look-up", lambda: socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_STREAM), limit_s
         )
-    except Exception as error:  # of the system's resolver, or too late
+    except Exception as error:  # errors of the system's resolver, or a timeout
         message = f"{host}: {getattr(error, 'strerror', None) or error}"
         raise ProbeError(message) from None
     finally:
@@ -120,10 +120,10 @@ def resolved(host: str, limit_s: float = RESOLVE_S) -> str:
 
 
 def probe(host: str, limit_s: float = 5.0) -> Probe:
-    """What the controller at `host` says about itself, within a time in s.
+    """Query the controller at `host` within a time in s.
 
     Raises:
-        ProbeError: There is none, or it does not answer as one.
+        ProbeError: There is no controller, or its answers are invalid.
     """
     wire = _Wire(host, time.monotonic() + limit_s)
     with _answering(wire):
@@ -131,13 +131,13 @@ def probe(host: str, limit_s: float = 5.0) -> Probe:
 
 
 def end_control_script(host: str, limit_s: float = SCRIPT_END_S) -> bool:
-    """Ends a control script of ur_rtde that no client leads; returns whether no program plays afterwards.
+    """End a ur_rtde control script without a client; return True if no program plays afterwards.
 
-    The command stays in its register: a script that starts later ends in its first control cycle. ur_rtde clears the
-    register before it uploads a script. Any other program goes on, and finds the register at 0.
+    The command stays in its register, so a script that starts later ends in its first control cycle. ur_rtde clears the
+    register before it uploads a script. Any other program continues, with the register at 0.
 
     Raises:
-        ProbeError: There is no controller, it does not answer, or another client leads the script.
+        ProbeError: There is no controller or no answer, or another client controls the script.
     """
     wire = _Wire(host, time.monotonic() + limit_s)
     with _answering(wire):
@@ -148,7 +148,7 @@ def check_script_port(host: str) -> None:
     """Check that the controller accepts a connection for scripts.
 
     Raises:
-        ProbeError: It does not.
+        ProbeError: The connection is refused.
     """
     try:
         socket.create_connection((host, SCRIPT_PORT), timeout=CONNECT_S).close()
@@ -159,7 +159,7 @@ def check_script_port(host: str) -> None:
 
 @contextlib.contextmanager
 def _answering(wire: "_Wire") -> Iterator[None]:
-    """Raises a `ProbeError` for what the network or the controller does wrong, and closes the connection."""
+    """Convert errors of network or controller to `ProbeError`, and close the connection."""
     try:
         yield
     except (OSError, struct.error) as error:
@@ -184,12 +184,12 @@ class _Wire:
             raise OSError("is refused")
 
     def version(self) -> tuple[int, int, int, int]:
-        """Version of the controller: major, minor, bugfix, build."""
+        """Return the controller version: major, minor, bugfix, build."""
         major, minor, bugfix, build = struct.unpack(">4I", self.request("version", CONTROLLER_VERSION))
         return major, minor, bugfix, build
 
     def start(self, names: tuple[str, ...], rate_hz: float) -> struct.Struct:
-        """Starts packages of these outputs; returns their layout, recipe id first."""
+        """Start packages with these outputs; return their layout, recipe id first."""
         answer = self.request("outputs", OUTPUTS, struct.pack(">d", rate_hz) + ",".join(names).encode())
         kinds = answer[1:].decode("ascii", "replace").split(",")
         if len(kinds) != len(names) or not all(kind in FORMATS for kind in kinds):
@@ -214,7 +214,7 @@ class _Wire:
             if size < FRAME.size:
                 raise OSError(f"a frame of {size} bytes: no RTDE")
             payload = self._bytes(size - FRAME.size)
-            # Packages and messages may come between.
+            # Packages and messages may precede the reply.
             if got == kind:
                 return payload
 
@@ -278,7 +278,7 @@ def _end_control_script(wire: _Wire) -> bool:
     layout = wire.start(SCRIPT_NAMES, rate_hz)
 
     def command(number: int, *, ready: bool) -> bool:
-        """Writes a command; whether no program plays or, with `ready`, the control script has answered."""
+        """Write a command; return True if no program plays or, with `ready`, the control script has answered."""
         wire.send(PACKAGE, struct.pack(">Bi", answer[0], number))
         end_s, count = time.monotonic() + ANSWERED_S, 0
         while time.monotonic() < end_s:
@@ -288,7 +288,7 @@ def _end_control_script(wire: _Wire) -> bool:
                 return True
         return False
 
-    # A script in the middle of a command takes the next one only after 0.
+    # A script within a command takes the next one only after 0.
     if not command(0, ready=True):
         return False
     ended = command(STOP_SCRIPT, ready=False)
@@ -306,22 +306,22 @@ class DashboardError(RuntimeError):
 
 
 def query_dashboard(host: str, *lines: str, connect_s: float = CONNECT_S, reply_s: float = REPLY_S) -> list[str]:
-    """The answers to some lines, over a connection of their own.
+    """Return the answers to some lines over a separate connection.
 
     Args:
-        host: The controller.
+        host: Host of the controller.
         lines: Commands of the dashboard server.
         connect_s: Time limit of the connection, in s.
         reply_s: Time limit of the greeting and of each answer, in s.
 
     Raises:
-        DashboardError: There is nobody, or no answer in time.
+        DashboardError: The connection fails, or there is no answer in time.
     """
     try:
         with socket.create_connection((host, DASHBOARD_PORT), timeout=connect_s) as connection:
             received = b""
             answers: list[str] = []
-            # The first line is its greeting.
+            # The first line is the greeting.
             for line in ("", *lines):
                 if line:
                     connection.sendall(f"{line}\n".encode())
@@ -345,10 +345,10 @@ def query_dashboard(host: str, *lines: str, connect_s: float = CONNECT_S, reply_
 
 
 def stop_program(host: str) -> None:
-    """Ends the program that plays, through the dashboard server.
+    """End the playing program through the dashboard server.
 
     Raises:
-        DashboardError: It did not.
+        DashboardError: The program did not end.
     """
     (answer,) = query_dashboard(host, "stop")
     if answer != STOPPED:
@@ -357,9 +357,10 @@ def stop_program(host: str) -> None:
 
 
 def end_program(host: str) -> None:
-    """Ends the program that plays, and a control script that still starts: the second means to stop an arm.
+    """End the playing program, and a control script that is still starting: the second way to stop an arm.
 
-    RTDE first; the dashboard server where a program plays on. Then RTDE again, which ends a script that starts later.
+    Uses RTDE first, then the dashboard server if a program still plays, then RTDE again to end a script that starts
+    later.
 
     Raises:
         DashboardError: RTDE or a dashboard server that was needed did not succeed, or a program still plays.
@@ -381,7 +382,7 @@ def end_program(host: str) -> None:
 
 
 def unlock_protective_stop(host: str) -> None:
-    """Unlocks a protective stop and closes what the pendant shows of it.
+    """Unlock a protective stop and close its popup on the pendant.
 
     Raises:
         DashboardError: The controller refuses.
@@ -393,7 +394,7 @@ def unlock_protective_stop(host: str) -> None:
 
 
 def is_in_remote_control(host: str) -> bool:
-    """Whether the controller takes scripts from outside; e-Series from 5.6 on.
+    """Return True if the controller accepts remote scripts; e-Series from 5.6 on.
 
     Raises:
         DashboardError: No answer.

@@ -1,4 +1,4 @@
-"""What a UR controller says about itself and its arm, and what of that ends motion.
+"""State of a UR controller and its arm, and the conditions that end motion.
 
 Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", tables of modes, states and status bits.
 """
@@ -53,7 +53,7 @@ class RuntimeState(IntEnum):
 
 
 def mode_text(kind: type[IntEnum], number: int) -> str:
-    """A mode as text; its number where the guide has none of that number."""
+    """Return a mode as text, or its number if unknown."""
     try:
         return kind(number).name.lower().replace("_", " ")
     except ValueError:
@@ -61,7 +61,7 @@ def mode_text(kind: type[IntEnum], number: int) -> str:
 
 
 FULL_SPEED: Final = 0.99
-"""Of the speed slider. Below it a command that is to take 2 ms takes longer, and of those that follow some are lost."""
+"""Threshold of the speed slider. Below it a 2 ms command takes longer, and some of the following ones are lost."""
 SLIDER: Final = "set it to 100 % on the pendant, max_speed bounds the tool"
 
 EMERGENCY_BITS: Final = 1 << 5 | 1 << 6 | 1 << 7
@@ -102,35 +102,35 @@ class UrState(NamedTuple):
     """One package of the controller."""
 
     timestamp: float
-    """Age of the controller in s."""
+    """Uptime of the controller in s."""
     target_q: Numbers
-    """rad."""
+    """Target joint angles in rad."""
     q: Numbers
-    """rad."""
+    """Joint angles in rad."""
     qd: Numbers
-    """rad/s."""
+    """Joint speeds in rad/s."""
     pose: Numbers
-    """Of the tool, x y z rx ry rz in m and rad."""
+    """Tool pose, x y z rx ry rz in m and rad."""
     speed: Numbers
-    """Of the tool in m/s and rad/s, in the frame of the base."""
+    """Tool velocity in m/s and rad/s in the base frame."""
     wrench: Numbers
-    """On the tool in N and N m: as the controller has it, or the raw one of the sensor."""
+    """Wrench on the tool in N and N m: the controller's, or the raw sensor's."""
     robot_mode: int
     safety_mode: int
     safety_bits: int
     runtime_state: int
     speed_fraction: float
-    """Where the speed slider stands, 0 to 1."""
+    """Position of the speed slider, 0 to 1."""
 
     @property
     def finite(self) -> bool:
-        """Whether all its numbers are."""
+        """True if all numbers are finite."""
         numbers = (*self.q, *self.qd, *self.pose, *self.speed, *self.wrench, self.speed_fraction)
         return all(map(math.isfinite, numbers))
 
 
 def read_state(receive: Any, *, raw_wrench: bool) -> UrState:  # noqa: ANN401  # rtde_receive.RTDEReceiveInterface
-    """The newest package that has come; the library does not say how old it is."""
+    """Return the latest received package; the library does not report its age."""
     return UrState(
         receive.getTimestamp(),
         tuple(receive.getTargetQ()),
@@ -148,11 +148,11 @@ def read_state(receive: Any, *, raw_wrench: bool) -> UrState:  # noqa: ANN401  #
 
 
 def safety_stop(state: UrState, before: UrState | None = None) -> str | None:
-    """What forbids motion in a state, the gravest first, and what to do about it; none if nothing does.
+    """Return the most serious reason that forbids motion, with a remedy, or None.
 
     Args:
-        state: The newest.
-        before: The last one in which the arm was allowed to move.
+        state: Latest state.
+        before: Last state in which the arm was allowed to move.
     """
     bits, mode = state.safety_bits, mode_text(SafetyMode, state.safety_mode)
     for mask, text in (
@@ -179,7 +179,7 @@ def safety_stop(state: UrState, before: UrState | None = None) -> str | None:
 
 
 def _last_seen(states: list[UrState]) -> str:
-    """What stood out around a stop: RTDE does not name its cause."""
+    """Return notable values around a stop, because RTDE does not name its cause."""
     deviation, joint = max(
         (abs(target - actual), joint)
         for state in states

@@ -1,7 +1,7 @@
-"""How a UR arm is brought to rest, and how the two sides notice that the other is gone.
+"""Stopping a UR arm, and detection of a lost peer on both sides.
 
-An arm is stopped by its mode, else through the dashboard, else by the watchdog of the controller. What it does about
-motion is one state, that of `SoftStop`; what moves the arm reads it and calls its methods, and changes nothing else.
+An arm is stopped by its mode, otherwise through the dashboard, otherwise by the controller's watchdog. `SoftStop` holds
+the only state about motion; motion code reads it and calls its methods.
 """
 
 import math
@@ -24,56 +24,53 @@ from haptether.slave.ur.state import RuntimeState, UrState
 from haptether.slave.ur.worker import Call, Idle, TimedWorker
 
 STOP_S: Final = 1.0
-"""For a soft stop: the watchdog's longest period is a fifth of it."""
+"""Timeout of a soft stop in s; five times the watchdog's longest period."""
 REST_S: Final = 1.2
-"""After which the joints must rest, whatever the controller has answered."""
+"""Time in s after which the joints must rest, whatever the controller answered."""
 RESTING: Final = 0.05
-"""rad/s; what sensors show of joints at rest is a tenth of it."""
+"""Speed in rad/s of joints at rest; sensors show a tenth of it."""
 STILL_S: Final = 0.05
-"""For which joints must rest: at a reversal they do for a package."""
+"""Required resting time in s; at a reversal joints rest for one package."""
 SILENCE_S: Final = 0.02
-"""After which an arm is stopped that would go on by itself and is not commanded."""
+"""Time in s without a command after which a self-moving arm is stopped."""
 PROGRAM_STOP_S: Final = PROGRAM_END_S + 0.5
-"""For the program to be ended without the library; longer than its own limits together."""
+"""Timeout for ending the program without the library; longer than the sum of its own timeouts."""
 LEAVE_S: Final = 1.0
-"""How long the end of the driver waits for each stop that is under way."""
+"""Timeout in s per pending stop at the driver's end."""
 
 # ------------------------------------------------------------------------------------------------------- soft stop
 
 
 class Phase(Enum):
-    """What the driver does about motion.
+    """Motion state of the driver.
 
-    ```
-    AT_REST --begin--> MOVING --stop--> STOPPING --rests--> AT_REST
+    ``` AT_REST --begin--> MOVING --stop--> STOPPING --rests--> AT_REST
                        MOVING --silence--> PAUSING --rests--> PAUSED --begin--> MOVING
-    PAUSING, PAUSED --stop--> STOPPING
-    any --cut--> CUT --acknowledge--> AT_REST
-    ```
+    PAUSING, PAUSED --stop--> STOPPING any --cut--> CUT --acknowledge--> AT_REST ```
     """
 
     AT_REST = "at rest"
-    """What moves the arm now is somebody else; a first command must be near the tool."""
+    """Another source moves the arm; a first command must be near the tool."""
     MOVING = "moving"
-    """Commands lead it."""
+    """Commands move the arm."""
     PAUSING = "pausing"
-    """No command was made in time, so that it is stopped."""
+    """Stopped because no command arrived in time."""
     PAUSED = "paused"
-    """It was seen at rest after that; the next command leads it on from there."""
+    """At rest after a pause; the next command continues from there."""
     STOPPING = "stopping"
-    """It is stopped, and was not seen at rest yet."""
+    """Stopped, but not confirmed at rest yet."""
     CUT = "cut"
     """The connection is cut."""
 
 
 class SoftStop:
-    """Stops the arm without waiting for it.
+    """Stop the arm without blocking.
 
-    What it knows changes with its methods alone, `update` first; properties only read it.
+    Only methods change the state, `update` first; properties only read it.
 
     Args:
-        connection: The connections.
-        host: The controller.
+        connection: Connections to the controller.
+        host: Host of the controller.
         report: Takes lines for the operator.
     """
 
@@ -84,68 +81,68 @@ class SoftStop:
         self._dashboard = TimedWorker("ur-stopper")
         self._phase = Phase.AT_REST
         self._call: Call | None = None
-        """The last soft stop, be it because nothing more was commanded."""
+        """Last soft stop, including one after silence."""
         self._before: Call | None = None
-        """What the worker's last pause was when motion began."""
+        """Last pause of the worker at the start of motion."""
         self._still_since: float | None = None
-        """Time stamp of the package since which the joints rest; at first of the one before."""
+        """Timestamp of the package since which the joints rest; initially of the previous package."""
         self._program_stop: Call | None = None
 
     @property
     def phase(self) -> Phase:
-        """Of the motion, as of the last call of a method."""
+        """Phase as of the last method call."""
         return self._phase
 
     @property
     def commanded(self) -> bool:
-        """Whether the arm is led: from an accepted first command until it is stopped or cut."""
+        """True from an accepted first command until the arm is stopped or cut."""
         return self._phase in {Phase.MOVING, Phase.PAUSING, Phase.PAUSED}
 
     @property
     def ready(self) -> bool:
-        """Whether a command may move the arm: not while it comes to rest, nor once it is cut."""
+        """True if a command may move the arm: not while it comes to rest, nor after a cut."""
         return self._phase in {Phase.AT_REST, Phase.MOVING, Phase.PAUSED}
 
     @property
     def stopping(self) -> bool:
-        """Whether the arm comes to rest: until it was seen to."""
+        """True until an arm that comes to rest is confirmed at rest."""
         return self._phase in {Phase.STOPPING, Phase.PAUSING}
 
     @property
     def heard(self) -> bool:
-        """Whether the watchdog hears a command or a stop just now, so that it needs no kick."""
+        """True if the watchdog currently hears a command or a stop and needs no kick."""
         if self._phase is Phase.STOPPING:
             return self._call is not None and not self._call.done
         return self._phase in {Phase.MOVING, Phase.PAUSED}
 
     def update(self) -> None:
-        """Takes in whether the thread of the library has paused the motion because commands stayed away."""
+        """Detect that the library thread paused the motion after silence."""
         idled = self._connection.worker.idled
         if self._phase is Phase.MOVING and idled is not None and idled is not self._before:
             self._phase, self._call, self._still_since = Phase.PAUSING, idled, None
 
     def begin(self) -> None:
-        """Commands lead the arm from where it rests."""
+        """Start a motion from rest."""
         self._phase, self._call, self._still_since = Phase.MOVING, None, None
         self._before = self._connection.worker.idled
 
     def after_silence(self, brake: Order) -> Idle:
-        """The stop that the thread of the library makes by itself where commands stay away."""
+        """Return the stop that the library thread makes by itself after silence."""
         control = self._connection.control
         return Idle(SILENCE_S, "stop", lambda: brake(control), STOP_S)
 
     def stop(self, brake: Order) -> None:
-        """Begins a soft stop of an arm that is led; does not wait for it."""
+        """Begin a soft stop of a commanded arm without blocking."""
         if self.commanded:
             self._phase, self._still_since = Phase.STOPPING, None
             self._call = self._connection.start("stop", brake, STOP_S)
 
     def check(self, state: UrState, *, stale: bool) -> str | None:
-        """Looks at a package: why a soft stop did not succeed, where the program may still play.
+        """Evaluate a package; return the reason why a soft stop failed while the program may still play.
 
         Args:
-            state: The newest.
-            stale: Whether it is too old to show that the program has ended.
+            state: Latest state.
+            stale: True if it is too old to show the program's end.
         """
         self.update()
         if not self.stopping or self._connection.control is None:
@@ -167,16 +164,16 @@ class SoftStop:
         return why if state.runtime_state == RuntimeState.PLAYING or stale else None
 
     def cut(self) -> None:
-        """Cuts the connection, so that nothing leads the arm any more, and has the controller end the program.
+        """Cut the connection, and make the controller end the program.
 
-        Where that does not come through either, the watchdog ends it.
+        If that fails too, the watchdog ends it.
         """
         self._phase, self._call = Phase.CUT, None
         self._connection.cut()
         self._program_stop = self._dashboard.start("end of the program", self._end_program, PROGRAM_STOP_S)
 
     def acknowledge(self) -> list[Call]:
-        """The operator has removed the fault; returns the stops that have not ended."""
+        """Acknowledge a fixed fault; return the pending stops."""
         pending = self._pending
         self._phase, self._call, self._still_since = Phase.AT_REST, None, None
         if self._dashboard.stuck is not None:
@@ -185,7 +182,7 @@ class SoftStop:
         return pending
 
     def close(self) -> None:
-        """Waits for the stops that are under way, within their limits."""
+        """Wait for pending stops within their timeouts."""
         for call in self._pending:
             call.wait(min(call.limit_s, LEAVE_S))
         self._dashboard.end()
@@ -195,9 +192,9 @@ class SoftStop:
         return [call for call in (self._call, self._program_stop) if call is not None]
 
     def _rests(self, state: UrState) -> bool:
-        """Whether the joints have rested for a while since the stop was acknowledged."""
+        """Return True if the joints have rested for a while since the stop was acknowledged."""
         if self._still_since is None or max(map(abs, state.qd)) > RESTING:
-            # A package that rests counts from the next on: it may be older than the acknowledgement.
+            # Count from the next package, because this one may precede the acknowledgement.
             self._still_since = state.timestamp
         return state.timestamp - self._still_since >= STILL_S
 
@@ -210,23 +207,23 @@ class SoftStop:
 
 # --------------------------------------------------------------------------------------------------------- braking
 #
-# While the controller brakes, the vendor's library waits and says nothing, and the watchdog would end the program in
-# the middle of a stop that takes longer than its period. So a stop is as hard as the options want it, and harder where
-# it would take longer: `a = max(a_option, 2 |v| f)` for the watchdog's f in Hz, up to `MAX_DECELERATION`.
+# While the controller brakes, the vendor's library waits silently, and the watchdog would end the program during a stop
+# longer than its period. A stop therefore uses the deceleration of the options, or more if it would take longer: `a =
+# max(a_option, 2 |v| f)` for the watchdog's f in Hz, up to `MAX_DECELERATION`.
 
 BRAKING_SHARE: Final = 0.5
-"""Of the watchdog's period that braking may take: there is silence before, and a few cycles of messages around it."""
+"""Fraction of the watchdog's period for braking: silence precedes it, and some message cycles surround it."""
 MAX_DECELERATION: Final = 20.0
-"""m/s² or rad/s²; the most that the options allow, too. What is too fast for that the watchdog stops."""
+"""Largest deceleration in m/s² or rad/s², also for the options. The watchdog stops a faster motion."""
 
 
 def joint_deceleration(options: UrOptions, state: UrState) -> float:
-    """Deceleration in rad/s² of the fastest joint."""
+    """Return the deceleration in rad/s² of the fastest joint."""
     return _deceleration(options, max(map(abs, state.qd)))
 
 
 def tool_deceleration(options: UrOptions, state: UrState) -> float:
-    """Deceleration of the tool, in m/s² of its point and rad/s² of its rotation."""
+    """Return the tool deceleration in m/s² of its point and rad/s² of its rotation."""
     return _deceleration(options, max(math.hypot(*state.speed[:3]), math.hypot(*state.speed[3:])))
 
 
@@ -238,20 +235,20 @@ def _deceleration(options: UrOptions, speed: float) -> float:
 
 ARMED_S: Final = 1.0
 KICKS: Final = 5.0
-"""In each period of the watchdog, while nothing is commanded."""
+"""Kicks per watchdog period without commands."""
 REMOTE_PERIOD_S: Final = 1.0
 REMOTE_S: Final = CONNECT_S + 2.0 * REPLY_S + 1.0
 REFUSED_S: Final = 0.05
-"""For how long commands may fail before that is a fault: a stop of the controller's has its own reason by then."""
+"""Time in s for which commands may fail before a fault; a stop by the controller has its reason by then."""
 
 
 class Watchdog:
-    """The controller's watchdog: armed, kicked while nothing is commanded; and whether commands are still accepted.
+    """Controller watchdog: arming, kicks without commands, and detection of refused commands.
 
     Args:
-        options: Of the driver.
-        connection: Its connections.
-        watches_remote: Whether the controller can say whether it is in remote control.
+        options: Options of the driver.
+        connection: Connections to the controller.
+        watches_remote: True if the controller can report remote control.
     """
 
     def __init__(self, options: UrOptions, connection: RtdeConnection, *, watches_remote: bool) -> None:
@@ -261,21 +258,21 @@ class Watchdog:
         self._arming: Call | None = None
         self._remote: Call | None = None
         self._acknowledged: Call | None = None
-        """The last command that was streamed before the operator acknowledged a fault."""
+        """Last streamed command before the operator acknowledged a fault."""
         self._kicked_s = self._remote_s = self._taken_s = 0.0
 
     @property
     def armed(self) -> bool:
-        """Whether the watchdog listens."""
+        """True if the watchdog is active."""
         return self._arming is not None and self._arming.done and self._arming.failure is None
 
     def service(self, now_s: float, aside: TimedWorker, *, idle: bool) -> None:
-        """Makes the calls that are due.
+        """Make the due calls.
 
         Args:
-            now_s: The time of the monotonic clock in s.
-            aside: Makes calls that may take long; not the thread that commands.
-            idle: Whether the watchdog hears nothing else.
+            now_s: Monotonic time in s.
+            aside: Worker for long calls, separate from the commanding thread.
+            idle: True if the watchdog hears nothing else.
         """
         hz = self._options.watchdog_hz
         if self._arming is None:
@@ -290,7 +287,7 @@ class Watchdog:
                 self._remote = aside.start("remote control", lambda: is_in_remote_control(host), REMOTE_S)
 
     def fault(self) -> str | None:
-        """What is wrong with the calls of the library, and what to do about it."""
+        """Return the fault of the library's calls with a remedy, or None."""
         worker = self._connection.worker
         if (stuck := worker.stuck) is not None:
             return f"{stuck.name} has not returned: the controller does not answer: see the network, then acknowledge"
@@ -310,6 +307,6 @@ class Watchdog:
         return None
 
     def reset(self) -> None:
-        """The operator has acknowledged: the watchdog is armed anew."""
+        """Rearm the watchdog after the operator's acknowledgement."""
         self._arming = self._remote = None
         self._acknowledged = self._connection.worker.streamed

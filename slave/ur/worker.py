@@ -1,9 +1,9 @@
-"""Calls of a vendor's library that may never return: on a thread with a time limit each, in a process to be killed.
+"""Vendor library calls that may never return: on a thread with timeouts, in a process that can be killed.
 
-Once a connection is lost, a thread of ur_rtde 1.6.5 connects again by itself, without end: each time it uploads the
-control script anew, which clears the watchdog and stops whatever plays. To disconnect, to reconnect or to destroy the
-interface meanwhile ends the process with a segmentation fault, and some calls never return. So the control interface
-runs where a kill is the end of it and of nothing else; what the library prints goes to standard error.
+After a lost connection, a thread of ur_rtde 1.6.5 reconnects endlessly. Each time it uploads the control script, which
+clears the watchdog and stops any playing program. Disconnecting, reconnecting or destroying the interface meanwhile
+causes a segmentation fault, and some calls never return. Therefore the control interface runs in a process whose kill
+affects nothing else. The library's output goes to standard error.
 """
 
 import contextlib
@@ -22,23 +22,23 @@ from typing import Any, Final, NamedTuple
 from haptether.child import child_environment, module_command
 
 ABANDONED: list[object] = []
-"""What a call still holds that never returned: to let go of it could block whoever does."""
+"""Objects of calls that never returned; releasing them could block."""
 PRIORITY: Final = 1
-"""Under SCHED_FIFO."""
+"""SCHED_FIFO priority."""
 PARENT_POLL_S: Final = 0.05
 MAX_LINE: Final = 1 << 16
 
 
 class CallTimeoutError(RuntimeError):
-    """A call has not returned within its limit."""
+    """A call has not returned within its timeout."""
 
 
 class ControlProcessError(RuntimeError):
-    """The library raised, or its process is gone."""
+    """The library raised an exception, or its process is gone."""
 
 
 class Call:
-    """One call: queued, running, or done."""
+    """One call: queued, running or done."""
 
     def __init__(self, name: str, function: Callable[[], Any], limit_s: float) -> None:
         self.name = name
@@ -51,12 +51,12 @@ class Call:
 
     @property
     def done(self) -> bool:
-        """Whether it has returned, or was cancelled."""
+        """True if the call has returned or was cancelled."""
         return self._done.is_set()
 
     @property
     def failure(self) -> str | None:
-        """Why it did not do what it should; none while it runs and where it did."""
+        """Reason of failure; None while running and on success."""
         if not self.done:
             return None
         if self.error is not None:
@@ -64,26 +64,26 @@ class Call:
         return f"{self.name} was refused" if self.result is False else None
 
     def wait(self, limit_s: float) -> bool:
-        """Waits until it is done, but no longer than that; whether it is."""
+        """Wait with a timeout; return True if done."""
         return self._done.wait(limit_s)
 
     def cancel(self, why: str) -> None:
-        """Ends it without calling it."""
+        """End without calling."""
         self.error = CallTimeoutError(why)
         self._done.set()
 
     def perform(self) -> None:
-        """Calls it, on the thread of this worker."""
+        """Execute the call on the worker thread."""
         self.started_s = time.monotonic()
         try:
             self.result = self._function()
-        except Exception as error:  # of a library of somebody else
+        except Exception as error:  # errors of a vendor library
             self.error = error
         self._done.set()
 
 
 class Idle(NamedTuple):
-    """What is called after a time in s without another request."""
+    """Call made after a time in s without another request."""
 
     after_s: float
     name: str
@@ -92,10 +92,10 @@ class Idle(NamedTuple):
 
 
 class TimedWorker:
-    """A thread that makes one call after another; of those that are streamed only the newest counts.
+    """Thread that executes calls in sequence; only the latest streamed call counts.
 
     Args:
-        name: Of the thread.
+        name: Name of the thread.
     """
 
     def __init__(self, name: str) -> None:
@@ -108,14 +108,14 @@ class TimedWorker:
         self._ended = False
         self._idle: Idle | None = None
         self.streamed: Call | None = None
-        """The newest of the streamed calls that is done; for others to read only, as the next."""
+        """Latest finished streamed call; read only for others, like the next field."""
         self.idled: Call | None = None
-        """The last call that was made because nothing more was streamed."""
+        """Last call made because the stream stopped."""
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     def start(self, name: str, function: Callable[[], Any], limit_s: float) -> Call:
-        """Queues a call, and drops what was streamed and has not started; does not wait."""
+        """Queue a call without waiting; drop streamed calls that have not started."""
         call = Call(name, function, limit_s)
         with self._changed:
             if self._ended or self.stuck is not None:
@@ -127,11 +127,11 @@ class TimedWorker:
         return call
 
     def run(self, name: str, function: Callable[[], Any], limit_s: float) -> Any:  # noqa: ANN401  # its result
-        """Makes a call and waits for it.
+        """Make a call and wait for it.
 
         Raises:
-            CallTimeoutError: It did not return in time; its connection must not be used again.
-            Exception: What it raised.
+            CallTimeoutError: A timeout; the connection must not be used again.
+            Exception: Exception of the call.
         """
         call = self.start(name, function, limit_s)
         if not call.wait(limit_s):
@@ -144,10 +144,9 @@ class TimedWorker:
         return call.result
 
     def stream(self, name: str, function: Callable[[], Any], limit_s: float, idle: Idle | None = None) -> None:
-        """Has a call made as soon as the thread is free, instead of the streamed one that has not started.
+        """Execute a call as soon as the thread is free, replacing a streamed call that has not started.
 
-        With `idle` another one follows if nothing else is requested within a time: also where the thread that streams
-        hangs.
+        With `idle` another call follows if nothing else is requested in time, even if the streaming thread hangs.
         """
         with self._changed:
             if not self._ended and self._stuck is None:
@@ -157,7 +156,7 @@ class TimedWorker:
 
     @property
     def stuck(self) -> Call | None:
-        """The call that timed out; once there is one the thread is never used again."""
+        """Call that timed out; the thread is then never used again."""
         running = self._running
         if self._stuck is None and running is not None and not running.done:
             started_s = running.started_s
@@ -166,7 +165,7 @@ class TimedWorker:
         return self._stuck
 
     def end(self, *held: object) -> None:
-        """Lets the thread end after what it does now; `held` is kept for ever where a call never returned."""
+        """End the thread after its current call; `held` is kept for ever if a call never returned."""
         if self.stuck is not None:
             ABANDONED.extend(held)
         with self._changed:
@@ -200,18 +199,18 @@ class TimedWorker:
             if streamed:
                 self.streamed = call
             if self._stuck is not None:
-                # Too late: whoever waited has gone on without it.
+                # Too late: the waiting thread has continued without it.
                 return
 
 
 class ControlProcess:
-    """Calls as on an `rtde_control.RTDEControlInterface`, for one thread at a time; `kill` ends one from another.
+    """Calls of an `rtde_control.RTDEControlInterface` in a process, for one thread at a time; another may `kill`.
 
     Args:
-        host: The controller.
-        rate_hz: Of the packages that the library takes.
+        host: Host of the controller.
+        rate_hz: Package rate of the library.
 
-    It is there at once, so that it can be killed while it connects.
+    The process exists at once, so that it can be killed while it connects.
     """
 
     def __init__(self, host: str, rate_hz: float) -> None:
@@ -224,34 +223,34 @@ class ControlProcess:
                 stdin=subprocess.DEVNULL,
                 stdout=2,
                 env=child_environment(),
-                # A Ctrl-C is for the bridge, which then stops the arm through this process.
+                # Ctrl-C is for the bridge, which then stops the arm through this process.
                 start_new_session=True,
             )
         self._lines = self._socket.makefile("rb")
 
     def connect(self) -> None:
-        """Waits until the library has connected, and its script plays.
+        """Wait until the library has connected and its script plays.
 
         Raises:
-            ControlProcessError: It could not.
+            ControlProcessError: The connection failed.
         """
         self._answer("connect")
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
-        """A call of the library."""
+        """Return a call of the library."""
         if name.startswith("_"):
             raise AttributeError(name)
         return lambda *arguments: self._call(name, arguments)
 
     @property
     def alive(self) -> bool:
-        """Whether the process runs."""
+        """True if the process runs."""
         return self._process.poll() is None
 
     def kill(self) -> None:
-        """Ends the process, in the middle of a call if need be, and with it its connections."""
+        """Kill the process and its connections, even within a call."""
         self._process.kill()
-        # Whoever waits for an answer wakes up.
+        # Wake a thread that waits for an answer.
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         threading.Thread(target=self._leave, daemon=True).start()
@@ -287,10 +286,10 @@ class ControlProcess:
 
 
 def main() -> None:
-    """What the process of the control interface does: one call after another, until its socket is closed."""
+    """Main function of the control process: execute calls until its socket is closed."""
     descriptor, host, rate, parent = sys.argv[1:]
     request_lowest_realtime()
-    # An argument, and not os.getppid(): whoever started this process may have ended by now.
+    # An argument, because os.getppid() is invalid if the parent has already ended.
     threading.Thread(target=_end_with, args=(int(parent),), daemon=True).start()
     with socket.socket(fileno=int(descriptor)) as requests:
         lines = requests.makefile("rb")
@@ -300,9 +299,9 @@ def main() -> None:
 
         interface = import_module("rtde_control").RTDEControlInterface
         try:
-            # An external force sensor through RTDE does not work in this library, and another client may have one.
+            # RTDE input of an external force sensor does not work in this library, and another client may use one.
             control = interface(host, float(rate), interface.FLAG_UPLOAD_SCRIPT | interface.FLAG_NO_EXT_FT)
-        except Exception as error:  # of the library
+        except Exception as error:  # errors of the library
             answer(str(error))
             os._exit(1)
         answer(None)
@@ -319,18 +318,17 @@ def main() -> None:
 
 
 def _end_with(parent: int) -> None:
-    """Ends this process with the one that started it, also in the middle of a call."""
+    """End this process with its parent, even within a call."""
     while os.getppid() == parent:
         time.sleep(PARENT_POLL_S)
     os._exit(0)
 
 
 def request_lowest_realtime() -> None:
-    """Requests real time of the lowest priority for the calling thread and what it starts; goes on without.
+    """Request the lowest real-time priority for the calling thread and its children; continue without it on failure.
 
-    Above what does not care for time, or a busy machine would starve the commands, and the watchdog of the controller
-    would end its program; below the loops of bridge and emulated controller, because the vendor's library waits without
-    sleeping.
+    Above ordinary processes, because a busy machine would otherwise starve the commands and the controller's watchdog
+    would end its program. Below the loops of bridge and emulated controller, because the vendor's library busy-waits.
     """
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))

@@ -1,4 +1,4 @@
-"""Force and moment of the environment on the tool of a UR arm, in the frame of the base about the tool point."""
+"""Force and moment of the environment on a UR tool, in the base frame about the tool point."""
 
 import math
 from typing import Final
@@ -9,32 +9,30 @@ from haptether.slave.ur.options import Three
 from haptether.slave.ur.state import Numbers
 
 STANDARD_GRAVITY: Final = 9.80665
-"""m/s²."""
+"""Standard gravity in m/s²."""
 ORIGIN: Final[Three] = (0.0, 0.0, 0.0)
 
 
 class UrWrench:
-    """Rotates, filters and cuts what the sensor shows to F_e, and its moment tau_e about the tool point.
+    """Rotation, filter and deadband from the sensor's wrench to F_e, and its moment tau_e about the tool point.
 
-    Low-pass `y += (1 - e^(-2 pi f dt)) (x - y)`, exact for an input that is held over each step. Then the length of the
-    force less the deadband, its direction kept, so that what leaves the deadband begins at zero.
+    Low-pass `y += (1 - e^(-2 pi f dt)) (x - y)`, exact for a piecewise constant input. Then the deadband is subtracted
+    from the force's length, which keeps direction and continuity.
 
-    `actual_TCP_force` is along the base's axes, its moment about the tool point, and has the payload taken away.
-    `ft_raw_wrench` is in the frame of the flange and has not: for the flange's orientation R it shows
+    `actual_TCP_force` is in the base frame, with the moment about the tool point, without the payload. `ft_raw_wrench`
+    is in the flange frame and includes the payload: for flange orientation R it shows
 
-        b + R^T (F_e + m g)
-        b_tau + R^T tau_e + t x R^T F_e + c x R^T m g
+        b + R^T (F_e + m g) b_tau + R^T tau_e + t x R^T F_e + c x R^T m g
 
-    with the tool point t and the payload's centre of gravity c in the frame of the flange. `zero` takes the sensor's
-    bias, b and b_tau, from it. Without the mass m the weight is taken as part of it, which is right for one
-    orientation.
+    with the tool point t and the payload's centre of gravity c in the flange frame. `zero` stores the sensor's bias, b
+    and b_tau. Without the mass m the weight counts as bias, which is valid for one orientation.
 
     Args:
-        raw: Whether the wrench is that of the sensor in the flange.
-        tool: The tool's point in the frame of the flange, as a pose.
-        filter_hz: Corner of the low-pass; None for none.
-        deadband_n: What is taken away of the length of the force.
-        payload_kg: All that the flange carries, for a wrench of the sensor; the base stands upright.
+        raw: True for the raw wrench of the flange sensor.
+        tool: Tool point in the flange frame, as a pose.
+        filter_hz: Corner frequency of the low-pass; None for none.
+        deadband_n: Deadband of the force's length.
+        payload_kg: Mass on the flange, for a raw wrench; the base is upright.
         payload_cog: c in m.
     """
 
@@ -55,12 +53,12 @@ class UrWrench:
         self._deadband = deadband_n
         self._weight = -STANDARD_GRAVITY * payload_kg if raw else 0.0
         self._bias: Three = ORIGIN
-        """As the sensor shows it, in the frame of the flange; along the base without one."""
+        """Force bias in the flange frame, or in the base frame for a controller wrench."""
         self._torque_bias: Three = ORIGIN
         self._smooth: tuple[Three, Three] | None = None
 
     def base_wrench(self, wrench: Numbers, pose: Numbers) -> tuple[Three, Three]:
-        """Force in N and moment in N m along the axes of the base, less what `zero` took; neither filtered nor cut."""
+        """Return force in N and moment in N m in the base frame, without bias, unfiltered."""
         x, y, z = (shown - bias for shown, bias in zip(wrench[:3], self._bias, strict=True))
         torque = _minus((wrench[3], wrench[4], wrench[5]), self._torque_bias)
         if self._tool_from_flange is None:
@@ -73,7 +71,7 @@ class UrWrench:
         return (x, y, z - self._weight), (a, b, c)
 
     def zero(self, wrench: Numbers, pose: Numbers) -> None:
-        """What it shows now, with nothing but the payload on the flange, becomes zero."""
+        """Make the current reading zero; only the payload may load the flange."""
         force, torque = (wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])
         if self._tool_from_flange is not None:
             weight = self._weight_at(self._base_from_flange(pose))
@@ -82,7 +80,7 @@ class UrWrench:
         self._smooth = None
 
     def felt(self, wrench: Numbers, pose: Numbers, elapsed_s: float) -> tuple[Three, Three]:
-        """F_e in N and tau_e in N m after a time in s since the last call."""
+        """Return F_e in N and tau_e in N m after a time in s since the last call."""
         force, torque = self.base_wrench(wrench, pose)
         if self._corner is not None:
             if self._smooth is not None:
@@ -100,7 +98,7 @@ class UrWrench:
         return matrix_from_rotvec(pose[3:]) @ self._tool_from_flange
 
     def _weight_at(self, base_from_flange: Array) -> Three:
-        """Of the payload in N, in the frame of the flange."""
+        """Return the payload's weight in N in the flange frame."""
         x, y, z = (base_from_flange.T @ (0.0, 0.0, self._weight)).tolist()
         return x, y, z
 

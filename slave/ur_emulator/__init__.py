@@ -1,4 +1,4 @@
-"""An emulated UR controller that the real client libraries talk to; `haptether ur-emulator` runs it as a process."""
+"""Emulated UR controller that the real client libraries talk to; `haptether ur-emulator` runs it as a process."""
 
 from typing import TYPE_CHECKING
 
@@ -44,7 +44,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    # Most of these import CasADi, which is slow.
+    # Most of these modules import CasADi, which is slow.
     if name in _MODULES:
         from importlib import import_module  # noqa: PLC0415
 

@@ -1,4 +1,4 @@
-"""Connections of clients without their sockets: protocols, what waits to be sent, and faults of the network."""
+"""Client connections without their sockets: protocols, waiting bytes, and network faults."""
 
 import math
 import random
@@ -16,51 +16,51 @@ if TYPE_CHECKING:
     from haptether.slave.ur_emulator.gripper.gripper import EmulatedGripper
 
 MAX_LINE: Final = 4096
-"""Bytes."""
+"""Longest line in bytes."""
 MAX_MESSAGES: Final = 100
-"""Robot messages that wait for a client; of more only the newest are kept."""
+"""Robot messages that wait for a client; above this number the oldest are lost."""
 READ_TIMEOUT_S: Final = 1.0
-"""How long a client may read nothing before its connection is closed."""
+"""Time that a client may read nothing before its connection is closed."""
 
 RTDE, DASHBOARD, SCRIPT, GRIPPER = "rtde", "dashboard", "script", "gripper"
 PORTS: Final = {30004: RTDE, 29999: DASHBOARD, 30001: SCRIPT, 30002: SCRIPT, 30003: SCRIPT}
-"""Fixed by the protocol: clients have no setting for them."""
+"""Ports fixed by the protocol: clients have no setting for them."""
 GRIPPER_PORT: Final = 63352
-"""Of the URCap's server; clients have a setting for it."""
+"""Port of the URCap server; clients have a setting for it."""
 KINDS: Final = frozenset({RTDE, DASHBOARD, SCRIPT, GRIPPER})
 
 
 class Peer:
-    """The protocol of one connection."""
+    """Protocol of one connection."""
 
     kind: str
 
     def greeting(self) -> bytes:
-        """Bytes that are sent first: none, where clients take them for the answer to their first request."""
+        """Return the bytes to send first: none if clients take them for the answer to their first request."""
         return b""
 
     def receive(self, received: bytes) -> tuple[bytes, bool]:
-        """The answer to bytes that arrived, and whether the connection stays open.
+        """Return the answer to received bytes, and True if the connection stays open.
 
         Raises:
-            ValueError: Bytes that break the protocol.
+            ValueError: Bytes break the protocol.
         """
         raise NotImplementedError
 
     def more(self) -> bytes:
-        """A further answer to bytes that arrived, to be sent on its own; empty where there is none."""
+        """Return a further answer to received bytes, to be sent on its own; empty if there is none."""
         return b""
 
     def package(self, cycles: int) -> bytes | None:  # noqa: ARG002
-        """The data package or message that is due after so many control cycles, if any."""
+        """Return the data package or message that is due after `cycles` control cycles, if any."""
         return None
 
     def close(self) -> None:
-        """Frees what the connection holds."""
+        """Free the resources of the connection."""
 
 
 class RtdePeer(Peer):
-    """A client of RTDE."""
+    """RTDE client."""
 
     kind = RTDE
 
@@ -89,7 +89,7 @@ class RtdePeer(Peer):
 
 
 class DashboardPeer(Peer):
-    """A client of the dashboard server."""
+    """Dashboard client."""
 
     kind = DASHBOARD
 
@@ -117,7 +117,7 @@ class DashboardPeer(Peer):
 
 
 class ScriptPeer(Peer):
-    """A client of one of the script interfaces; it is sent the errors of its scripts, and nothing else."""
+    """Client of a script interface; it gets only the errors of its scripts."""
 
     kind = SCRIPT
 
@@ -145,7 +145,7 @@ class ScriptPeer(Peer):
 
 
 class GripperPeer(Peer):
-    """A client of the URCap's server."""
+    """Client of the URCap server."""
 
     kind = GRIPPER
 
@@ -153,10 +153,10 @@ class GripperPeer(Peer):
         self._gripper = gripper
         self._waiting = b""
         self._waited = 0
-        """Control cycles since the last bytes came."""
+        """Control cycles since the last received bytes."""
 
     def receive(self, received: bytes) -> tuple[bytes, bool]:
-        """See `Peer`; one reply, `more` has those that follow."""
+        """See `Peer`; returns one reply, `more` returns the next ones."""
         self._waiting += received
         self._waited = 0
         answer = self.more()
@@ -169,13 +169,13 @@ class GripperPeer(Peer):
         """See `Peer`."""
         while b"\n" in self._waiting:
             line, _, self._waiting = self._waiting.partition(b"\n")
-            # An empty line is what is left of an end of line.
+            # A line feed alone is the rest of an end of line.
             if (request := line.strip()) and not self._gripper.silent:
                 return answered(self._gripper, request, bare=False)
         return b""
 
     def package(self, cycles: int) -> bytes | None:
-        """See `Peer`: the reply to a request whose end of line has not come."""
+        """See `Peer`: the reply to a request without an end of line."""
         if not self._waiting:
             return None
         self._waited += cycles
@@ -186,7 +186,7 @@ class GripperPeer(Peer):
 
 
 class PeerFactory:
-    """Creates the peer of each connection that is accepted."""
+    """Creates the peer of each accepted connection."""
 
     def __init__(self, controller: "Controller") -> None:
         self._controller = controller
@@ -195,7 +195,7 @@ class PeerFactory:
         self._accepted = 0
 
     def peer(self, port: int) -> Peer:
-        """The peer of a new connection to a port."""
+        """Return the peer of a new connection to a port."""
         self._accepted += 1
         kind = GRIPPER if port == GRIPPER_PORT else PORTS[port]
         if kind == RTDE:
@@ -207,9 +207,9 @@ class PeerFactory:
 
 
 class Outbox:
-    """Bytes that wait to be sent on one connection; data packages may be held back, and are skipped while others wait.
+    """Bytes to send on one connection; data packages may be held back, and are skipped while others wait.
 
-    Time is an argument, in s.
+    Times are arguments, in s.
     """
 
     def __init__(self) -> None:
@@ -220,11 +220,11 @@ class Outbox:
         self._stalled_at_s: float | None = None
 
     def answer(self, packed: bytes) -> None:
-        """Adds bytes that must be sent, at once."""
+        """Add bytes that must be sent at once."""
         self.ready += packed
 
     def package(self, packed: bytes, due_s: float, now_s: float) -> None:
-        """Adds a data package that is to leave at `due_s`; it is skipped where an older one still waits."""
+        """Add a data package that leaves at `due_s`; it is skipped if an older one still waits."""
         if due_s > now_s or self._held:
             self._held.append((due_s, packed))
         elif self.ready:
@@ -233,12 +233,12 @@ class Outbox:
             self.ready += packed
 
     def release(self, now_s: float) -> None:
-        """Makes ready what was held back until now."""
+        """Release the packages that are due."""
         while self._held and self._held[0][0] <= now_s:
             self.ready += self._held.popleft()[1]
 
     def sent(self, count: int, now_s: float) -> None:
-        """Removes bytes that the socket has taken."""
+        """Remove the bytes that the socket has taken."""
         del self.ready[:count]
         if not self.ready or count:
             self._stalled_at_s = None if not self.ready else now_s
@@ -246,23 +246,23 @@ class Outbox:
             self._stalled_at_s = now_s
 
     def is_stalled(self, now_s: float) -> bool:
-        """Whether the client has read nothing for too long."""
+        """Return True if the client has read nothing for too long."""
         return self._stalled_at_s is not None and now_s - self._stalled_at_s > READ_TIMEOUT_S
 
 
 @dataclass(slots=True)
 class Faults:
-    """Faults of the network on command; those of the arm are the controller's. Time is an argument, in s."""
+    """Network faults on command; the controller has those of the arm. Times are arguments, in s."""
 
     seed: int = 0
     refusing: bool = False
-    """Whether new connections are closed at once."""
+    """True to close new connections at once."""
     late_s: float = 0.0
-    """By which data packages are late."""
+    """Delay of data packages."""
     jitter_s: float = 0.0
-    """Largest further lateness, uniform; packages keep their order."""
+    """Largest additional delay, uniform; packages keep their order."""
     dropping: set[str] = field(default_factory=set)
-    """Kinds of connections that are to be closed."""
+    """Kinds of connections to close."""
     _frozen_until_s: float = -math.inf
     _random: random.Random = field(init=False)
     _last_due_s: dict[int, float] = field(default_factory=dict)
@@ -271,27 +271,27 @@ class Faults:
         self._random = random.Random(self.seed)
 
     def reset(self) -> None:
-        """Ends all faults."""
+        """End all faults."""
         self.refusing = False
         self.late_s = self.jitter_s = 0.0
         self.thaw()
 
     def freeze(self, now_s: float, duration_s: float = math.inf) -> None:
-        """Nothing is read, sent or accepted for a time, as if the network were gone; the arm goes on."""
+        """Stop reading, sending and accepting for a time, as if the network were gone; the arm continues."""
         self._frozen_until_s = now_s + duration_s
 
     def thaw(self) -> None:
-        """Ends `freeze`."""
+        """End `freeze`."""
         self._frozen_until_s = -math.inf
 
     def is_frozen(self, now_s: float) -> bool:
-        """Whether nothing is read, sent or accepted."""
+        """Return True if nothing is read, sent or accepted."""
         return now_s < self._frozen_until_s
 
     def due_s(self, connection: int, now_s: float) -> float:
-        """When a package of now may leave."""
+        """Return the time at which a package of now may leave."""
         if self.late_s == 0.0 and self.jitter_s == 0.0:
-            # Packages that are late already stay before it: the outbox keeps the order.
+            # Packages that are already late stay ahead: the outbox keeps the order.
             return now_s
         due = now_s + self.late_s + self.jitter_s * self._random.random()
         due = max(due, self._last_due_s.get(connection, due))
@@ -299,6 +299,6 @@ class Faults:
         return due
 
     def take_dropping(self) -> set[str]:
-        """The kinds of connections to close now."""
+        """Return the kinds of connections to close now."""
         kinds, self.dropping = self.dropping, set()
         return kinds

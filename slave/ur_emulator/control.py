@@ -1,4 +1,4 @@
-"""The control line: commands to the emulator, each a line and answered by a line."""
+"""Control line: commands to the emulator; each line gets a line as its answer."""
 
 import json
 import math
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 MAX_FORCE_N: Final = 10_000.0
 MAX_START_UP_S: Final = 60.0
 SHOWN_LINES: Final = 20
-"""Lines of the log where no number is given."""
+"""Lines of the log if no number is given."""
 
 
 class ControlLine:
@@ -31,9 +31,9 @@ class ControlLine:
 
     Args:
         controller: The controller.
-        environment: What its tool touches.
-        faults: Faults of the network to its clients.
-        process: The process that the controller runs in, if any.
+        environment: Environment of its tool.
+        faults: Network faults.
+        process: Process that runs the controller, if any.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class ControlLine:
         self._faults = faults
         self._process = process
         self.quit = False
-        """Whether the process is to end."""
+        """True if the process must end."""
         self._commands: dict[str, Callable[[list[str], float], str | None]] = {
             "help": lambda _a, _t: " ".join(sorted(self._commands)),
             "status": lambda _a, _t: json.dumps(self._status()),
@@ -84,7 +84,7 @@ class ControlLine:
         }
 
     def answer(self, line: str, now_s: float) -> str:
-        """The answer to a line: `ok`, `ok RESULT`, or `error: WHY`.
+        """Return the answer to a line: `ok`, `ok RESULT`, or `error: WHY`.
 
         Args:
             line: The command with its arguments.
@@ -104,7 +104,7 @@ class ControlLine:
     # ------------------------------------------------------------------------------------------------- answers
 
     def status_json(self) -> bytes:
-        """State and figures of the line `status`."""
+        """Return state and figures for the line `status`."""
         return json.dumps(self._status(), indent=2).encode()
 
     def _status(self) -> dict[str, Any]:

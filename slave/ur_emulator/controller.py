@@ -1,4 +1,4 @@
-"""The controller: in each control cycle it takes the inputs of RTDE, moves the arm, runs programs, sets the outputs."""
+"""Controller: each control cycle reads RTDE inputs, moves the arm, runs programs and sets the outputs."""
 
 import contextlib
 import math
@@ -48,18 +48,18 @@ if TYPE_CHECKING:
 
 START_UP_S: Final = 0.02
 STOP_DECELERATION: Final = 20.0
-"""rad/s² of a stop by the safety system."""
+"""Deceleration in rad/s² of a stop by the safety system."""
 UPTIME_S: Final = 100.0
-"""Age of the controller when it begins: some clients wait for one that has just booted."""
+"""Age of the controller at the start: some clients wait for a controller that has just booted."""
 LOG_LINES: Final = 1000
 MAX_LOG_LINE: Final = 500
-"""Characters; a client's text may have a million."""
+"""Characters of a line; a client's text may have a million."""
 MAX_NAME: Final = 80
 SIGNAL: Final = "write_output_integer_register("
 MAX_SECONDARY: Final = 5_000
 """Characters of a secondary program, which is parsed at once."""
 MAX_WRENCH: Final = 1e5
-"""N and N m of a client's force sensor; larger numbers overflow in squares."""
+"""Largest value in N and N m of a client's force sensor; squares of larger numbers overflow."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,27 +69,27 @@ class ControllerSettings:
     model: "UrModel"
     version: ControllerVersion
     start: Joints
-    """Joint angles in rad at the begin."""
+    """Initial joint angles in rad."""
     tcp: tuple[float, ...] = (0.0,) * 6
-    """The tool in the frame of the flange at the begin, in m and rad."""
+    """Initial tool in the flange frame, in m and rad."""
     serial_number: str = "20240000001"
     remote_control: bool = True
     unlock_after_s: float = 5.0
     limits: SafetyLimits = field(default_factory=SafetyLimits)
     gripper: GripperSettings | None = None
-    """The gripper on its flange, and the URCap's server for it; none without."""
+    """Gripper on the flange and its URCap server; None without a gripper."""
 
 
 class Controller:
-    """A pure state machine: `cycle` advances it by one control cycle.
+    """State machine without sockets and clock: `cycle` advances it by one control cycle.
 
     Args:
         settings: Arm, software version, initial state.
-        touch: What the tool touches.
+        touch: Environment of the tool.
         sensing: The force sensor.
 
     Raises:
-        ValueError: A start beyond the limits of a joint.
+        ValueError: A start is outside the limits of a joint.
     """
 
     def __init__(
@@ -117,27 +117,27 @@ class Controller:
         self.client_settings = ClientSettings(self.inputs)
         self.gripper = None if settings.gripper is None else EmulatedGripper(settings.gripper)
         self.on_engaged: Callable[[], None] = lambda: None
-        """Is called at the first servo or speed command."""
+        """Called at the first servo or speed command."""
         self.limiter = 1.0
-        """Share of the speed that the limit of tool speed leaves, beside the slider: RTDE's `speed_scaling`."""
+        """Share of the speed that the tool speed limit leaves, apart from the slider: RTDE's `speed_scaling`."""
         self.start_up_s = START_UP_S
-        """Time from the arrival of a program's last line to its first step."""
+        """Time from a program's last line to its first step."""
         self.operational_mode: str | None = None
-        """Set by the dashboard; None while it controls no mode."""
+        """Mode set by the dashboard; None if the dashboard controls no mode."""
         self.claimed_version: ControllerVersion | None = None
-        """A version that clients see in place of the true one."""
+        """Version that clients see instead of the true one."""
         self._program: Program | None = None
         self._starts: tuple[int, Submitted] | None = None
         self._reading: Generator[None, None, None] | None = None
-        """Parses the program that is to start."""
+        """Parser of the next program."""
         self._failed: Callable[[str], None] = ignored
-        """Takes the error that stops the running program."""
+        """Receives the error that stops the running program."""
         self._stop_reason = ""
         self._watched = (0, 0)
-        """Writes of the input that the watchdog monitors, and the control cycle of the last one."""
+        """Number of writes of the watchdog's input, and the control cycle of the last one."""
         self._has_engaged = False
         self._tool_velocities: tuple[Six, Six] = ((0.0,) * 6, (0.0,) * 6)
-        """Of the control cycle before: of the target and as measured."""
+        """Velocities of the previous cycle: target and measured."""
         self._update_outputs()
 
     @property
@@ -152,23 +152,23 @@ class Controller:
 
     @property
     def reported_version(self) -> ControllerVersion:
-        """The version that clients see."""
+        """Version that clients see."""
         return self.claimed_version or self.version
 
     def write_log(self, text: str) -> None:
-        """Writes a line to the log."""
+        """Write a line to the log."""
         self.log.append(f"{self.now_s:.3f} {text[:MAX_LOG_LINE]}")
 
     # ---------------------------------------------------------------------------------------------------- cycle
 
     def cycle(self) -> None:
-        """One control cycle."""
+        """Run one control cycle."""
         self.cycles += 1
         self.safety.advance(self.now_s)
         self._scale_speed()
         wrench = self.inputs.values["external_force_torque"]
         self.robot.sensing.external = _within(wrench) if self.setup.external_sensor else None  # type: ignore[arg-type]
-        # The commands of the cycle before have moved the arm until now.
+        # The commands of the previous cycle have moved the arm until now.
         self._move()
         self._check_limits()
         self._start_program()
@@ -179,7 +179,7 @@ class Controller:
 
     def _scale_speed(self) -> None:
         speed = max(1e-9, self.robot.tool_speed)
-        # The controller slows its own moves down rather than breaking the limit of tool speed.
+        # The controller slows its own moves down to respect the tool speed limit.
         room = max(0.9 * self.settings.limits.tool_speed / speed * self.robot.speed_scaling, 0.01)
         self.robot.speed_scaling = min(self.client_settings.slider, room)
         # Clients multiply it by target_speed_fraction, which is the slider.
@@ -199,9 +199,9 @@ class Controller:
             self._signal_end(submitted)
 
     def _signal_end(self, submitted: Submitted) -> None:
-        """Executes the last line that writes a register, of a program that cannot be read.
+        """Execute the last register write of a program that cannot be read.
 
-        ur_rtde waits for this write for 5 minutes, whatever the program state is.
+        ur_rtde waits 5 minutes for this write in any program state.
         """
         lines = [line.strip() for line in submitted.text.splitlines() if line.strip().startswith(SIGNAL)]
         if lines:
@@ -209,10 +209,10 @@ class Controller:
                 Thread(self._calls(self._program_of(submitted)[1]).steps(lines[-1])).run()
 
     def _started(self, submitted: Submitted) -> "Generator[None, None, None]":
-        """Parses a program, a part of it in each control cycle, then starts it.
+        """Parse a program, a part in each control cycle, then start it.
 
         Raises:
-            ScriptError: It cannot be parsed.
+            ScriptError: The program cannot be parsed.
         """
         program, functions = self._program_of(submitted)
         upload = recognised(submitted.text)
@@ -227,12 +227,12 @@ class Controller:
         self.runtime = RuntimeState.PLAYING
 
     def _fail(self, failed: "Callable[[str], None]", text: str) -> None:
-        """Reports the error of a program, in the log and to its sender."""
+        """Report the error of a program to the log and to its sender."""
         self.write_log(text)
         failed(text)
 
     def _run_secondary(self, submitted: Submitted) -> None:
-        """Runs a program beside the one that runs; it may take no time."""
+        """Run a program beside the running one; it may take no time."""
         program, functions = self._program_of(submitted)
         try:
             if len(submitted.text) > MAX_SECONDARY:
@@ -299,7 +299,7 @@ class Controller:
     # -------------------------------------------------------------------------------------------------- outputs
 
     def _update_outputs(self) -> None:
-        """Sets the outputs that the emulator models; all others stay zero."""
+        """Set the outputs that the emulator models; all others stay zero."""
         outputs, robot = self.outputs, self.robot
         measured, target = robot.measured, robot.target
         tool, jacobian = robot.arm.transform_and_jacobian(target.q)
@@ -363,7 +363,7 @@ class Controller:
     # ------------------------------------------------------------------------------------------------- programs
 
     def submit(self, submitted: Submitted) -> bool:
-        """Takes a program from a script interface, which starts after `start_up_s`; returns whether it is accepted."""
+        """Take a program from a script interface; return True if it is accepted. It starts after `start_up_s`."""
         if self.is_local or not self.safety.may_move:
             modes = f"robot mode {self.safety.robot_mode.name}, safety mode {self.safety.mode.name}"
             refusal = "not in remote control" if self.is_local else modes
@@ -378,11 +378,11 @@ class Controller:
 
     @property
     def is_local(self) -> bool:
-        """Whether commands from outside are refused: a CB3 controller takes them always."""
+        """Return True if commands from outside are refused; a CB3 controller always accepts them."""
         return not (self.remote_control or self.version.is_cb3)
 
     def reset(self) -> None:
-        """Resets all but time, log and registers; the arm is back at its start at once."""
+        """Reset everything except time, log and registers; the arm is at its start at once."""
         self.safety.reset()
         self.stop_program()
         self.remote_control = self.settings.remote_control
@@ -399,7 +399,7 @@ class Controller:
         self._has_engaged = False
 
     def stop_program(self) -> None:
-        """Ends the running program; the arm comes to rest."""
+        """End the running program; the arm comes to rest."""
         self._starts = self._reading = None
         if self._program is not None:
             self._program.kill()
@@ -409,7 +409,7 @@ class Controller:
         self.runtime = RuntimeState.STOPPED
 
     def pause(self) -> bool:
-        """Pauses the program; returns whether one was running."""
+        """Pause the program; return True if one was running."""
         if self.runtime != RuntimeState.PLAYING:
             return False
         self.runtime = RuntimeState.PAUSED
@@ -417,7 +417,7 @@ class Controller:
         return True
 
     def play(self) -> bool:
-        """Resumes a paused program, or starts the one that is loaded; returns whether there was one."""
+        """Resume a paused program or start the loaded one; return True if there was one."""
         if not self.safety.may_move:
             return False
         if self.runtime == RuntimeState.PAUSED:
@@ -428,7 +428,7 @@ class Controller:
     # --------------------------------------------------------------------------------------------------- safety
 
     def protective_stop(self, reason: str) -> None:
-        """Stops the arm, of a program at the end of its control cycle: a program cannot end itself within its step."""
+        """Stop the arm. A running program ends after its control cycle: it cannot end itself within its step."""
         self._stop_reason = self._stop_reason or reason
         if self._program is None or self.runtime != RuntimeState.PLAYING:
             self._stop_reason = ""

@@ -1,6 +1,6 @@
-"""The dashboard server: each line of a client is answered by a line.
+"""Dashboard server: each line of a client gets a line as its answer.
 
-Source: Universal Robots, "Dashboard Server e-Series"; what ur_rtde 1.6.5 and ur_client_library compare answers with.
+Sources: Universal Robots, "Dashboard Server e-Series"; the answers that ur_rtde 1.6.5 and ur_client_library expect.
 """
 
 from collections.abc import Callable
@@ -11,12 +11,12 @@ if TYPE_CHECKING:
 
 BANNER: Final = "Connected: Universal Robots Dashboard Server"
 CONTROL_PROGRAM: Final = "rtde_control.urp"
-"""The one program that the controller has on its disk: the control script of ur_rtde."""
+"""Only program on the controller's disk: the control script of ur_rtde."""
 INSTALLATION: Final = "default.installation"
 REPORTS: Final = ("controller", "software", "system")
 MODES: Final = frozenset({"manual", "automatic"})
 MAX_SHOWN: Final = 500
-"""Characters of a line or an argument that come back in an answer."""
+"""Characters of a line or an argument that an answer repeats."""
 TAKE_ARGUMENT: Final = (
     "load installation ",
     "load ",
@@ -27,7 +27,7 @@ TAKE_ARGUMENT: Final = (
     "generate flight report ",
     "generate support file ",
 )
-"""The longer one first where one begins like another."""
+"""If one begins like another, the longer one comes first."""
 NEEDS_REMOTE: Final = frozenset(
     {
         "play",
@@ -52,7 +52,7 @@ class Dashboard:
         self._answers = self._table()
 
     def answer(self, line: str) -> tuple[str, bool]:
-        """The answer to a line, and whether the connection stays open."""
+        """Return the answer to a line, and True if the connection stays open."""
         command = line.strip().lower()
         if command in {"quit", "shutdown"}:
             return ("Disconnected" if command == "quit" else "Shutting down"), False
@@ -123,14 +123,14 @@ class Dashboard:
             return f"File not found: {name}"
         self._controller.loaded = file
         if self._controller.runtime.name == "STOPPED":
-            # Clients wait for a program state with the name of the file.
+            # Clients wait for a program state with the file name.
             self._controller.program_name = ""
         return f"Loading program: {name}"
 
     def _load_installation(self, name: str) -> str:
         if name.rpartition("/")[2] != INSTALLATION:
             return f"File not found: {name}"
-        # The only one, which is loaded already.
+        # The only installation, already loaded.
         return f"Loading installation: {name}"
 
     def _flight_report(self, kind: str) -> str:
@@ -153,7 +153,7 @@ class Dashboard:
         if mode.lower() not in MODES:
             return f"Failed setting operational mode: {mode}"
         self._controller.operational_mode = mode.upper()
-        # In the client's spelling, which it looks for.
+        # Clients look for their own spelling.
         return f"Operational mode {mode} is set"
 
     def _clear_operational_mode(self, _: str) -> str:
@@ -162,7 +162,7 @@ class Dashboard:
 
 
 def _done(answer: str, action: Callable[[str], None]) -> Callable[[str], str]:
-    """What acts on its argument, and has one answer."""
+    """Return a function that acts on its argument and has one answer."""
 
     def answered(argument: str) -> str:
         action(argument)

@@ -1,4 +1,4 @@
-"""The process of an emulated controller: its sockets and its clock; no other module has them."""
+"""Process of an emulated controller: only this module has sockets and a clock."""
 
 import select
 import socket
@@ -15,21 +15,21 @@ if TYPE_CHECKING:
 
 MAX_CONNECTIONS: Final = 64
 SEND_BUFFER: Final = 1 << 16
-"""Bytes of a socket's buffer: at most so much is old when a slow reader reads again."""
+"""Bytes of a socket's buffer; limits the old data that a slow reader gets."""
 SERVING_SHARE: Final = 0.4
-"""Of a control period, for clients: a process that never sleeps under SCHED_FIFO is stopped for 50 ms a second."""
+"""Share of a control period for clients. SCHED_FIFO stops a process that never sleeps for 50 ms each second."""
 RECEIVE: Final = 512
-"""Bytes read of a connection at once: their answer takes less than a millisecond, whatever they are."""
+"""Bytes read at once from a connection: any answer to them takes less than a millisecond."""
 MAX_OUTBOX: Final = 1 << 16
-"""Bytes that may wait for a client before nothing more is read of it."""
+"""Bytes that may wait for a client; above this, nothing more is read from it."""
 MAX_PACKAGE_AGE_S: Final = 0.02
-"""Age of a state above which it is skipped for a newer one: a stall of the machine costs packages."""
+"""Age of a state above which a newer one replaces it: a stall of the machine loses packages."""
 MAX_CATCH_UP_S: Final = 0.5
-"""Time that is made up for after a stall."""
+"""Longest time made up for after a stall."""
 
 
 class Connection:
-    """A socket with its protocol and outbox."""
+    """Socket with its protocol and outbox."""
 
     def __init__(self, endpoint: socket.socket, peer: Peer, number: int) -> None:
         self.socket = endpoint
@@ -39,7 +39,7 @@ class Connection:
         self.closing = False
 
     def fileno(self) -> int:
-        """For `select`."""
+        """Return the file descriptor, for `select`."""
         return self.socket.fileno()
 
 
@@ -49,13 +49,13 @@ class Server:
     `select.select` waits to the microsecond; epoll rounds up to a millisecond, half a control cycle.
 
     Args:
-        controller: What is served.
-        faults: Faults of the network.
-        host: An address of this machine.
-        gripper_port: Of the URCap's server, where the controller has a gripper; 0 for any that is free.
+        controller: The controller.
+        faults: Network faults.
+        host: Address of this machine.
+        gripper_port: Port of the URCap server if the controller has a gripper; 0 for any free port.
 
     Raises:
-        OSError: A port that cannot be used; the message names it.
+        OSError: A port cannot be used; the message names it.
     """
 
     def __init__(self, controller: "Controller", faults: "Faults", host: str, gripper_port: int = GRIPPER_PORT) -> None:
@@ -63,26 +63,26 @@ class Server:
         self.faults = faults
         self.host = host
         self.channel: ControlChannel | None = None
-        """A further source of input of its loop."""
+        """Another input of the loop."""
         self.lost_s = 0.0
         """Time that was not made up for."""
         self.late_cycles = 0
         """Control cycles that began more than a period late."""
         self.worst_late_s = 0.0
         self.busiest_s = 0.0
-        """Longest that one control cycle took, packages included."""
+        """Longest control cycle, packages included."""
         self._peers = PeerFactory(controller)
         self._connections: list[Connection] = []
         self._accepted = 0
         self._skipped = 0
         self._served_s = 0.0
-        """Time that clients were served in this control cycle."""
+        """Time spent on clients in this control cycle."""
         self._first = 0
-        """Counts rounds: another connection is served first in each, where there is not time for all."""
+        """Count of rounds: each round serves another connection first, in case time is short."""
         self.gripper_port: int | None = None
-        """Where the URCap's server listens; none without a gripper."""
+        """Port of the URCap server; None without a gripper."""
         self._listening: dict[socket.socket, int] = {}
-        """The port of the protocol of each."""
+        """Protocol port of each listening socket."""
         try:
             for port in PORTS:
                 self._listening[_listen(host, port)] = port
@@ -106,12 +106,12 @@ class Server:
         }
 
     def reset_lateness(self) -> None:
-        """Resets the figures of lateness."""
+        """Reset the figures of lateness."""
         self.lost_s = self.worst_late_s = self.busiest_s = 0.0
         self.late_cycles = 0
 
     def run(self, stopped: Callable[[], bool]) -> None:
-        """Serves until `stopped`."""
+        """Serve until `stopped`."""
         period_s = self.controller.period_s
         due_s = time.monotonic() + period_s
         while not stopped():
@@ -122,7 +122,7 @@ class Server:
             due_s = self._cycles(due_s, now_s)
 
     def close(self) -> None:
-        """Closes all sockets."""
+        """Close all sockets."""
         for connection in self._connections.copy():
             self._drop(connection)
         for listening in self._listening:
@@ -132,13 +132,13 @@ class Server:
     # ---------------------------------------------------------------------------------------------------- cycle
 
     def _cycles(self, due_s: float, now_s: float) -> float:
-        """Runs the control cycles that are due; returns when the next one is."""
+        """Run the control cycles that are due; return the time of the next one."""
         controller, period_s = self.controller, self.controller.period_s
         late_s = now_s - due_s
         self.worst_late_s = max(self.worst_late_s, late_s)
         self.late_cycles += late_s > period_s
         if late_s > MAX_CATCH_UP_S:
-            # Whole periods, so that the phase stays.
+            # Whole periods keep the phase.
             lost = int((late_s - MAX_CATCH_UP_S) / period_s) * period_s
             self.lost_s += lost
             due_s += lost
@@ -149,7 +149,7 @@ class Server:
             cycles += 1
             unsent += 1
             due_s += period_s
-            # Of old states only the newest is sent.
+            # Only the newest of several old states is sent.
             if now_s - due_s < MAX_PACKAGE_AGE_S:
                 if not self.faults.is_frozen(now_s):
                     self._send_packages(unsent, now_s)
@@ -176,7 +176,7 @@ class Server:
     # -------------------------------------------------------------------------------------------------- sockets
 
     def _wait(self, due_s: float) -> None:
-        """Serves sockets until the next control cycle is due."""
+        """Serve sockets until the next control cycle is due."""
         now_s = time.monotonic()
         if self._served_s > SERVING_SHARE * self.controller.period_s:
             time.sleep(max(0.0, due_s - now_s))
@@ -197,7 +197,7 @@ class Server:
             now_s = time.monotonic()
             spent_s = self._served_s + now_s - begun_s
             if spent_s > SERVING_SHARE * self.controller.period_s and ready is not readable[first]:
-                # The others in the next round.
+                # The others wait for the next round.
                 break
             if isinstance(ready, int):
                 if self.channel is not None:
@@ -214,7 +214,7 @@ class Server:
         try:
             endpoint, _ = listening.accept()
         except OSError:
-            # The client is gone already.
+            # The client is already gone.
             return
         if self.faults.refusing or len(self._connections) >= MAX_CONNECTIONS:
             endpoint.close()
@@ -250,7 +250,7 @@ class Server:
         while True:
             connection.outbox.answer(answer)
             self._flush(connection, now_s)
-            # Each with a call of its own: clients take what one call reads for one answer.
+            # Each reply has its own call: clients take the result of one call for one answer.
             if not (answer := connection.peer.more()):
                 return
 

@@ -1,4 +1,4 @@
-"""How much delay a position-force coupling bears."""
+"""Largest delay that a position-force coupling tolerates."""
 
 from collections.abc import Iterable
 from typing import TypeAlias
@@ -11,7 +11,7 @@ Array: TypeAlias = npt.NDArray[np.float64]
 
 
 class Follower(msgspec.Struct, frozen=True, kw_only=True):
-    """An arm that follows: `M x'' = K_s (x_set - x) + B_s (rho x_set' - x') + F_e`."""
+    """Following arm: `M x'' = K_s (x_set - x) + B_s (rho x_set' - x') + F_e`."""
 
     mass_kg: float
     damping: float
@@ -19,22 +19,22 @@ class Follower(msgspec.Struct, frozen=True, kw_only=True):
     stiffness: float
     """K_s in N/m."""
     follows_velocity: bool = False
-    """rho = 1, else 0: whether the velocity of the set position is part of the command."""
+    """True for rho = 1: the command includes the velocity of the set position; False for rho = 0."""
 
 
 class ContactLoop(msgspec.Struct, frozen=True, kw_only=True):
-    """A hand and a device that press a remote environment through a position-force coupling.
+    """Hand and device that press a remote environment through a position-force coupling.
 
-    `m x'' + b x' + k x = -lambda_f (K_e y + B_e y')(t - T)`, where y is what the slave makes of `lambda_p x` and T the
-    sum of both delays: that itself without a `follower`, else the position of an arm on K_e and B_e.
+    `m x'' + b x' + k x = -lambda_f (K_e y + B_e y')(t - T)`, where T is the sum of both delays. y is `lambda_p x`
+    without a `follower`, otherwise the position of an arm on K_e and B_e that is commanded to it.
     """
 
     mass_kg: float
-    """m, of device and hand."""
+    """m of device and hand."""
     damping: float
-    """b in N s/m, of device and hand."""
+    """b of device and hand in N s/m."""
     hand_stiffness: float = 0.0
-    """k in N/m: 0 where the hand only follows."""
+    """k in N/m; 0 if the hand only follows."""
     environment_stiffness: float
     """K_e in N/m."""
     environment_damping: float = 0.0
@@ -47,15 +47,17 @@ class ContactLoop(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def largest_delay_s(loop: ContactLoop) -> float:
-    """Smallest sum of both delays in s at which contact begins to oscillate: infinite if at none, 0 if it does anyway.
+    """Return the smallest sum of both delays in s at which contact oscillates.
 
-    The delay margin `min (pi + arg L(jw)) / w` over all w with `|L(jw)| = 1`, of
-    `L(s) = lambda_f lambda_p (K_e + B_e s) G(s) / (m s² + b s + k)`.
+    Infinite if none; 0 if it oscillates without delay.
 
-    Linear: Coulomb friction is left out, and so are limiter and safety controllers.
+    The delay margin `min (pi + arg L(jw)) / w` over all w with `|L(jw)| = 1`, of `L(s) = lambda_f lambda_p (K_e + B_e
+    s) G(s) / (m s² + b s + k)`.
 
-    Source: without a follower and a hand, `w tan(w T) = b/m` and `K = b w / sin(w T)`, the delayed spring; Hulin,
-    Albu-Schäffer and Hirzinger 2014 have its sampled form.
+    Linear: without Coulomb friction, limiter and safety controllers.
+
+    Source: Without follower and hand, `w tan(w T) = b/m` and `K = b w / sin(w T)`, the delayed spring; sampled form in
+    Hulin, Albu-Schäffer and Hirzinger 2014.
     """
     top, bottom = _polynomials(loop)
     if top.size == 0:
@@ -67,13 +69,14 @@ def largest_delay_s(loop: ContactLoop) -> float:
 
 
 def stable_delays(loop: ContactLoop, up_to_s: float) -> tuple[tuple[float, float], ...]:
-    """Intervals of the sum of both delays in s, from 0 to `up_to_s`, in which contact does not oscillate.
+    """Return the intervals of the sum of both delays in s, 0 to `up_to_s`, without oscillation of the contact.
 
     Roots of `bottom + top e^(-sT)` enter and leave the right half plane in pairs, at the delays `(phase + 2 pi n) / w`
-    of all w with `|top| = |bottom|`; they enter where `|bottom|² - |top|²` grows with w. Linear, as `largest_delay_s`.
+    of all w with `|top| = |bottom|`; they enter where `|bottom|² - |top|²` increases with w. Linear, same as
+    `largest_delay_s`.
 
     Raises:
-        ValueError: A negative or infinite end.
+        ValueError: `up_to_s` is negative or infinite.
 
     Source: Walton and Marshall 1987, "Direct method for TDS stability analysis".
     """
@@ -103,10 +106,10 @@ def stable_delays(loop: ContactLoop, up_to_s: float) -> tuple[tuple[float, float
 
 
 def stable_together(loops: Iterable[ContactLoop], up_to_s: float) -> tuple[tuple[float, float], ...]:
-    """Intervals of the sum of both delays in s, from 0 to `up_to_s`, in which none of several loops oscillates.
+    """Return the intervals of the sum of both delays in s, 0 to `up_to_s`, without oscillation of any loop.
 
     Raises:
-        ValueError: A negative or infinite end.
+        ValueError: `up_to_s` is negative or infinite.
     """
     common: tuple[tuple[float, float], ...] = ((0.0, up_to_s),)
     for loop in loops:
@@ -117,7 +120,7 @@ def stable_together(loops: Iterable[ContactLoop], up_to_s: float) -> tuple[tuple
 
 
 def _polynomials(loop: ContactLoop) -> tuple[Array, Array]:
-    """Of the characteristic equation `bottom(s) + top(s) e^(-sT) = 0`; no `top` where nothing is touched."""
+    """Return the polynomials of `bottom(s) + top(s) e^(-sT) = 0`; `top` is empty without contact."""
     gain = loop.force_scale * loop.position_scale
     contact = [loop.environment_damping, loop.environment_stiffness]
     top = np.trim_zeros(gain * np.array(contact), "f")
@@ -130,7 +133,7 @@ def _polynomials(loop: ContactLoop) -> tuple[Array, Array]:
 
 
 def _crossings(top: Array, bottom: Array) -> tuple[Array, Array, "npt.NDArray[np.bool_]"]:
-    """Each w in rad/s with `|top| = |bottom|`, `w T` in rad of its first delay, and whether roots enter there."""
+    """Return each w in rad/s with `|top| = |bottom|`, `w T` in rad of its first delay, and True if roots enter."""
     # |top|² = |bottom|² is a polynomial in w².
     excess = np.polysub(_squared(bottom), _squared(top))
     crossings = np.roots(excess)
@@ -142,7 +145,7 @@ def _crossings(top: Array, bottom: Array) -> tuple[Array, Array, "npt.NDArray[np
 
 
 def _squared(polynomial: Array) -> Array:
-    """`|p(jw)|²` as a polynomial in w²."""
+    """Return `|p(jw)|²` as a polynomial in w²."""
     mirrored = polynomial * (-1.0) ** np.arange(polynomial.size)[::-1]
     even = np.polymul(polynomial, mirrored)[::-1][::2]
     # s² = -w².

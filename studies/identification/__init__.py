@@ -1,1 +1,1 @@
-"""Mass, viscous and Coulomb friction of a haptic device, from motions that it makes itself."""
+"""Identification of mass, viscous and Coulomb friction of a haptic device from its own motions."""

@@ -1,4 +1,4 @@
-"""The paper's claims beside ours, and what moves ours over what the paper does not tell."""
+"""Comparison with the paper's claims, and sensitivity to unstated conditions."""
 
 from haptether.studies.paper.claims import reproduce_paper
 from haptether.studies.paper.report import Explanation, JointFit, PaperReport, PaperRow, Sensitivity

@@ -1,4 +1,4 @@
-"""What the paper does not tell of its experiments: the factors, their ranges, and the runs that vary them."""
+"""Unstated conditions of the paper's experiments: factors, ranges, and runs that vary them."""
 
 from collections.abc import Callable, Iterator
 from itertools import product
@@ -14,7 +14,7 @@ DESKTOP_QUANTUM = 2.3e-5
 """Nominal resolution of a PHANTOM Desktop in m."""
 
 Clock = Literal["begin", "motion", "end"]
-"""What counts as the moment of the release: the hand begins to let go, the stylus begins to move, the hand is gone."""
+"""Reference of the release time: the hand begins to release, the stylus begins to move, or the hand is gone."""
 
 CLOCKS: tuple[Clock, ...] = ("begin", "motion", "end")
 
@@ -28,33 +28,33 @@ ESTIMATORS: dict[str, Callable[[float], EstimatorKind]] = {
     "adaptive-window": lambda quantum: EstimatorKind.adaptive_window(noise_bound_m=quantum),
     "backward-difference": lambda _: EstimatorKind.backward_difference(),
 }
-"""Estimators behind an encoder of a quantum in m, as docs/ejection_bound.md compares them; no default moves them."""
+"""Estimators behind an encoder with a quantum in m, as compared in docs/ejection_bound.md; independent of defaults."""
 
 
 class Conditions(msgspec.Struct, frozen=True, kw_only=True):
-    """An experiment as far as the paper leaves it open; the defaults are the declared ones."""
+    """Conditions that the paper leaves open; the defaults are the declared ones."""
 
     operator: Operator = Operator()
     encoder_quantum: float = 0.0
-    """Resolution in m; 0 measures position and velocity exactly, and then no estimator is used."""
+    """Resolution in m; 0 measures position and velocity exactly, without an estimator."""
     estimator: str = "kalman"
-    """Of `ESTIMATORS`."""
+    """Key of `ESTIMATORS`."""
     coulomb: float = 0.038
-    """c in N, of the device and in the controller's model alike."""
+    """c in N of the device and of the controller's model."""
     mass_kg: float = 0.157
-    """m in kg, of both alike."""
+    """m in kg of the device and of the controller's model."""
     device_delay: int = 0
-    """Ticks by which the force of the device acts late, which no controller knows."""
+    """Delay of the device force in ticks, unknown to the controllers."""
     hsc_force_threshold_n: float = 0.1
     """F_t of HSC in N (Eq. 14)."""
     mev_within_s: float = 0.5
-    """Time in s after the release in which the MEV of a press is looked for; a second throw may be later."""
+    """Time in s after the release in which the MEV of a press is taken; a second throw may be later."""
     clock: Clock = "begin"
-    """What counts as the moment of the release, in times after it."""
+    """Reference of the release time."""
 
 
 class Factor(msgspec.Struct, frozen=True, kw_only=True):
-    """One thing that the paper does not tell: its range, and how a value of it enters the conditions."""
+    """Unstated condition: its range, and its application to the conditions."""
 
     name: str
     title: str
@@ -62,12 +62,12 @@ class Factor(msgspec.Struct, frozen=True, kw_only=True):
     apply: Callable[[Conditions, float | str], Conditions]
     unit: str = ""
     scale: float = 1.0
-    """Unit that is printed over the SI unit of the values."""
+    """Ratio of the printed unit to the SI unit."""
     only: tuple[str, ...] = ()
     """Sources of the rows that it may explain; all if empty."""
 
     def text(self, value: float | str) -> str:
-        """A value in words."""
+        """Format a value."""
         if isinstance(value, str):
             return f"{self.title} {value}"
         return f"{self.title} {value * self.scale:g}{' ' if self.unit else ''}{self.unit}"
@@ -137,15 +137,15 @@ FACTORS: dict[str, Factor] = {
         ),
     )
 }  # fmt: skip
-"""Every factor by its name.
+"""Factors by name.
 
-- Release time, kind, grip margin, gain of the hand, hold: the paper says that a hand lets go "suddenly" and once "e.g.
-  50 ms". A gain of the hand scales its stiffness and its damping.
-- Estimator, and force that acts late: neither is in the paper. Up to 3 ticks is our choice.
-- Friction: the paper's c is another paper's; 0.06 N is the vendor's bound on the backdrive friction.
-- F_t of HSC: the paper has "e.g. < 0.1 N". Time in which a MEV is looked for: the paper's curves end somewhere.
-- Mass: 0.157 kg was fitted to Fig. 5, of which it is no explanation; its section 5 has the vendor's 0.045 kg beside it.
-  So it may explain Fig. 12 alone, where no wall pushes.
+- Release time, kind, grip margin, hand gain, hold: the paper says that a hand releases "suddenly", and once "e.g. 50
+  ms". A hand gain scales stiffness and damping.
+- Estimator and force delay: not in the paper. Up to 3 ticks is our choice.
+- Friction: the paper's c is from another paper; 0.06 N is the vendor's bound of backdrive friction.
+- F_t of HSC: the paper says "e.g. < 0.1 N". MEV time: the paper's curves are finite.
+- Mass: 0.157 kg was fitted to Fig. 5 and does not explain it; section 5 also gives the vendor's 0.045 kg. It may
+  explain only Fig. 12, without a wall.
 """
 
 RELEASES: tuple[Change, ...] = (
@@ -154,7 +154,7 @@ RELEASES: tuple[Change, ...] = (
     {"grip_margin": 1.5},
     {"grip_margin": 2.0},
 )
-"""How a hand lets go, in the grid: a release of the gain does not ask for the margin of the grip."""
+"""Release variants of the grid; a release of the gain does not use the grip margin."""
 
 GRID: tuple[Change, ...] = (
     *(
@@ -165,34 +165,34 @@ GRID: tuple[Change, ...] = (
     {"device_delay": 2, "mev_within_s": 0.12},
     {"device_delay": 3, "mev_within_s": 0.12},
 )
-"""Runs with several factors at once: those of the release, and those that make a first throw larger than a second."""
+"""Runs with several factors: those of the release, and those that make a first throw larger than a second."""
 
 
 READINGS = ("mev_within_s", "clock")
-"""Factors that say how a run is read and change none."""
+"""Factors that affect the reading of a run, but not the run."""
 
 
 def single_changes() -> Iterator[Change]:
-    """One factor at a time, the others as declared."""
+    """Yield changes of one factor at a time."""
     for factor in FACTORS.values():
         for value in factor.values:
             yield {factor.name: value}
 
 
 def design() -> list[Change]:
-    """All runs of the sensitivity, but for how each is read."""
+    """Return all runs of the sensitivity analysis, without the readings."""
     return [*single_changes(), *GRID]
 
 
 def changed(conditions: Conditions, change: Change) -> Conditions:
-    """The conditions with the values of a change."""
+    """Apply a change to the conditions."""
     for name, value in change.items():
         conditions = FACTORS[name].apply(conditions, value)
     return conditions
 
 
 def change_text(change: Change) -> str:
-    """A change in words."""
+    """Format a change."""
     return ", ".join(FACTORS[name].text(value) for name, value in change.items()) or "as declared"
 
 
@@ -206,5 +206,6 @@ MET_BY: dict[str, Change] = {
     "Table 1": {"device_delay": 1, "mev_within_s": 0.12},
     "Fig. 12": {"mass_kg": 0.055},
 }
-"""Runs of the design that meet all numbers of an experiment at once, some of which ours does not meet as declared: the
-notes of the rows say so, and a test holds them to it."""
+"""Runs that meet all numbers of an experiment at once, including ones that the declared run misses; used in the row
+notes and verified by a test.
+"""

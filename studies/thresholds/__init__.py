@@ -1,4 +1,4 @@
-"""Thresholds of safety controllers: false trips per hour against missed releases, over round trips."""
+"""Thresholds of safety controllers: false trips per hour and missed releases over round trips."""
 
 from haptether.studies.thresholds.figure import draw_trade_off
 from haptether.studies.thresholds.law import THRESHOLD_LAWS, ThresholdLaw

@@ -1,4 +1,4 @@
-"""Thresholds from recordings of normal operation: boundaries of the observers, false trips, missed releases."""
+"""Thresholds from recordings of normal operation: observer boundaries, false trips, missed releases."""
 
 from haptether.studies.tuning.exceedances import Boundary, Exceedances, hours_for
 from haptether.studies.tuning.figure import draw_tuning

@@ -23,62 +23,63 @@ from haptether.studies.tuning.normal_operation import (
 )
 
 FIELD_OF = {"wsc": "energy_threshold_j", "hsc": "grasp_threshold", "vfc": "velocity_threshold"}
-"""Which threshold of a controller is tuned by default: that of the paper's section 5."""
+"""Threshold of each controller tuned by default: that of the paper's section 5."""
 BEYOND = (1.25, 1.6, 2.5)
-"""Multiples of the largest value seen at which releases are looked at, too."""
+"""Multiples of the largest observed value at which releases are also simulated."""
 MOST_POINTS = 12
-"""Of a ROC curve, below the largest value seen."""
+"""Largest number of ROC points below the largest observed value."""
 
 
 class RocPoint(Struct, frozen=True, kw_only=True):
-    """A threshold: false trips per hour against missed releases."""
+    """Threshold with false trips per hour and missed releases."""
 
     threshold: float
-    """As `[safety]` takes it."""
+    """Threshold as in `[safety]`."""
     false_trips_per_h: float
     false_trips_per_h_interval: tuple[float, float]
-    """At the confidence of the tuning."""
+    """Interval at the confidence of the tuning."""
     releases: int
-    """Simulated releases that throw the device beyond `missed_speed` where nobody watches; 0 without a scene."""
+    """Simulated releases that exceed `missed_speed` without controllers; 0 without a scene."""
     missed: int
-    """Those that still do."""
+    """Releases that still exceed it."""
     missed_interval: tuple[float, float] | None
-    """Exact (Clopper and Pearson 1934) of the share missed; none without a release."""
+    """Exact interval (Clopper and Pearson 1934) of the missed fraction; None without a release."""
     mev: float | None
     """MEV: largest speed in m/s after these releases."""
 
 
 class TunedThreshold(Struct, frozen=True, kw_only=True):
-    """One tuned threshold of `[safety]`, with its rates and intervals."""
+    """Tuned threshold of `[safety]` with rates and intervals."""
 
     controller: str
     field: str
     unit: str
     point: RocPoint
-    """The threshold that was found."""
+    """Resulting threshold."""
     order: int
-    """It is the `order`-th largest event of the recordings; 0 where there is none, and the recorded one stays."""
+    """Order of the event in the recordings; 0 if there is none, and the recorded threshold is kept."""
     grouping: float
-    """Events that one hand makes together, on the average over events."""
+    """Mean number of events per hand and group, weighted by events."""
     most_per_h: float
-    """Largest rate of false trips in 1/h at the confidence, one-sided."""
+    """One-sided upper bound of the false trip rate in 1/h at the confidence."""
     reached: bool
-    """Whether that is at most `Tuning.per_hour`."""
+    """True if that bound is at most `Tuning.per_hour`."""
     needed_hours: float
-    """How long hands must hold so that it can be, in h, if they hold as here."""
+    """Held time in h required to support the rate, if hands hold as here."""
     interventions: tuple[str, ...]
-    """Of this controller, file and time in s: they cut the peak of the observer off, so that each counts as above every
-    threshold."""
+    """Trips of this controller, file and time in s. They cut the observer's peak, so each counts as above every
+    threshold.
+    """
     recorded: RocPoint
-    """The threshold of the recordings, for comparison."""
+    """Threshold of the recordings, for comparison."""
     roc: tuple[RocPoint, ...]
-    """Other thresholds, the most sensitive first."""
+    """Other thresholds, most sensitive first."""
     peaks: tuple[float, ...]
-    """The largest events, falling, as thresholds: at most 1000."""
+    """Largest events in falling order as thresholds, at most 1000."""
 
     @property
     def none_missed(self) -> RocPoint | None:
-        """The least sensitive threshold of the curve that, as all more sensitive ones, misses no release."""
+        """Return the least sensitive threshold of the curve that, with all more sensitive ones, misses no release."""
         best = None
         for point in self.roc:
             if point.missed:
@@ -88,34 +89,34 @@ class TunedThreshold(Struct, frozen=True, kw_only=True):
 
 
 class Tuning(Struct, frozen=True, kw_only=True):
-    """Thresholds that `tune` found, with the recordings and options that they are of."""
+    """Thresholds found by `tune`, with their recordings and options."""
 
     files: tuple[str, ...]
     hours: float
-    """For how long in h hands held while nobody intervened."""
+    """Time in h in which hands held without intervention."""
     blocks: int
-    """Recordings, and parts of 60 s of longer ones."""
+    """Number of recordings, and 60 s parts of longer ones."""
     per_hour: float
-    """Largest rate of false trips in 1/h that each controller may have."""
+    """Largest allowed false trip rate of each controller in 1/h."""
     confidence: float
     round_trip_s: float
     missed_speed: float
-    """In m/s."""
+    """Speed in m/s."""
     hands: int
     seed: int
     thresholds: tuple[TunedThreshold, ...]
     safety: dict[str, float | int | str]
-    """Other fields of `[safety]` that the observers read."""
+    """Other fields of `[safety]` used by the observers."""
     notes: tuple[str, ...]
-    """What was not done, and why."""
+    """Omitted steps with reasons."""
 
     @property
     def reached(self) -> bool:
-        """Whether every threshold keeps the rate of false trips."""
+        """True if every threshold keeps the false trip rate."""
         return all(each.reached for each in self.thresholds)
 
     def toml(self) -> str:
-        """A table `[safety]` with the thresholds; rates, intervals and MEV as comments."""
+        """Return a table `[safety]` with the thresholds, and rates, intervals and MEV as comments."""
         names = dict.fromkeys(each.controller for each in self.thresholds)
         lines = ["[safety]", f"controllers = [{', '.join(map(_toml, names))}]"]
         for each in self.thresholds:
@@ -140,32 +141,31 @@ def tune(
     threads: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Tuning:
-    """Finds the boundary of each observer in normal operation, and which releases a threshold there misses.
+    """Find the boundary of each observer in normal operation, and the releases that it misses.
 
-    The most sensitive threshold is taken whose false trips stay below a rate with a confidence (`Boundary`); it is an
-    event of the recordings. Releases are of many hands in a scene, under the force that they press with or that pushes
-    them; each lets go within 50 ms, and counts if an unwatched device then exceeds 0.5 m/s within 0.5 s.
+    Selects the most sensitive threshold whose false trip rate is below a limit with a confidence (`Boundary`); it is an
+    event of the recordings. Many hands release in a scene under their pressing force or a push. Each releases within 50
+    ms, and counts if the device without controllers exceeds 0.5 m/s within 0.5 s.
 
     Args:
-        files: Recordings of masters, of hands that hold: paths, or what `read_recording` read.
-        scene: In which hands let go; by default that of the first recording.
-        fields: Thresholds, of `TUNED_FIELDS`; by default of the controllers of the recordings, or of all.
-        false_trips_per_h: Rate in 1/h of each controller, at most.
-        confidence: That it is kept, and of all intervals.
-        round_trip_s: Of the releases, in s; by default the median of the recordings.
-        hands: How many let go, 1 or more; each once.
-        releases: At how many times.
-        seed: Of hands and links.
-        bounds: What hands may be; by default `HandBounds()`.
-        overrides: Fields of `[safety]` that observers read to change first, `safety.key=value`.
-        threads: Of the runs; by default as many as there are processors.
-        progress: Called with what is done.
+        files: Recordings of masters with holding hands: paths, or results of `read_recording`.
+        scene: Scene of the releases; by default that of the first recording.
+        fields: Thresholds, keys of `TUNED_FIELDS`; by default those of the recorded controllers, or all.
+        false_trips_per_h: Largest rate of each controller in 1/h.
+        confidence: Confidence of the rate and of all intervals.
+        round_trip_s: Round trip of the releases in s; by default the median of the recordings.
+        hands: Number of releasing hands, 1 or more; each releases once.
+        releases: Number of release times.
+        seed: Seed of hands and links.
+        bounds: Bounds of the hands; by default `HandBounds()`.
+        overrides: Fields of `[safety]` used by observers to change first, `safety.key=value`.
+        threads: Number of threads; by default the number of processors.
+        progress: Called with a description of the current step.
 
     Raises:
         OSError: A file cannot be read.
-        ValueError: Recordings that are not of normal operation, too few events were seen whole, or options that cannot
-            be.
-        SceneError: A scene that cannot be built.
+        ValueError: A recording is not of normal operation, too few complete events, or invalid options.
+        SceneError: The scene is invalid.
 
     Source: paper section 5 (boundary values in normal operation, then abnormal ones); `Boundary`.
     """
@@ -256,7 +256,7 @@ def _release_runs(
     bounds: HandBounds,
     threads: int | None,
 ) -> tuple[TaskRuns | None, list[str]]:
-    """Hands that let go in the scene, with the device, the estimator and the observers of the recordings."""
+    """Create releasing hands in the scene, with device, estimator and observers of the recordings."""
     round_trip_s, hands, releases, seed = how
     if scene is None:
         task_scene = seen.scene
@@ -326,7 +326,7 @@ def _tuned(
 
 
 def _orders(found: Boundary | None) -> list[int]:
-    """Of a ROC curve: 1, 2, 3, 4, 6, 8, ... up to some times what was found, and that."""
+    """Return the orders of a ROC curve: 1, 2, 3, 4, 6, 8, ... to a multiple of the found order, and that order."""
     last = max(64, 4 * (found.order if found else 0))
     orders = np.unique(np.round(np.geomspace(1.0, last, MOST_POINTS)).astype(int)).tolist()
     return sorted({*orders, *([found.order] if found else [])})
@@ -339,7 +339,7 @@ def _points(
     runs: TaskRuns | None,
     confidence: float,
 ) -> dict[float, RocPoint]:
-    """By threshold, the most sensitive first."""
+    """Return the points by threshold, most sensitive first."""
     ordered = sorted(values, key=abs)
     law = ThresholdLaw(
         name=field, controller=controller, source="ours", threshold=field, unit="", values=tuple(ordered)
@@ -361,7 +361,7 @@ def _points(
 
 
 def _rounded_outward(threshold: float) -> float:
-    """A threshold to four digits, rounded away from 0: not below the event that it is."""
+    """Round a threshold to four digits away from 0, so that it is not below its event."""
     if threshold == 0.0:
         return threshold
     scale = 10.0 ** (math.floor(math.log10(abs(threshold))) - 3)

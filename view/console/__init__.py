@@ -1,1 +1,1 @@
-"""Live sides in a browser: a page served to this machine alone, what it shows, and what a person does with it."""
+"""Browser console for live sides: a page served to this machine only, its content and its commands."""

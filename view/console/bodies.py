@@ -1,4 +1,4 @@
-"""Both ends in three dimensions for the pages: one description for all of them, made on a thread of its own."""
+"""Three-dimensional bodies of both ends for the pages: one shared description, computed on a separate thread."""
 
 import json
 import threading
@@ -15,49 +15,48 @@ from haptether.view.scene3d.description import Description
 from haptether.view.scene3d.live import LiveDescription
 
 FRAME_S = 1.0 / 20
-"""Between two frames: a browser without a graphics card draws no more."""
+"""Time between frames in s; a browser without a graphics card draws no faster."""
 HISTORY_S = 2.0
-"""How long a trail is."""
+"""Trail length in s."""
 CLOSE_S = 0.2
-"""The longest wait for the thread at the end."""
+"""Timeout in s for the thread at the end."""
 WAITING = 1024
-"""Messages that wait for the thread; what comes beyond them is not drawn."""
+"""Queue length; further messages are not drawn."""
 
 
 class Bodies:
-    """What the pages draw of the sides: bodies once, then where each is, at most 20 times a second.
+    """Bodies of the sides for the pages: the geometry once, then poses at most 20 times per second.
 
-    Whoever reads telemetry or serves pages waits for none of it: messages go into a bounded queue, and what was made
-    last is taken as it is.
+    Callers never block: messages go into a bounded queue, and pages read the latest result.
     """
 
     def __init__(self) -> None:
         self.geometry = b"{}"
         """JSON of bodies, trails, views, legend and notes, with their `generation`."""
         self.frame: dict[str, Any] | None = None
-        """Where they are: `generation`, `time_s`, `poses` and `trails`; none before there is a sample."""
+        """Current `generation`, `time_s`, `poses` and `trails`; None before the first sample."""
         self.is_watched = False
-        """Whether a page is open: else nothing is computed but what there is."""
+        """True if a page is open; otherwise only the geometry is computed."""
         self._queue: Queue[tuple[TelemetryHello, TelemetryMessage | None, float]] = Queue(WAITING)
         self._hellos: dict[str, TelemetryHello] = {}
         self._live: LiveDescription | None = None
         self._generation = 0
-        """Of all runs that were shown."""
+        """Generation counter over all runs shown."""
         self._shown: tuple[LiveDescription, int, float] | None = None
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="console-bodies", daemon=True)
 
     def start(self) -> None:
-        """Begins."""
+        """Start the thread."""
         self._thread.start()
 
     def close(self) -> None:
-        """Ends it."""
+        """Stop the thread."""
         self._closed.set()
         self._thread.join(CLOSE_S)
 
     def take(self, hello: TelemetryHello, message: TelemetryMessage | None = None) -> None:
-        """Takes a message of the run that began with `hello`, or that it begins; never waits."""
+        """Queue a message of the run with the given `hello`, or the start of that run; never blocks."""
         try:
             self._queue.put_nowait((hello, message, time.monotonic()))
         except Full:
@@ -71,7 +70,7 @@ class Bodies:
                 live = self._live
                 if self.is_watched and live is not None and live.has_begun and self._shown != _state(live):
                     self._show(live)
-            except Exception as error:  # a picture that fails must leave the page the rest
+            except Exception as error:  # a failed picture must not affect the rest of the page
                 self._live = self._shown = None
                 self._generation += 1
                 self.geometry = self._text(None, str(error))
@@ -86,7 +85,7 @@ class Bodies:
             except Empty:
                 return
             if message is None:
-                # Of the other side the next sample says where it is.
+                # The next sample gives the pose of the other side.
                 self._hellos[hello.side] = hello
                 self._live = LiveDescription(*self._hellos.values(), history_s=HISTORY_S)
             elif self._live is not None and self._hellos.get(hello.side) is hello:
@@ -126,5 +125,5 @@ class Bodies:
 
 
 def _state(live: LiveDescription) -> tuple[LiveDescription, int, float]:
-    """What a frame depends on."""
+    """Return the values that a frame depends on."""
     return live, live.generation, live.time_s

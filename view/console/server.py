@@ -1,4 +1,4 @@
-"""The console's server: its files, what it sends to each page, and what pages request."""
+"""Server of the console: files, messages to each page, and requests of pages."""
 
 import asyncio
 import contextlib
@@ -41,48 +41,49 @@ FILES = {
     "uplot.css": ("vendor/uPlot.min.css", "text/css; charset=utf-8"),
 }
 ROW_S = 1.0 / 30
-"""Between two rows of the charts, and two messages to a page."""
+"""Interval in s of chart rows and of messages to a page."""
 RECORDERS_S = 0.5
-"""Between two looks at the files of flight recorders."""
+"""Interval in s between checks of the flight recorder files."""
 ROWS = 150
-"""That wait for a page; one that is slower loses the oldest, counted."""
+"""Rows kept for a page; a slower page loses the oldest, counted."""
 WORDS_EVERY = 3
-"""Words and numbers beside the charts come with every third message."""
+"""Text and numbers beside the charts are sent with every third message."""
 SEND_BUFFER = 1 << 16
-"""Bytes that the system holds for a page."""
+"""System send buffer per page in bytes."""
 MAX_PAGES = 8
 MAX_ASKED = 32
-"""Requests of a page that wait; a page with more is closed."""
+"""Limit of queued requests of a page; a page with more is closed."""
 MAX_MESSAGE = 4096
 BACKLOG = 4
-"""Connections that one round of the event loop accepts; a request is read within a few rounds."""
+"""Connections accepted per round of the event loop; a request is read within a few rounds."""
 WAITING = 512
-"""Connections that wait to be accepted."""
+"""Listen backlog."""
 DESCRIPTORS = MAX_UNKNOWN + MAX_KNOWN + 4 * BACKLOG + 64
-"""The most that the console holds: connections, those of a moment that are still to be closed, and its own: two control
-sockets for each page and for stops, telemetry, files."""
+"""Largest number of descriptors: connections, those about to close, and two control sockets per page, stop connections,
+telemetry and files.
+"""
 END_S = 0.3
-"""How long pages may take to be told the end."""
+"""Time in s to notify pages of the end."""
 
 
 class Console:
-    """Sides that run, shown to pages of this machine.
+    """Running sides shown to pages of this machine.
 
     Args:
         telemetry: Sockets of `--telemetry`.
-        control: Sockets of `--control`, of sides that tell which they are.
+        control: Sockets of `--control`; each side identifies itself.
         flight: Files of `--flight`.
-        port: Where it listens on 127.0.0.1; 0 lets the system choose.
+        port: Port on 127.0.0.1; 0 lets the system choose.
 
     Raises:
-        OSError: The port is taken, or there are too few descriptors.
+        OSError: The port is in use, or there are too few descriptors.
     """
 
     def __init__(self, telemetry: Sequence[Path], control: Sequence[Path], *, flight: Sequence[Path] = (),
                  port: int = 0) -> None:  # fmt: skip
         _check_descriptors()
         self._socket = socket.create_server(("127.0.0.1", port), backlog=BACKLOG)
-        # Of each page: what it does not take waits here and no longer in the system.
+        # Data that a page does not read waits here, not in the system.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         self.port: int = self._socket.getsockname()[1]
         self._token = secrets.token_urlsafe(24)
@@ -93,34 +94,35 @@ class Console:
         self._files: dict[str, tuple[bytes, str]] = {}
         self._recorders = [FlightWatch(path) for path in flight]
         self.flights: list[dict[str, Any]] = []
-        """What was recorded at the last hold or end of each side; another list whenever one was written."""
+        """Flight records of the last hold or end of each side; the list is replaced on every write."""
         self.rows = Rows(ROWS)
         self._words: list[dict[str, Any]] = []
         self._pages = 0
         self._stopping: asyncio.Task[dict[str, dict[str, Any]]] | None = None
-        """The newest stop; no page that closes ends it."""
+        """Latest stop; it continues if its page closes."""
         self._begun_s = time.monotonic()
         self._ended = threading.Event()
 
     @property
     def address(self) -> str:
-        """What a browser opens."""
+        """Address for the browser."""
         return f"http://127.0.0.1:{self.port}/{self._token}/"
 
     def serve(self, stopped: Callable[[], bool]) -> None:
-        """Serves until `stopped` says so; the loops of the sides do not notice."""
+        """Serve until `stopped` returns True; the loops of the sides are not affected."""
         import uvicorn
         from uvicorn.protocols.http.h11_impl import H11Protocol
 
         class Server(uvicorn.Server):
             @contextlib.contextmanager
             def capture_signals(self) -> Iterator[None]:
-                # Whoever runs it says when it ends.
+                # The caller decides when to end.
                 yield
 
             async def startup(self, sockets: list[socket.socket] | None = None) -> None:
                 await super().startup(sockets)
-                # `asyncio` accepts as many at once as it lets wait. More may wait: they hold no descriptor here.
+                # `asyncio` accepts as many connections at once as its backlog; a larger backlog holds no descriptors
+                # here.
                 for listening in sockets or ():
                     listening.listen(WAITING)
 
@@ -129,7 +131,7 @@ class Console:
         class Counted(H11Protocol):
             def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as there
                 super().connection_made(transport)
-                # Each request has it in its scope, also as a WebSocket.
+                # Every request has it in its scope, including a WebSocket.
                 self.app_state = {"connection": transport}
                 connections.add(transport, time.monotonic())
 
@@ -144,7 +146,7 @@ class Console:
             ws_max_size=MAX_MESSAGE,
             ws_per_message_deflate=False,
             lifespan="off",
-            # The path holds the token.
+            # Do not log paths, because they contain the token.
             access_log=False,
             log_level="error",
             server_header=False,
@@ -153,7 +155,7 @@ class Console:
         server = Server(config)
 
         async def run() -> None:
-            # Before anything is served: no request can take what a stop needs.
+            # Connect before serving, so that no request can take the resources of a stop.
             await self._controls.keep()
             works = (self._sample(), self._end(server, stopped), self._keep_controls())
             tasks = [asyncio.create_task(work) for work in works]
@@ -164,7 +166,7 @@ class Console:
                     task.cancel()
                 await asyncio.gather(*tasks, return_exceptions=True)
                 self._controls.close()
-                # They close in the next round of the event loop.
+                # The transports close in the next round of the event loop.
                 await asyncio.sleep(0)
 
         self._files = _files()
@@ -187,7 +189,7 @@ class Console:
             await asyncio.sleep(0.05)
         server.should_exit = True
         await asyncio.sleep(END_S)
-        # A page that reads nothing is not waited for.
+        # Do not wait for a page that reads nothing.
         self._connections.close_late(math.inf)
 
     async def _keep_controls(self) -> None:
@@ -220,13 +222,13 @@ class Console:
         return Response(self.bodies.geometry, media_type="application/json")
 
     async def _stop(self, _: "Request") -> "Response":
-        """The stop of a page whose connection does not answer."""
+        """Stop for a page whose WebSocket does not answer."""
         from starlette.responses import Response
 
         return Response(json.dumps(await self.stop()), media_type="application/json")
 
     async def _sample(self) -> None:
-        """A row of all sides, 30 times a second."""
+        """Sample one row of all sides, 30 times per second."""
         due = time.monotonic()
         while True:
             if self.rows.newest % WORDS_EVERY == 0:
@@ -240,7 +242,7 @@ class Console:
             await asyncio.sleep(max(0.0, due - time.monotonic()))
 
     def _read_recorders(self) -> None:
-        """On a thread that nobody waits for: a disk that hangs keeps no stop waiting, nor the end."""
+        """Run on a thread that nothing waits for, so that a hanging disk delays neither a stop nor the end."""
         while not self._ended.wait(RECORDERS_S):
             news = [one.read() for one in self._recorders]
             if any(news):
@@ -264,11 +266,11 @@ class Console:
             self.bodies.is_watched = self._pages > 0
 
     def path_of(self, side: str) -> Path | None:
-        """The control socket of a side; none where none was named, or it has not answered."""
+        """Return the control socket of a side; None if it was not given or has not answered."""
         return self._controls.sides.get(side)
 
     def message_since(self, row: int) -> tuple[int, dict[str, Any]]:
-        """What a page that has had row `row` is sent next, and the row that it then has."""
+        """Return the row number and the message that follow row `row`."""
         new, lost = self.rows.since(row)
         message: dict[str, Any] = {"kind": "rows", "rows": new, "lost": lost}
         if self.rows.newest // WORDS_EVERY != row // WORDS_EVERY:
@@ -276,21 +278,21 @@ class Console:
         return self.rows.newest, message
 
     async def stop(self) -> dict[str, dict[str, Any]]:
-        """Stops every side that is controlled, whatever becomes of the page that asks for it."""
+        """Stop every controlled side, even if the requesting page disappears."""
         return await asyncio.shield(self.begin_stop())
 
     def begin_stop(self) -> "asyncio.Task[dict[str, dict[str, Any]]]":
-        """Begins a stop, or returns the one that is under way."""
+        """Begin a stop, or return the running one."""
         if self._stopping is None or self._stopping.done():
             self._stopping = asyncio.create_task(self._controls.stop_all())
         return self._stopping
 
 
 def _check_descriptors() -> None:
-    """Takes as many descriptors as the console may hold, and gives them back.
+    """Allocate the largest number of descriptors that the console needs, and release them.
 
     Raises:
-        OSError: There are too few.
+        OSError: There are too few descriptors.
     """
     taken: list[int] = []
     try:
@@ -305,14 +307,14 @@ def _check_descriptors() -> None:
 
 
 def _files() -> dict[str, tuple[bytes, str]]:
-    """The files of the page and their types, read before they are served: no disk holds up a stop."""
+    """Read the files of the page and their types before serving, so that no disk delays a stop."""
     found = {path: ((Path(__file__).parent / name).read_bytes(), kind) for path, (name, kind) in FILES.items()}
     text, kind = found[""]
     return {**found, "": (text.replace(b"COLOURS", json.dumps(_colours()).encode(), 1), kind)}
 
 
 def _colours() -> dict[str, str]:
-    """Of the charts, by what is drawn: those of every figure."""
+    """Return the chart colours, same as in figures."""
     from haptether.view.style.colours import AXES, CONTROLLERS, SIGNALS
 
     controllers = {name: colour for name, (colour, _) in CONTROLLERS.items()}
@@ -320,7 +322,7 @@ def _colours() -> dict[str, str]:
 
 
 class _Page(contextlib.AbstractAsyncContextManager["_Page"]):
-    """A page that is open: what is sent to it, and what it requests, each in its own task."""
+    """Open page; sending and receiving run in separate tasks."""
 
     def __init__(self, page: "WebSocket", console: Console) -> None:
         self._page = page
@@ -344,10 +346,10 @@ class _Page(contextlib.AbstractAsyncContextManager["_Page"]):
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
     async def serve(self) -> None:
-        """Takes what the page requests, until it is closed."""
+        """Take requests of the page until it is closed."""
         async for text in self._texts():
             if text == '{"do":"stop"}':
-                # Behind nothing else, and begun here: what waits for its answer may be cancelled.
+                # Bypass the queue, and begin here because the awaiting task may be cancelled.
                 stopping = self._console.begin_stop()
                 task = asyncio.create_task(self._say_stopped(stopping))
                 self._tasks.add(task)
@@ -377,7 +379,7 @@ class _Page(contextlib.AbstractAsyncContextManager["_Page"]):
     async def _show(self) -> None:
         row, drawn, explained = self._console.rows.newest, None, None
         while True:
-            # A page that does not take it holds this up, and what it then misses is counted.
+            # Blocks while the page does not read; the missed rows are counted.
             row, message = self._console.message_since(row)
             frame = self._console.bodies.frame
             if frame is not drawn:

@@ -1,31 +1,31 @@
-"""What is written of events that chatter: one line for the same two over and over."""
+"""Text of repeating events: one line for an alternating pair."""
 
 from collections import Counter
 from collections.abc import Sequence
 from typing import Protocol
 
 REPEATED = {"trip", "recover"}, {"contact", "free"}
-"""Events that chatter: the same two over and over."""
+"""Event pairs that alternate."""
 
 
 class RunEvent(Protocol):
-    """Something that happened once in a run."""
+    """Single event of a run."""
 
     @property
     def time_s(self) -> float:
-        """When, in s since the start."""
+        """Time in s since the start."""
 
     @property
     def kind(self) -> str:
-        """What."""
+        """Kind of the event."""
 
     @property
     def detail(self) -> str:
-        """Which, or why."""
+        """Controller, or reason."""
 
 
 def merged_events(events: Sequence[RunEvent]) -> list[tuple[float, str]]:
-    """Events with a time in s each: what chatters is one line, with how often and until when."""
+    """Return events with a time in s each; alternating pairs become one line with count and end time."""
     merged: list[tuple[float, str]] = []
     waiting = list(events)
     while waiting:

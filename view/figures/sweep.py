@@ -1,4 +1,4 @@
-"""The figure of a sweep: lines with their confidence over one varied field, one for each choice, maps over two."""
+"""Figure of a sweep: lines with confidence over one varied field, one line per choice, maps over two fields."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -35,30 +35,30 @@ METRICS = {
     "torque_rmse_n_m": "torque error [N m]",
     "passivity_min_j": "least energy [J]",
 }
-"""What is drawn of a sweep, if it was measured: its columns, and what they are called."""
+"""Columns that are drawn if measured, with their labels."""
 MOST = 6
-"""Panels of a figure."""
+"""Largest number of panels."""
 MOST_AXES = 2
 DIVERGED = "#d62839"
-"""Colour of what marks rows that diverged."""
+"""Colour of diverged rows."""
 
 
 def draw_sweep(
     scene: str, columns: Mapping[str, npt.NDArray[Any]], varied: Sequence[str], width: Columns = 2
 ) -> "Figure":
-    """Draws each metric over one varied number as a line, over two as a map; of a choice, a line for each.
+    """Draw each metric over one number as a line, over two as a map, and for a choice as one line each.
 
-    Where `run.seed` varies, too, a line is the mean of the seeds with its 95 % confidence band, and a map the mean.
+    If `run.seed` also varies, a line is the mean over seeds with a 95 % confidence band, and a map is the mean.
 
     Args:
-        scene: Its name.
-        columns: One value a row: of what varied, of the metrics.
-        varied: What varied.
-        width: In columns of a page.
+        scene: Name of the scene.
+        columns: Varied values and metrics, one value per row.
+        varied: Varied paths.
+        width: Width in page columns.
 
     Raises:
-        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
-        ValueError: As of `check_varied`, or nothing was measured.
+        ImportError: matplotlib (`haptether[analysis]`) is not installed.
+        ValueError: Same as for `check_varied`, or nothing was measured.
     """
     over = check_varied(varied, columns)
     metrics = [name for name in METRICS if name in columns and np.isfinite(columns[name].astype(float)).any()][:MOST]
@@ -94,14 +94,14 @@ def draw_sweep(
 
 
 def check_varied(varied: Sequence[str], columns: Mapping[str, npt.NDArray[Any]]) -> list[str]:
-    """What a picture has on its axes: what varied, without the seed beside others.
+    """Return the varied paths on the axes of a picture, without the seed if others vary.
 
     Args:
-        varied: What varied.
-        columns: Its values; of a choice, text. Before a run each value once is enough.
+        varied: Varied paths.
+        columns: Values of the paths; text for a choice. Before a run, distinct values suffice.
 
     Raises:
-        ValueError: More than two varied, two of them choices, or a set of controllers with a name of none.
+        ValueError: More than two paths vary, two are choices, or a set of controllers contains an unknown name.
     """
     over = [name for name in varied if name != SEED] or list(varied)
     if len(over) > MOST_AXES:
@@ -122,7 +122,7 @@ def check_varied(varied: Sequence[str], columns: Mapping[str, npt.NDArray[Any]])
 
 
 class _Measured(NamedTuple):
-    """A metric of all rows."""
+    """Metric of all rows."""
 
     values: Array
     diverged: Bools
@@ -130,7 +130,7 @@ class _Measured(NamedTuple):
 
 
 def _mark_diverged(panel: "Axes", places: Sequence[float] | Array) -> None:
-    """Marks places at the lower edge where a row diverged: what was measured of it ends there."""
+    """Mark diverged rows at the lower edge, because their measurements end there."""
     if len(places):
         panel.plot(places, np.zeros(len(places)), "X", color=DIVERGED, ms=4.0, clip_on=False, zorder=5.0,
                    transform=panel.get_xaxis_transform(), gid="diverged")  # fmt: skip
@@ -155,7 +155,7 @@ def _draw_line(panel: "Axes", name: str, at: Array, measured: "_Measured", *, wi
     panel.set_xlabel(name)
     panel.set_ylabel(label)
     panel.margins(y=0.08)
-    # What does not vary is a flat line, not the noise of its last digits.
+    # Draw a constant as a flat line, not as rounding noise.
     low, high = panel.get_ylim()
     least = 2e-3 * max(abs(low), abs(high))
     if high - low < least:
@@ -167,7 +167,7 @@ def _draw_line(panel: "Axes", name: str, at: Array, measured: "_Measured", *, wi
 def _draw_choices(
     panel: "Axes", over: Sequence[str], columns: Mapping[str, npt.NDArray[Any]], measured: "_Measured"
 ) -> None:
-    """Of each choice a line over the number that varies, or a point; means with 95 % where a place has several runs."""
+    """Draw one line or point per choice; means with 95 % confidence where several runs share a position."""
     values, diverged, label = measured
     choice = next(name for name in over if columns[name].dtype.kind == "U")
     names = list(dict.fromkeys(columns[choice].tolist()))
@@ -220,7 +220,7 @@ def _draw_map(panel: "Axes", names: list[str], at: list[Array], measured: "_Meas
 
 
 def _name_cells(panel: "Axes", of_x: Array, of_y: Array) -> None:
-    """The values themselves below the middle of their cells, whatever their spacing; of many, some."""
+    """Label cells with their values for any spacing; for many cells, only some."""
     few = np.unique(np.linspace(0, len(of_x) - 1, min(len(of_x), 3)).astype(int))
     panel.set_xticks(few + 0.5, [f"{of_x[place]:.3g}" for place in few])
     few = np.unique(np.linspace(0, len(of_y) - 1, min(len(of_y), 6)).astype(int))

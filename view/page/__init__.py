@@ -1,1 +1,1 @@
-"""A run as a page that needs nothing else: no library, no network."""
+"""Self-contained page of a run, without libraries or network."""

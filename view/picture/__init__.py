@@ -1,1 +1,1 @@
-"""What `haptether.view` draws with PyVista: one picture of a time, in a window or without a display."""
+"""PyVista drawing for `haptether.view`: one picture at a time, in a window or off screen."""

@@ -1,1 +1,1 @@
-"""What is where at each time of a run, without any library that draws."""
+"""Poses of everything at each time of a run, without a graphics library."""

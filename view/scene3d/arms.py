@@ -1,4 +1,4 @@
-"""Which arms are drawn: those that a scene drives, or that are named, for settings do not say which were driven."""
+"""Selection of the drawn arms: driven by the scene or given by name, because settings do not identify them."""
 
 from dataclasses import dataclass
 
@@ -9,24 +9,24 @@ from haptether.slave import UR_MODELS, UrModel, ur_model
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Arms:
-    """Of both ends."""
+    """Arms of both ends."""
 
     slave: UrModel | ArmDescription | None = None
-    """A UR, or a chain of servos; none of a tool without a known arm."""
+    """UR or servo chain; None for a tool without a known arm."""
     master: ArmDescription | None = None
-    """A leader of servos; none of a stylus."""
+    """Servo leader; None for a stylus."""
 
 
 def arms_of(scene: Scene | None, *, arm: str = "", leader: str = "") -> Arms:
-    """The arms by their names.
+    """Return the arms by name.
 
     Args:
-        scene: Which may drive a UR.
-        arm: Of the slave: a UR, or a description of servos by its name or path; empty for that of the scene.
-        leader: Of the master: a description of servos.
+        scene: Scene that may drive a UR.
+        arm: Slave arm: a UR, or a servo description by name or path; empty for the scene's arm.
+        leader: Master arm: a servo description.
 
     Raises:
-        ValueError: There is no such arm, with those that there are.
+        ValueError: The arm does not exist; names the available ones.
     """
     slave: UrModel | ArmDescription | None = None
     if arm:

@@ -1,4 +1,4 @@
-"""One colour for each thing that is drawn, on a light ground."""
+"""Colours of all drawn objects on a light background."""
 
 GROUND = "#f7f8fa"
 INK = "#1d2733"
@@ -37,4 +37,4 @@ LADDER = {
 TRIP = "#d62839"
 
 SIGNS = (ENVIRONMENT_FORCE, DEVICE_FORCE, HAND_FORCE, SAFETY_FORCE, MEASURED, COMMANDED, CONTACT, *LADDER.values())
-"""What means something, however few pixels it takes."""
+"""Colours with a meaning, which a palette must keep even for few pixels."""

@@ -1,4 +1,4 @@
-"""A run as a scene in three dimensions: what is where, and what is written, at any time of it."""
+"""Description of a run in three dimensions: poses and text at any time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,31 +20,31 @@ from haptether.view.scene3d.timeline import Timeline, timeline_of
 Array = npt.NDArray[np.float64]
 
 ROBOT_VIEW = np.array([-0.26, -0.6, -0.02]), np.array([0.26, 0.12, 0.54])
-"""Of an arm on its table."""
+"""View corners of an arm on its table."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Description:
-    """Of one run; nothing of it is a picture yet."""
+    """Description of one run, independent of any picture."""
 
     title: str
     parts: tuple[Part, ...]
-    """Bodies, arrows included."""
+    """Bodies, including arrows."""
     arrows: tuple[Arrow, ...]
     trails: tuple[Trail, ...]
     status: StatusCourse
     timeline: Timeline
     notes: tuple[str, ...]
-    """What is not drawn, or drawn where nobody recorded it, and why."""
+    """Parts that are not drawn, or drawn at an unrecorded position, with reasons."""
     figures: str
-    """What the run comes to, in a line."""
+    """Summary of the run in one line."""
     views: dict[Station, tuple[Array, Array]]
-    """Of each end that is known: lower and upper corner of what is to be seen, (3,) each, in m."""
+    """View of each known end: lower and upper corner, (3,) each, in m."""
     flat: bool
-    """Whether it all moves along one axis."""
+    """True if all motion is along one axis."""
 
     def at(self, time_s: float) -> "Moment":
-        """What is where at a time in s."""
+        """Return the poses at a time in s."""
         return Moment(
             time_s=time_s,
             poses={part.name: part.pose(time_s) for part in self.parts},
@@ -53,10 +53,10 @@ class Description:
         )
 
     def part(self, name: str) -> Part:
-        """A body by its name.
+        """Return a body by name.
 
         Raises:
-            KeyError: There is none, with those that there are.
+            KeyError: The name does not exist; lists the available ones.
         """
         for part in self.parts:
             if part.name == name:
@@ -67,36 +67,37 @@ class Description:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Moment:
-    """What is where at a time."""
+    """Poses and status at one time."""
 
     time_s: float
     poses: dict[str, Array | None]
-    """base_from_part, (4, 4) in m, of each part by its name; none while there is nothing to see. A shaft of an arrow is
-    as long as its force by a scale along z."""
+    """base_from_part, (4, 4) in m, of each part by name; None if invisible. The z axis of an arrow shaft is scaled to
+    its length.
+    """
     trails: dict[str, Array]
-    """Of each trail by its name: where its point has been, (n, 3) in m."""
+    """Points of each trail by name, (n, 3) in m."""
     status: Status
 
 
 class NothingRecordedError(ValueError):
-    """A run without the signals that a picture is made of."""
+    """Run without the signals required for a picture."""
 
 
 def describe(
     run: Run, scene: Scene | None = None, *, title: str = "", arm: str = "", leader: str = ""
 ) -> Description:  # fmt: skip
-    """What is where in a run.
+    """Describe a run.
 
     Args:
-        run: With its signals.
-        scene: What was run; by default as the settings of the run have it.
-        title: By default the scene's own.
-        arm: What the slave was, where no scene says so: a UR, or a description of servos by its name or path.
-        leader: What the master was: a description of servos.
+        run: Run with signals.
+        scene: Scene of the run; by default from the settings of the run.
+        title: Title; by default that of the scene.
+        arm: Slave arm, if the scene does not define it: a UR, or a servo description by name or path.
+        leader: Master arm: a servo description.
 
     Raises:
-        NothingRecordedError: It kept no signals.
-        ValueError: There is no such arm.
+        NothingRecordedError: The run has no signals.
+        ValueError: The arm does not exist.
     """
     return describe_beside([(run, scene, title)], arm=arm, leader=leader)[0]
 
@@ -104,11 +105,11 @@ def describe(
 def describe_beside(
     of: Sequence[tuple[Run, Scene | None, str]], *, arm: str = "", leader: str = ""
 ) -> list[Description]:  # fmt: skip
-    """As `describe`, of runs that are seen side by side: sizes and scales of forces are the same.
+    """Describe runs shown side by side, with equal sizes and force scales.
 
     Raises:
-        NothingRecordedError: One of them kept no signals.
-        ValueError: There is no such arm.
+        NothingRecordedError: A run has no signals.
+        ValueError: The arm does not exist.
     """
     for run, _, _ in of:
         if not any(len(run.signals[name]) for name in ("time_s", "slave_time_s") if name in run.signals):
@@ -123,7 +124,7 @@ def describe_beside(
 
 
 def described(run: Run, scene: Scene | None, title: str, shared: dict[str, Extent], arms: Arms) -> Description:
-    """What is where in a run, drawn as large as is given; an end that nobody recorded is left out."""
+    """Describe a run at a given size; an end without recording is omitted."""
     parts: list[Part] = []
     arrows: list[Arrow] = []
     trails: list[Trail] = []
@@ -159,7 +160,7 @@ def described(run: Run, scene: Scene | None, title: str, shared: dict[str, Exten
 
 
 def _view_of(extent: Extent, above: float) -> tuple[Array, Array]:
-    """Corners around what moves and what stands above it, as a share of its size."""
+    """Return the corners around the motion, with a margin above as a fraction of its size."""
     low = extent.low - np.array([0.15, 0.08, 0.22]) * extent.size
     high = extent.high + np.array([0.15, 0.3, above]) * extent.size
     return low, high

@@ -1,4 +1,4 @@
-"""The time line of a run: events, states of the ladder, interventions, and the force on the hand."""
+"""Time line of a run: events, ladder states, interventions and force on the hand."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,18 +12,18 @@ from haptether.view.scene3d.extent import is_joints, largest_of, norms_of
 from haptether.view.scene3d.status import spans
 
 MOST_COLUMNS = 1500
-"""Of the force: more than a screen is wide."""
+"""Largest number of force columns; more than a screen is wide."""
 SHOWN = frozenset(
     {"release", "regrasp", "contact", "grip", "drop", "hold", "stop", "fault", "diverged", "trip", "engaged"}
 )
-"""Kinds of events that have a name on the line; the others are marks."""
+"""Kinds of events with a name on the line; other events are marks."""
 APART_S = 0.05
-"""Trips that are nearer to one another are one to who looks for the next."""
+"""Gap in s below which trips count as one for navigation."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mark:
-    """An event on the line."""
+    """Event on the line."""
 
     time_s: float
     kind: str
@@ -33,42 +33,41 @@ class Mark:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Timeline:
-    """Of one run."""
+    """Time line of one run."""
 
     begin_s: float
     end_s: float
     """Time of the last tick."""
     over_s: float
-    """When the last tick is over: it lasts as long as the one before it."""
+    """End of the last tick, which lasts as long as the previous one."""
     marks: tuple[Mark, ...]
-    """Every event, at its time."""
+    """All events."""
     ladder: tuple[tuple[float, float, str], ...]
-    """Begin, end and state, of the hand's side."""
+    """Start, end and state, from the hand's side."""
     trips: tuple[tuple[float, float], ...]
-    """When controllers intervened, hold-off included."""
+    """Interventions, including the hold-off."""
     force_time_s: npt.NDArray[np.float64]
     force_n: npt.NDArray[np.float64]
-    """|F_device|, or |F_e| where the hand is not known, of joints the greatest torque: the largest of each piece of the
-    time line."""
+    """Largest |F_device| per column; |F_e| if the hand is unknown; the largest torque for joints."""
 
     def next_trip(self, time_s: float) -> float | None:
-        """When the next intervention begins; after the last, the first; none without any."""
+        """Return the start of the next intervention, cyclically; None without interventions."""
         begins = [begin for n, (begin, _) in enumerate(self.trips) if n == 0 or begin - self.trips[n - 1][1] > APART_S]
         return next((begin for begin in begins if begin > time_s + 1e-9), begins[0] if begins else None)
 
 
 def timeline_of(signals: Signals, events: Iterable[Event]) -> Timeline:
-    """Of the signals of a run, and what happened in it."""
+    """Build the time line from signals and events."""
     time_s = np.asarray(signals["time_s" if "time_s" in signals else "slave_time_s"], dtype=np.float64)
     named_before: dict[str, float] = {}
     marks = []
     for event in events:
-        # What chatters is named once.
+        # Name a repeating event once.
         is_new = event.time_s - named_before.get(event.kind, -np.inf) > 0.5
         named_before[event.kind] = event.time_s
         side, _, _ = event.detail.partition(":")
         text = f"{event.kind} {event.detail}" if event.kind == "trip" else event.kind
-        # The ladder of the slave follows that of the master.
+        # The slave's ladder follows the master's.
         named = event.kind in SHOWN and is_new and (side != "slave" or "time_s" not in signals)
         marks.append(Mark(time_s=event.time_s, kind=event.kind, text=text, named=named))
     return Timeline(

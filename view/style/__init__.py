@@ -1,1 +1,1 @@
-"""One style for every picture: colours, sizes, fonts, legends, letters, names of events. It uses no other room."""
+"""Common style of all pictures: colours, sizes, fonts, legends, letters, event names. Independent of other rooms."""

@@ -1,1 +1,1 @@
-"""A live side in a terminal."""
+"""Terminal view of a live side."""

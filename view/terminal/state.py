@@ -1,4 +1,4 @@
-"""What a side is doing, as its telemetry has said so far."""
+"""State of a side from its telemetry."""
 
 import math
 from collections import deque
@@ -24,42 +24,42 @@ from haptether.bridge import (
 
 SECOND_NS = 1_000_000_000
 MAX_SAMPLES = 120
-"""Of the last second, which are 60, and more where samples come late."""
+"""Samples kept for the last second: 60, or more if samples arrive late."""
 MAX_EVENTS = 64
 
 
 class Observer(Struct, frozen=True, kw_only=True):
-    """A controller, and what it watches."""
+    """Controller and its observer."""
 
     controller: str
     symbol: str
     value: float | None
-    """Of the last tick; none where it did not observe."""
+    """Value of the last tick; None if not observed."""
     worst: float | None
-    """Nearest to tripping, or furthest beyond, in the last second."""
+    """Value of the last second nearest to, or furthest beyond, the threshold."""
     threshold: float | None
-    """Beyond it the controller trips; none where the scene is not known."""
+    """Trip threshold; None if the scene is unknown."""
     trips_above: bool
-    """Whether it trips above its threshold, and not below."""
+    """True if it trips above its threshold, False if below."""
     tripped: bool
-    """In any tick of the last second."""
+    """True if tripped in any tick of the last second."""
 
     @property
     def share(self) -> float | None:
-        """How far `worst` is on its way to the threshold: 0 to 1, and above 1 beyond it."""
+        """Return the fraction of `worst` relative to the threshold; above 1 beyond it."""
         if self.worst is None or self.threshold is None:
             return None
         if self.threshold == 0.0:
-            # An energy that must not fall below 0.
+            # Energy that must not fall below 0.
             return 0.0 if self.worst > 0.0 else 1.0
         return max(0.0, self.worst / self.threshold)
 
 
 class SideState:
-    """Takes the messages of a telemetry one by one; has the last values, and extremes of the last second.
+    """Latest values from telemetry messages, and extremes of the last second.
 
     Args:
-        hello: The first of them.
+        hello: First message.
     """
 
     def __init__(self, hello: TelemetryHello) -> None:
@@ -67,30 +67,30 @@ class SideState:
         self.side = hello.side
         self.kinds = {signal.name: signal.kind for signal in hello.signals}
         self.cause: TelemetryCause | None = None
-        """Why the two sides are not coupled; none while they are, or nothing was said."""
+        """Cause of not being coupled; None if coupled or unknown."""
         self.has_ended = False
-        """Whether the loop ended in good order."""
+        """True if the loop ended normally."""
         self.time_s = 0.0
-        """Of the last sample, since the run began."""
+        """Time of the last sample since the run began."""
         self.lost_ticks = 0
-        """That this reader was too slow for."""
+        """Ticks lost because this reader was too slow."""
         self.invalid = 0
-        """Lines and samples of which something was left out as invalid."""
+        """Number of lines and samples with skipped invalid parts."""
         self.invalid_text = ""
-        """The last part that was left out, and why."""
+        """Last skipped part and reason."""
         self.dropped = 0
-        """Records that never reached the sender."""
+        """Records that did not reach the sender."""
         self.ticks = 0
-        """That were seen."""
+        """Number of ticks seen."""
         self.events: deque[tuple[float, str]] = deque(maxlen=MAX_EVENTS)
-        """The newest changes of the ladder and trips, with their times in s."""
+        """Latest ladder transitions and trips, with times in s."""
         self.events_seen = 0
-        """Those that are not kept any more among them."""
+        """Number of events, including dropped ones."""
         self._begun_s: float | None = None
         self._samples: deque[TelemetrySample] = deque(maxlen=MAX_SAMPLES)
 
     def take(self, message: TelemetryMessage) -> None:
-        """Takes the next message."""
+        """Take the next message."""
         match message:
             case TelemetrySample():
                 self.time_s = message.time_ns * 1e-9
@@ -129,16 +129,16 @@ class SideState:
 
     @property
     def link(self) -> TelemetryLink | None:
-        """Frames of the link since the run began; none before the first sample."""
+        """Return the frame counts since the run began; None before the first sample."""
         return self._samples[-1].link if self._samples else None
 
     @property
     def watched_s(self) -> float:
-        """From the first sample to the last, in s of the run."""
+        """Return the run time in s from the first to the last sample."""
         return 0.0 if self._begun_s is None else self.time_s - self._begun_s
 
     def last(self, name: str) -> Any:  # noqa: ANN401  # by the kind of the signal
-        """The last value of a signal: a list of numbers of "axes"; none where it is not known."""
+        """Return the last value of a signal, a list for "axes"; None if unknown."""
         if not self._samples or name not in self._samples[-1].signals:
             return None
         value = self._samples[-1].signals[name]
@@ -153,7 +153,7 @@ class SideState:
                 return value
 
     def extremes(self, name: str) -> tuple[float, float] | None:
-        """Smallest and largest of a number in the last second; of axes of all of them; none where it is not known."""
+        """Return the extremes of a number, or over all axes, in the last second; None if unknown."""
         if name not in self.kinds:
             return None
         of = [
@@ -167,17 +167,17 @@ class SideState:
         return (min(low), max(high)) if low and high else None
 
     def peak(self, name: str) -> float | None:
-        """Largest magnitude of a number, or of any axis, in the last second."""
+        """Return the largest magnitude of a number, or of any axis, in the last second."""
         extremes = self.extremes(name)
         return None if extremes is None else max(abs(extremes[0]), abs(extremes[1]))
 
     def norm(self, name: str) -> float | None:
-        """Of the last values of the axes."""
+        """Return the norm of the last values of the axes."""
         values = self.last(name)
         return None if values is None or None in values else math.hypot(*values)
 
     def observers(self) -> list[Observer]:
-        """The controllers of the scene; where it is not known, those that observe."""
+        """Return the controllers of the scene, or without a scene those that observe."""
         safety = (self.hello.scene or {}).get("safety") or {}
         thresholds = {
             "vfc": 1.0,
@@ -208,17 +208,17 @@ class SideState:
         return found
 
     def signal_of(self, controller: str) -> str:
-        """The signal that a controller observes."""
+        """Return the signal that a controller observes."""
         return OBSERVED_SIGNALS[controller].signal
 
     def is_held(self) -> bool:
-        """Whether an intervention was held on in the last second, as its hold-off and ramp do."""
+        """Return True if an intervention was in hold-off or fade-out in the last second."""
         return bool(self._bits("tripped") & TRIP_BITS["held"])
 
     def loss(self) -> float | None:
-        """Share of the peer's frames of the last second that have not arrived; none where there were none.
+        """Return the fraction of peer frames of the last second that have not arrived; None without frames.
 
-        A frame that is overtaken counts as lost until it arrives.
+        An overtaken frame counts as lost until it arrives.
         """
         if len(self._samples) < 2:
             return None

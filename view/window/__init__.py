@@ -1,1 +1,1 @@
-"""A run in a window: one that is over, and one that goes on."""
+"""Windows for finished and for live runs."""

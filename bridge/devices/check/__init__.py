@@ -1,1 +1,1 @@
-"""A driver checked by itself: what it reads, how long its calls take, and how it ends."""
+"""Standalone driver check: samples, call times and shutdown."""

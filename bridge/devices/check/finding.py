@@ -1,4 +1,4 @@
-"""What was found of one property of a driver."""
+"""Result of checking one property of a driver."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,27 +8,27 @@ from haptether.bridge.devices.open import DeviceError
 from haptether.checklist import RefusedError
 
 Verdict = Literal["pass", "mend", "note", "unseen"]
-"""As it must be; to be mended; worth knowing; or not to be seen in this run."""
+"""Valid; must be fixed; information only; not observable in this run."""
 
 
 def raised(error: DeviceError) -> str:
-    """Text of an exception of a driver, without its place in the source."""
+    """Text of a driver exception, without its source location."""
     if isinstance(error.__cause__, RefusedError):
         return f"refused: {error.__cause__}"
     return f"raised an exception: {error.brief}"
 
 
 def messages(failed: Mapping[str, DeviceError]) -> list[str]:
-    """The driver's own texts of what its methods raised."""
+    """Driver texts of the exceptions that its methods raised."""
     return [str(error.__cause__) for error in failed.values()]
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of the result."""
+    """One line of the check result."""
 
     check: str
-    """The property."""
+    """Name of the property."""
     verdict: Verdict
     text: str
-    """What was seen, and where it is to be mended what must be."""
+    """Observation and, if a fix is required, where to make it."""

@@ -1,4 +1,4 @@
-"""The form of samples: fields, shapes, finite numbers, and what must be there at every sample or at none."""
+"""Form of samples: fields, shapes, finite numbers, and fields that every sample or no sample must have."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -14,9 +14,9 @@ Side = Literal["master", "slave"]
 Kind = Literal["linear", "joints", "pose"]
 
 AXES: dict[str, tuple[int, ...]] = {"linear": (1, 2, 3), "joints": (1, 2, 3, 4, 5, 6, 7), "pose": (3,)}
-"""Numbers of axes that a side of each kind has."""
+"""Allowed numbers of axes for each kind of side."""
 NORM_ERROR = 1e-9
-"""How far the norm of a quaternion may lie from 1, as in the tick."""
+"""Allowed deviation of a quaternion norm from 1, same as in the tick."""
 CHECKS = (
     "fields",
     "shapes",
@@ -25,12 +25,12 @@ CHECKS = (
     "orientation",
     "buttons and trigger",
 )
-"""Names of what is found about the form."""
+"""Names of the form checks."""
 FIELDS, SHAPES, FINITE, ALWAYS, ORIENTATION, BUTTONS = CHECKS
 
 
 class Reading(NamedTuple):
-    """The numbers of a sample whose form is right."""
+    """Numbers of a valid sample."""
 
     position: tuple[float, ...]
     velocity: tuple[float, ...] | None
@@ -42,34 +42,34 @@ class Reading(NamedTuple):
 
 @dataclass
 class Problem:
-    """What is wrong with some of the samples."""
+    """Error found in one or more samples."""
 
     text: str
-    """Of the first."""
+    """Text for the first invalid sample."""
     first: int
-    """Its number, from 1 on."""
+    """Number of the first invalid sample, counted from 1."""
     count: int = 1
 
 
 @dataclass
 class SampleForm:
-    """Holds sample after sample against what the bridge takes."""
+    """Check each sample against the form that the bridge accepts."""
 
     side: Side
     kind: Kind
     axes: int | None = None
-    """Of the first sample."""
+    """Number of axes of the first sample."""
     samples: int = 0
     problems: dict[str, Problem] = field(default_factory=dict)
     faults: list[str] = field(default_factory=list)
-    """Those that the device reports."""
+    """Faults that the device reports."""
     trigger: tuple[float, float] | None = None
-    """The least and the largest."""
+    """Smallest and largest trigger value."""
     has: dict[str, bool] = field(default_factory=dict)
-    """Which of the fields that may be left out the first sample has."""
+    """Presence of each optional field in the first sample."""
 
     def take(self, sample: object) -> Reading | None:
-        """The numbers of a sample; none where the bridge would refuse it."""
+        """Return the numbers of a sample, or None if the bridge would reject it."""
         self.samples += 1
         before = sum(problem.count for problem in self.problems.values())
         kind = MasterSample if self.side == "master" else SlaveSample
@@ -113,7 +113,7 @@ class SampleForm:
         return position
 
     def _optional(self, values: dict[str, object], axes: int) -> dict[str, tuple[float, ...] | None]:
-        """What a sample has beside the position; what must be there at every sample or at none is held against that."""
+        """Return the optional fields of a sample and check that each is present in every sample or in none."""
         read: dict[str, tuple[float, ...] | None] = {}
         required = self._required()
         for name in ("velocity", "force", "orientation", "angular_velocity", "torque"):
@@ -140,7 +140,7 @@ class SampleForm:
         return fault
 
     def findings(self) -> list[Finding]:
-        """One line for each of `CHECKS`."""
+        """Return one line for each of `CHECKS`."""
         if not self.samples:
             return [Finding(check, "unseen", "there was no sample") for check in CHECKS]
         found = []
@@ -173,13 +173,13 @@ class SampleForm:
         if problem is None:
             self.problems[check] = Problem(text, self.samples)
         elif problem.first == self.samples:
-            # Of one sample once.
+            # Count each sample once.
             return
         else:
             problem.count += 1
 
     def _numbers(self, name: str, value: object, count: int | None) -> tuple[float, ...] | None:
-        """Numbers of a field, as many as there must be; one number stands for those of one axis."""
+        """Return the required count of numbers from a field; a scalar is accepted for one axis."""
         allowed = {None: "a number, or one for each axis", 1: "a number"}.get(count, f"a sequence of {count} numbers")
         try:
             numbers = tuple(_number(part) for part in (value if isinstance(value, Iterable) else [value]))
@@ -230,7 +230,7 @@ class SampleForm:
 
 
 def check_kinds(device: object) -> Finding:
-    """Whether `kinds` of a driver are those that scenes have."""
+    """Check that the driver's `kinds` are kinds of a scene."""
     kinds: object = getattr(device, "kinds", POINT_KINDS)
     allowed = ", ".join(AXES)
     if isinstance(kinds, str):

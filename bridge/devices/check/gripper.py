@@ -1,4 +1,4 @@
-"""What is found of the driver of a gripper: it is opened, held, read and closed, and never written to."""
+"""Gripper driver check: open, hold, read and close, without any write."""
 
 from collections.abc import Callable
 
@@ -10,24 +10,24 @@ from haptether.bridge.devices.standalone import StandaloneRun
 from haptether.slave import GripperSample
 
 PERIOD_S = 0.01
-"""Of its loop in s: what reads a gripper does so at the rate of its arm, and waits for nothing."""
+"""Loop period in s; the driver must read at the arm's rate without blocking."""
 MAX_CALL_S = 0.005
-"""How long `read` and `hold` may take in s, by 99 of 100 calls: the loop of the arm calls them."""
+"""Limit in s for the 99th percentile of `read` and `hold`, because the arm loop calls them."""
 ONE_STEP = 1.0 / 255.0
-"""The resolution of common grippers; what moves by less does not move."""
+"""Resolution of common grippers; smaller changes do not count as motion."""
 
 
 class GripperLead:
-    """Keeps the samples of a gripper, and writes nothing."""
+    """Store the samples of a gripper; write nothing."""
 
     def __init__(self) -> None:
         self.samples: list[GripperSample] = []
         self.wrong: str | None = None
-        """What `read` returned first that is no sample."""
+        """First value returned by `read` that is not a sample."""
         self.faults: list[str] = []
 
     def step(self, sample: object, at_s: float) -> None:  # noqa: ARG002  # of the protocol of a lead
-        """Takes a sample."""
+        """Take a sample."""
         if not isinstance(sample, GripperSample):
             self.wrong = self.wrong or f"read() gives {type(sample).__name__}: must be a GripperSample"
             return
@@ -37,26 +37,26 @@ class GripperLead:
 
 
 class GripperCheck:
-    """A driver of a gripper that is looked at; no command is sent to its jaws but to hold.
+    """Gripper driver under check; the only command sent to the jaws is hold.
 
     Args:
-        gripper: As `load_gripper` returns it.
-        stopped: Ends it, too.
+        gripper: Driver from `load_gripper`.
+        stopped: Additional condition that ends the run.
     """
 
     def __init__(self, gripper: object, stopped: Callable[[], bool] = lambda: False) -> None:
         self.lead = GripperLead()
         self.run = StandaloneRun(gripper, self.lead, period_s=PERIOD_S, rest_by="hold", stopped=stopped)
         self.ended = True
-        """Whether it has ended once `end` has returned."""
+        """True if the run ended before `end` returned."""
 
     def end(self) -> None:
-        """Ends the run: the jaws are held, the gripper is closed."""
+        """End the run: hold the jaws and close the gripper."""
         self.ended = self.run.end()
 
     @property
     def status(self) -> str:
-        """Jaws of now."""
+        """Return the current state of the jaws."""
         blocked = self.run.blocked_in(0.5)
         if blocked is not None:
             return f"{blocked}() has not returned for 0.5 s"
@@ -69,11 +69,11 @@ class GripperCheck:
 
     @property
     def messages(self) -> list[str]:
-        """The driver's own texts of what was wrong."""
+        """Return the driver's own texts of its errors."""
         return [*messages(self.run.watched.failed), *self.lead.faults]
 
     def findings(self) -> list[Finding]:
-        """What was seen, line by line; of a run that has ended."""
+        """Return the findings of a run that has ended."""
         run = self.run
         failed, took_s = run.watched.failed, run.watched.took_s
         if "open" in failed:

@@ -1,4 +1,4 @@
-"""What a device is written while it is checked: zero, and on request one small push that ends by itself."""
+"""Output to a device under check: zero, or on request one small push of limited duration."""
 
 import math
 import time
@@ -8,29 +8,29 @@ from haptether.bridge.devices.check.form import Reading, SampleForm
 from haptether.bridge.devices.standalone import Written
 
 RAMP_S, HOLD_S = 0.5, 0.5
-"""Of a push: it rises over the first, stays for the second, and falls over the first again."""
+"""Duration in s of each ramp, and of the plateau between the rising and the falling ramp."""
 ASKED_S = 2.0
-"""A person's word for a push counts for so long."""
+"""Validity in s of an operator's request for a push."""
 GAP_S = 0.02
-"""A tick that comes later ends a push."""
+"""A longer gap in s between ticks ends a push."""
 SPEED_OVER_S = 0.01
-"""Time over which speed is taken from positions."""
+"""Window in s over which speed is computed from positions."""
 MAX_PUSH = {"linear": 1.0, "pose": 1.0, "joints": 0.1}
-"""The largest push, in N (N m for joints)."""
+"""Largest push in N (N m for joints)."""
 MAX_TRAVEL = {"linear": 0.05, "pose": 0.05, "joints": 0.5}
-"""m (rad), after which a push ends."""
+"""Travel in m (rad) that ends a push."""
 MAX_SPEED = {"linear": 0.25, "pose": 0.25, "joints": 2.0}
-"""m/s (rad/s), at which a push ends."""
+"""Speed in m/s (rad/s) that ends a push."""
 
 
 @dataclass
 class Push:
-    """A force along one axis: up a ramp, for a while, and down again; or zero from the moment that something is wrong.
+    """Trapezoidal force along one axis; zero after any fault.
 
     Args:
-        size: In N (N m), positive towards +x.
-        axis: Along which.
-        kind: Whose bounds of travel and speed hold.
+        size: Force in N (N m), positive towards +x.
+        axis: Index of the axis.
+        kind: Kind of coordinates, which selects the travel and speed bounds.
     """
 
     size: float
@@ -38,17 +38,17 @@ class Push:
     kind: str
     begun_s: float | None = None
     ended: str | None = None
-    """Why it is over."""
+    """Reason for the end."""
     travel: float = 0.0
-    """How far it is along the axis from where it began, in m (rad)."""
+    """Displacement along the axis from the start, in m (rad)."""
     farthest: float = 0.0
-    """The travel of the largest magnitude."""
+    """Displacement of the largest magnitude."""
     _from: tuple[float, ...] = ()
     _last_s: float = 0.0
     _trail: list[tuple[float, tuple[float, ...]]] = field(default_factory=list)
 
     def force(self, reading: Reading | None, at_s: float) -> float:
-        """What to exert after a sample."""
+        """Return the force to exert after a sample."""
         if self.ended is not None:
             return 0.0
         if reading is None or reading.fault is not None:
@@ -68,7 +68,7 @@ class Push:
         return self.size * profile(at_s - self.begun_s)
 
     def _stopped(self, reading: Reading, at_s: float) -> str | None:
-        """Why it must end now."""
+        """Return the reason to end now, or None."""
         assert self.begun_s is not None
         if at_s - self.begun_s >= 2.0 * RAMP_S + HOLD_S:
             return "ended by itself"
@@ -83,14 +83,14 @@ class Push:
 
 
 def profile(time_s: float) -> float:
-    """Share of a push at a time since its begin."""
+    """Return the fraction of the push at a time since its start."""
     left_s = 2.0 * RAMP_S + HOLD_S - time_s
     return max(0.0, min(1.0, time_s / RAMP_S, left_s / RAMP_S))
 
 
 @dataclass
 class CheckLead:
-    """Reads, writes zero to a master, and nothing to an arm, which is thus never moved."""
+    """Read only: write zero to a master and nothing to an arm, which therefore never moves."""
 
     form: SampleForm
     readings: list[Reading | None] = field(default_factory=list)
@@ -99,10 +99,10 @@ class CheckLead:
     _wrote: bool = False
 
     def request(self, push: Push) -> None:
-        """A person's word for a push, which begins with the next sample if that comes in time.
+        """Request a push at an operator's command; it starts with the next sample unless the request has expired.
 
         Raises:
-            ValueError: Of an arm, or beyond its bound.
+            ValueError: The device is an arm, or the push exceeds its bound.
         """
         if self.form.side != "master" or not 0.0 < push.size <= MAX_PUSH[push.kind]:
             message = f"a push of {push.size:g}: must be of a master, above 0 and at most {MAX_PUSH[push.kind]:g}"
@@ -111,7 +111,7 @@ class CheckLead:
         self.push = push
 
     def step(self, sample: object, at_s: float) -> Written | None:
-        """Zero, or the push that was requested."""
+        """Return zero, or the requested push."""
         reading = self.form.take(sample)
         self.readings.append(reading)
         if self.form.side == "slave" or self.form.axes is None or (reading is None and not self._wrote):

@@ -1,4 +1,4 @@
-"""All that was found of a driver, from one run of it and from a second that ends by an exception."""
+"""Findings on a driver from one normal run and a second run that ends by an exception."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -25,13 +25,13 @@ from haptether.bridge.devices.open import KEEPS, POINT_KINDS
 from haptether.bridge.devices.standalone import RestBy, StandaloneRun, Written
 
 CLOSE_S = 5.0
-"""How long a driver may take to close."""
+"""Longest time in s a driver may take to close."""
 SECOND_TICKS = 5
-"""After so many the second run ends by an exception."""
+"""Number of ticks after which the second run raises an exception."""
 
 
 def kind_of(device: object) -> Kind:
-    """The first kind of scene that a driver says it can be in."""
+    """Return the first kind of scene that a driver declares."""
     kinds: object = getattr(device, "kinds", POINT_KINDS)
     for kind in kinds if isinstance(kinds, tuple | list) else ():
         if kind in MAX_PUSH:
@@ -40,14 +40,14 @@ def kind_of(device: object) -> Kind:
 
 
 class DeviceCheck:
-    """A driver that is looked at: `run` is led here, and `findings` says what was seen of it.
+    """Driver under check: `run` steps it, `findings` reports the results.
 
     Args:
-        device: As `load_master` and `load_slave` return it.
-        side: What it is a driver of.
-        kind: Of the coordinates; by default the first that the driver says.
-        period_s: Of the loop in s, where the device does not pace it.
-        stopped: Ends it, too, in the tick that runs.
+        device: Driver from `load_master` or `load_slave`.
+        side: Side of the driver.
+        kind: Kind of coordinates; by default the first that the driver declares.
+        period_s: Loop period in s, if the device does not pace the loop.
+        stopped: Additional condition that ends the run in the current tick.
     """
 
     def __init__(
@@ -67,18 +67,20 @@ class DeviceCheck:
             device, self.lead, period_s=period_s, rest_by="stop" if side == "slave" else None, stopped=stopped
         )
         self.ended = True
-        """Whether it has ended once `end` has returned."""
+        """True if the run ended before `end` returned."""
 
     @property
     def form(self) -> SampleForm:
-        """Of its samples."""
+        """Form of the samples."""
         return self.lead.form
 
     def push(self, size: float, axis: int) -> Push:
-        """A push, on a person's word of the last 2 s; it begins with the next sample and ends by itself.
+        """Start a push that an operator requested within the last 2 s; it starts with the next sample.
+
+        The push ends by itself.
 
         Raises:
-            ValueError: Of an arm, an axis that there is not, or beyond its bound.
+            ValueError: The device is an arm, the axis does not exist, or the push exceeds its bound.
         """
         if not 0 <= axis < (self.form.axes or 0):
             message = f"push-axis = {axis}: must be 0 to {(self.form.axes or 1) - 1}"
@@ -88,20 +90,20 @@ class DeviceCheck:
         return push
 
     def end(self) -> None:
-        """Ends the run; the device is closed."""
+        """End the run and close the device."""
         self.ended = self.run.end()
 
     @property
     def messages(self) -> list[str]:
-        """The driver's own texts of what was wrong."""
+        """Return the driver's own texts of its errors."""
         return [*messages(self.run.watched.failed), *self.form.faults, "; ".join(self.form.faults)]
 
     def timing(self) -> Timing | None:
-        """Of its loop."""
+        """Return the timing of the loop."""
         return timing(self.run.ticks)
 
     def findings(self) -> list[Finding]:
-        """What was seen, line by line; of a run that has ended."""
+        """Return the findings of a run that has ended."""
         found = [*_opening(self), check_kinds(self._device)]
         if not self.run.is_open:
             return found
@@ -154,7 +156,7 @@ class DeviceCheck:
         return found
 
     def _calls(self) -> list[Finding]:
-        """What the calls of the driver ended by."""
+        """Return how the driver's calls ended."""
         run, found = self.run, []
         for method in ("read", "write", "write_trigger"):
             if method in run.watched.failed:
@@ -183,7 +185,7 @@ class DeviceCheck:
 
 
 def _calls_of(run: StandaloneRun, method: str) -> int:
-    """How often a method of every tick was called."""
+    """Return how often a per-tick method was called."""
     if method == "write_trigger":
         return 0
     return len(run.ticks) if method == "read" else sum(tick.force is not None for tick in run.ticks)
@@ -199,7 +201,7 @@ def _opening(check: DeviceCheck) -> list[Finding]:
 
 
 def _closed(check: DeviceCheck) -> list[Finding]:
-    """Of a device that did not open, which must be closed all the same."""
+    """Return the finding for a device that did not open; it must be closed nevertheless."""
     return [_closing(check.run, ended=True)] if "close" in check.run.watched.failed else []
 
 
@@ -233,7 +235,7 @@ def _closing(run: StandaloneRun, *, ended: bool) -> Finding:
 
 @dataclass
 class _Interrupted:
-    """A lead that raises an exception after a few samples, as whatever goes wrong in a tick does."""
+    """Lead that raises an exception after a few samples, to simulate an error within a tick."""
 
     first: CheckLead
     ticks: int = 0
@@ -251,7 +253,7 @@ class _Interrupted:
 
 
 class SecondRun:
-    """The driver made and opened anew after it was closed, and closed after an exception in the middle of the loop."""
+    """Second run: reopen the driver after its close, and raise an exception in the middle of the loop."""
 
     def __init__(self, device: object, check: DeviceCheck, stopped: Callable[[], bool]) -> None:
         rest_by: RestBy | None = "stop" if check.form.side == "slave" else None
@@ -259,7 +261,7 @@ class SecondRun:
         self.run = StandaloneRun(device, self._lead, period_s=check.loop_period_s, rest_by=rest_by, stopped=stopped)
 
     def finding(self) -> Finding:
-        """How it went; it is ended here."""
+        """End the second run and return its finding."""
         name = "close after an exception"
         ended = self.run.end()
         failed = self.run.watched.failed

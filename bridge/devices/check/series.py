@@ -1,4 +1,4 @@
-"""What the samples of a run say together: period, blocking calls, units, jumps, and whether velocity is that of x."""
+"""Checks across the samples of a run: period, blocking calls, units, jumps, and consistent velocity."""
 
 import math
 from collections.abc import Sequence
@@ -15,33 +15,33 @@ from haptether.safety import SampleBounds
 Array = NDArray[np.float64]
 
 BLOCKED_S = 0.02
-"""A call that takes longer holds both sides."""
+"""A call longer than this, in s, makes both sides hold."""
 PERIOD_SHARE = 0.01
-"""How far `period_s` may be from what is seen, as between a scene and its device."""
+"""Allowed relative error of `period_s`, same as between a scene and its device."""
 WINDOW_S = 0.05
-"""Over which the velocity is summed up, to be held against the change of position."""
+"""Window in s over which the integrated velocity is compared with the change of position."""
 JUMPS_WITHIN_S = 1e-3
-"""Two samples that follow more closely are taken to be so far apart."""
+"""Shortest sample interval in s used for the jump check."""
 FEW = 5
-"""Windows with motion, of which fewer say nothing."""
+"""Smallest number of windows with motion that allows a verdict."""
 AGREES = 0.25
-"""How far the sum of the velocity may be from the change of position."""
+"""Allowed relative error of the integrated velocity."""
 DISAGREEING = 0.1
-"""Share of the windows that may be farther off than that."""
+"""Allowed fraction of windows above that error."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a device of a kind is taken to be able to, and the unit that is taken for another beyond that."""
+    """Plausible range of a kind of device, and the unit that a value beyond it suggests."""
 
     unit: str
     other: str
     farthest: float
-    """m (rad) from 0."""
+    """Largest distance from 0 in m (rad)."""
     fastest: float
-    """m/s (rad/s) between two samples."""
+    """Largest speed between two samples in m/s (rad/s)."""
     motion: float
-    """m (rad) within a window, of a motion that says something of the velocity."""
+    """Smallest motion within a window, in m (rad), that allows a velocity check."""
 
 
 LINEAR = Bounds("m", "mm", farthest=5.0, fastest=SampleBounds().speed, motion=1e-3)
@@ -50,18 +50,18 @@ FACTORS = {
     -1.0: "its sign is wrong", 1e3: "it is in mm/s", 1e-3: "the position is in mm", 0.0: "it is zero all the time",
     180.0 / math.pi: "it is in degrees/s", math.pi / 180.0: "the position is in degrees",
 }  # fmt: skip
-"""What the velocity is of the change of position, where it is wrong in a usual way."""
+"""Ratio of integrated velocity to change of position for each common error."""
 
 
 def bounds_of(kind: Kind, speed_bound: float | None = None) -> Bounds:
-    """Bounds of a kind of coordinates; a driver may have its own speed bound."""
+    """Return the bounds of a kind of coordinates; a driver may set its own speed bound."""
     of = JOINTS if kind == "joints" else LINEAR
     return of if speed_bound is None else replace(of, fastest=speed_bound)
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Percentiles in s, of a loop that had the interpreter for itself but no real time."""
+    """Percentiles in s for a loop that has the interpreter to itself but no real-time priority."""
 
     rate_hz: float
     period_p50_s: float
@@ -76,7 +76,7 @@ class Timing:
 
 
 def timing(ticks: Sequence[Tick]) -> Timing | None:
-    """Of two ticks or more."""
+    """Return the timing of two or more ticks."""
     if len(ticks) < 2:
         return None
     asked, read, written = (np.array([tick[index] for tick in ticks]) for index in range(3))
@@ -88,7 +88,7 @@ def timing(ticks: Sequence[Tick]) -> Timing | None:
 
 
 def check_period(of: Timing | None, *, paces: bool, said_s: object, loop_s: float) -> Finding:
-    """The period that is seen, against what the driver says of itself."""
+    """Compare the measured period with the period that the driver declares."""
     if of is None:
         return Finding("period", "unseen", "fewer than two samples")
     seen_s = of.period_p50_s
@@ -101,7 +101,7 @@ def check_period(of: Timing | None, *, paces: bool, said_s: object, loop_s: floa
 
 
 def _paced(of: Timing, seen: str, said_s: object) -> Finding:
-    """The period of a driver that waits for its samples."""
+    """Check the period of a driver that waits for its samples."""
     if of.read_p50_s < 5e-5 and of.period_p50_s < 4e-4:
         return Finding("period", "mend", f"{seen}: read() does not wait for a sample: wait there, or set paces = False")
     if said_s is None:
@@ -117,7 +117,7 @@ def _paced(of: Timing, seen: str, said_s: object) -> Finding:
 
 
 def check_blocking(ticks: Sequence[Tick], *, paces: bool, said_s: object) -> Finding:
-    """Whether each call returned within 20 ms; one that waits for the next sample has its period besides."""
+    """Check that each call returns within 20 ms, plus the period if it waits for the next sample."""
     waits_s = said_s if paces and isinstance(said_s, int | float) and math.isfinite(said_s) else 0.0
     limits = {"read": BLOCKED_S + (waits_s if waits_s > BLOCKED_S else 0.0), "write": BLOCKED_S}
     took = {
@@ -140,12 +140,12 @@ def check_blocking(ticks: Sequence[Tick], *, paces: bool, said_s: object) -> Fin
 
 
 def check_positions(time_s: Array, position: Array, kind: Kind, speed_bound: float | None = None) -> list[Finding]:
-    """Whether positions can be of a device: their unit, and no jumps.
+    """Check positions for a plausible unit and for jumps.
 
     Args:
-        time_s: Of the samples, shape `(n,)`.
-        position: In m (rad), shape `(n, axes)`.
-        kind: Of the coordinates.
+        time_s: Sample times, shape `(n,)`.
+        position: Positions in m (rad), shape `(n, axes)`.
+        kind: Kind of coordinates.
         speed_bound: Speed bound of the driver in m/s (rad/s); by default that of the kind, as in the safety layer.
     """
     of = bounds_of(kind, speed_bound)
@@ -155,7 +155,7 @@ def check_positions(time_s: Array, position: Array, kind: Kind, speed_bound: flo
     largest = float(np.abs(position).max())
     steps, dt = np.abs(np.diff(position, axis=0)), np.maximum(np.diff(time_s), 1e-4)[:, None]
     jumps = steps > of.fastest * np.maximum(dt, JUMPS_WITHIN_S)
-    # The speed of 50 ms: a jump is no motion.
+    # Speed over 50 ms, so that a jump does not count as motion.
     wide = max(1, round(WINDOW_S / max(1e-4, float(np.median(dt)))))
     moved = np.abs(position[wide:] - position[:-wide]) if len(position) > wide else steps
     spanned = (time_s[wide:] - time_s[:-wide])[:, None] if len(position) > wide else dt
@@ -186,7 +186,7 @@ def check_positions(time_s: Array, position: Array, kind: Kind, speed_bound: flo
 
 
 def check_motion(position: Array, kind: Kind) -> Finding:
-    """Whether each axis was moved, without which nothing is seen of its velocity."""
+    """Check that each axis moved, which the velocity check requires."""
     of = bounds_of(kind)
     spans = np.ptp(position, axis=0) if len(position) else np.zeros(0)
     still = [str(axis) for axis, span in enumerate(spans) if span < 5.0 * of.motion]
@@ -197,14 +197,14 @@ def check_motion(position: Array, kind: Kind) -> Finding:
 
 
 def check_velocity(time_s: Array, position: Array, velocity: Array, kind: Kind) -> Finding:
-    """Whether the velocity summed up over 50 ms is the change of position, on each axis."""
+    """Compare the velocity integrated over 50 ms with the change of position on each axis."""
     of = bounds_of(kind)
     changes, sums = _windows(time_s, position, velocity)
     return _agreement("velocity", of, changes, sums)
 
 
 def check_angular_velocity(time_s: Array, orientation: Array, angular_velocity: Array) -> Finding:
-    """Whether the angular velocity summed up over 50 ms is the turn of the orientation, in the frame of the base."""
+    """Compare the angular velocity integrated over 50 ms with the change of orientation, in the base frame."""
     starts, ends = _edges(time_s)
     if not len(starts):
         return Finding("angular velocity", "unseen", "too short a run")
@@ -220,7 +220,7 @@ def check_angular_velocity(time_s: Array, orientation: Array, angular_velocity: 
 
 
 def check_force(force: Array, position: Array, kind: Kind) -> Finding:
-    """What an arm says that it feels."""
+    """Report the force that an arm measures."""
     unit = "N m" if kind == "joints" else "N"
     largest = float(np.abs(force).max())
     text = f"at most {largest:.3g} {unit}, {', '.join(f'{mean:.3g}' for mean in force.mean(axis=0))} on average"
@@ -232,7 +232,7 @@ def check_force(force: Array, position: Array, kind: Kind) -> Finding:
 
 
 def readings_of(ticks: Sequence[Tick], readings: Sequence[Reading | None]) -> tuple[Array, list[Reading]]:
-    """Times of the samples that the bridge would take, and their numbers."""
+    """Return times and numbers of the samples that the bridge would accept."""
     both = [(tick.read_s, reading) for tick, reading in zip(ticks, readings, strict=False) if reading is not None]
     return np.array([time_s for time_s, _ in both]), [reading for _, reading in both]
 
@@ -299,7 +299,7 @@ def _rotation_vectors(after: Array, before: Array, *, base: bool) -> Array:
 
 
 def _product(a: Array, b: Array) -> tuple[Array, Array, Array, Array]:
-    """Hamilton's product of quaternions w, x, y, z, row by row."""
+    """Hamilton product of quaternions w, x, y, z, row by row."""
     aw, ax, ay, az = a.T
     bw, bx, by, bz = b.T
     return (

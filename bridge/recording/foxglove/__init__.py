@@ -1,1 +1,1 @@
-"""A recording for Foxglove: its own channels, and beside them poses, frames and force arrows in Foxglove's schemas."""
+"""Export of a recording for Foxglove: its own channels, plus poses, frames and force arrows in Foxglove's schemas."""

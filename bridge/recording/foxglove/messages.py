@@ -1,4 +1,4 @@
-"""Poses, frames and force arrows of one recorded side, as messages of Foxglove's schemas."""
+"""Poses, frames and force arrows of one recorded side as messages in Foxglove's schemas."""
 
 import math
 from collections.abc import Iterator
@@ -20,34 +20,34 @@ from haptether.view.style.colours import SIGNALS
 Array = npt.NDArray[Any]
 
 INTERVAL_NS = 10_000_000
-"""Poses and arrows are written so often: a picture shows no more, and a force that is larger for one tick is kept."""
+"""Interval of poses and arrows in ns; the tick with the largest force in an interval represents it."""
 WORLD = "haptether"
-"""The frame that both bases share."""
+"""Common parent frame of both bases."""
 METRES_PER_NEWTON = 0.01
 LEAST_N = 0.05
-"""Below it there is no arrow."""
+"""Smallest force in N that is drawn."""
 ARROWS = {
     "master": {"rendered_force": SIGNALS["rendered"], "device_force": SIGNALS["hand"]},
     "slave": {"environment_force": SIGNALS["arm"]},
 }
-"""Forces that are drawn at each end, in the colours that they have in every picture."""
+"""Forces drawn at each end, in the colours that all pictures use."""
 
 
 class FoxgloveMessage(NamedTuple):
-    """A message, where it belongs and when it was."""
+    """Message with topic, schema and time."""
 
     topic: str
     schema: Json
     time_ns: int
-    """Of the wall clock."""
+    """Wall clock time."""
     content: Json
 
 
 def messages_of(recording: Recording, begun_ns: int) -> Iterator[FoxgloveMessage]:
-    """Messages of one side whose run began at `begun_ns` of the wall clock, in the order of time.
+    """Yield the messages, in time order, of a side whose run began at wall clock time `begun_ns`.
 
     Raises:
-        ValueError: What it recorded has no place in three dimensions.
+        ValueError: The recorded coordinates have no position in three dimensions.
     """
     side, signals = recording.side, recording.signals
     time_ns, position = signals["time_ns"], _points(recording)
@@ -57,7 +57,7 @@ def messages_of(recording: Recording, begun_ns: int) -> Iterator[FoxgloveMessage
     largest = np.max([np.linalg.norm(np.nan_to_num(force), axis=1) for force in forces.values()], axis=0)
     begins = np.flatnonzero(np.diff(time_ns // INTERVAL_NS, prepend=-1))
     for begin, end in zip(begins, [*begins[1:], len(time_ns)], strict=True):
-        # The tick of the interval with the largest force stands for it.
+        # The tick with the largest force represents the interval.
         tick = int(begin + np.argmax(largest[begin:end]))
         if not np.isfinite(position[tick]).all():
             continue
@@ -98,7 +98,7 @@ def _points(recording: Recording) -> Array:
 
 
 def _spatial(values: Array) -> Array:
-    """One to three axes as x, y, z."""
+    """Extend one to three axes to x, y, z."""
     there = np.zeros((len(values), 3))
     there[:, : values.shape[1] if values.ndim == 2 else 1] = values.reshape(len(values), -1)
     return there
@@ -149,7 +149,7 @@ def _arrow(tail: Array, force: Array, colour: str) -> Json | None:
 
 
 def _from_x(direction: Array) -> Array:
-    """The quaternion w, x, y, z that turns +x to a direction, by the shortest way."""
+    """Return the quaternion w, x, y, z of the shortest rotation from +x to a direction."""
     x, y, z = direction
     if x < -1.0 + 1e-12:
         return np.array([0.0, 0.0, 0.0, 1.0])

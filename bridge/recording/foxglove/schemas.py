@@ -1,4 +1,4 @@
-"""The schemas of Foxglove that are written, with the fields that are used of them.
+"""Foxglove schemas that are written, with the used fields only.
 
 Source: Foxglove's message schemas FrameTransforms, PoseInFrame and SceneUpdate, as JSON.
 """
@@ -36,7 +36,7 @@ ARROW = _object(
 )
 SPHERE = _object("foxglove.SpherePrimitive", pose=POSE, size=VECTOR, color=COLOUR)
 PRIMITIVES = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
-"""What an entity is made of; those that are not drawn are empty."""
+"""Primitives of an entity; those that are not drawn are empty."""
 ENTITY = _object(
     "foxglove.SceneEntity",
     timestamp=TIME,

@@ -1,4 +1,4 @@
-"""A recording, or those of both sides, as one MCAP file for Foxglove."""
+"""Export of the recordings of one or both sides to one MCAP file for Foxglove."""
 
 import heapq
 import os
@@ -15,15 +15,15 @@ from haptether.extras import require
 from haptether.private_file import private_file, refuse_link
 
 LAYOUT = Path(__file__).parent / "layout.json"
-"""The layout that shows what is written: Foxglove's menu, "Import from file"."""
+"""Layout for the exported topics; import it in Foxglove with "Import from file"."""
 
 
 class _Copied(NamedTuple):
-    """A message as it was recorded."""
+    """Message copied from a recording."""
 
     topic: str
     schema: tuple[str, str, bytes]
-    """Name, encoding and text."""
+    """Name, encoding and text of the schema."""
     time_ns: int
     content: bytes
 
@@ -35,19 +35,19 @@ def write_foxglove(
     *,
     slave_begun_s: float | None = None,
 ) -> None:
-    """Writes what one side recorded, or both, with poses, frames and force arrows in Foxglove's schemas beside it.
+    """Write the recordings of one or both sides, with poses, frames and force arrows in Foxglove's schemas.
 
     Args:
-        target: The file to write, for its owner alone.
-        file: Path of the MCAP file of master or slave.
-        other: The other side's.
-        slave_begun_s: When the slave's run began after the master's, in s; by default as the wall clocks of the two
-            machines have it.
+        target: File to write, with mode 0600.
+        file: MCAP file of master or slave.
+        other: MCAP file of the other side.
+        slave_begun_s: Start of the slave's run after the master's in s; by default from the wall clocks of both
+            machines.
 
     Raises:
-        ImportError: Without the extra `record`.
-        OSError: A file cannot be read or written; a symbolic link.
-        ValueError: It is no recording of Haptether; two of one side; joints, which have no place.
+        ImportError: The extra `record` is not installed.
+        OSError: A file cannot be read or written, or the target is a symbolic link.
+        ValueError: A file is not a Haptether recording, both are of one side, or the coordinates are joints.
     """
     require("a file for Foxglove", "mcap")
     paths = [Path(path) for path in (file, other) if path is not None]
@@ -60,7 +60,7 @@ def write_foxglove(
         begun["slave"] = begun["master"] + round(slave_begun_s * 1e9)
     streams: list[Iterator[FoxgloveMessage | _Copied]] = []
     for path, recording in zip(paths, recordings, strict=True):
-        # Before anything is written: what cannot be is refused at the first message.
+        # Convert before writing, so that an invalid recording is refused at its first message.
         drawn = list(messages_of(recording, begun[recording.side]))
         shift_ns = begun[recording.side] - recording.begun_ns
         streams += [iter(drawn), _copied(path, shift_ns)]
@@ -88,7 +88,7 @@ def _copied(path: Path, shift_ns: int) -> Iterator[_Copied]:
                         topic, schema = topics[record.channel_id]
                         yield _Copied(topic, schema, record.log_time + shift_ns, record.data)
         except (McapError, EOFError, struct.error, KeyError):
-            # Cut off: what was written before counts.
+            # Truncated file: keep the messages before the end.
             return
 
 

@@ -1,1 +1,1 @@
-"""Sweeps that are stored while they run: their design, their journal, their files, and where rows are computed."""
+"""Stored sweeps: design, journal, files, and engines that compute rows."""

@@ -1,4 +1,4 @@
-"""Rows of a sweep computed by the workers of a Dask cluster; the batch of a worker that is lost is computed again."""
+"""Engine that computes the rows of a sweep on a Dask cluster; a batch is retried if its worker is lost."""
 
 import contextlib
 import importlib
@@ -19,23 +19,23 @@ from haptether.extras import require
 Metrics: TypeAlias = "dict[str, npt.NDArray[Any]]"
 
 BATCH = 256
-"""Rows of a task: seconds of work, so that a lost worker costs no more."""
+"""Rows per task: seconds of work, which limits the loss of a worker."""
 AHEAD = 4
-"""Tasks for each worker that are submitted at once: memory does not grow with the rows."""
+"""Tasks submitted per worker at a time, so that memory does not grow with the rows."""
 RETRIES = 10
-"""How often a batch whose worker was lost is computed again."""
+"""Number of retries of a batch whose worker was lost."""
 ANSWER_S = "30 s"
-"""How long a scheduler may take to answer."""
+"""Timeout of the scheduler."""
 
 
 class _Future(Protocol):
-    """What of a `distributed.Future` is used; Haptether does not depend on dask.distributed."""
+    """Used part of a `distributed.Future`; Haptether does not depend on dask.distributed."""
 
     def result(self) -> tuple[int, Metrics, ControllerTime]:
-        """Waits for the rows of a batch."""
+        """Wait for the rows of a batch."""
 
     def release(self) -> None:
-        """Frees them on the cluster."""
+        """Free the rows on the cluster."""
 
 
 def computed_by_cluster(
@@ -47,21 +47,21 @@ def computed_by_cluster(
     *,
     progress: Callable[[int], None] | None,
 ) -> Iterator[tuple[int, Metrics]]:
-    """The first row and the metrics of batches that fill the gaps, as they are done: in any order.
+    """Yield first row and metrics of the batches that fill the gaps, in order of completion.
 
     Args:
-        base: The scene without what varies.
-        design: Which value has which row.
-        gaps: Ranges of rows, each first and end.
-        address: Of a scheduler, "tcp://host:8786", whose workers have this version of Haptether; none for as many
-            processes of this machine as there are threads in `settings`.
-        settings: How each worker runs a batch; with processes of this machine on one thread each.
-        progress: Called with the number of rows that are done.
+        base: Scene without the varied values.
+        design: Values of each row.
+        gaps: Row ranges, first and end.
+        address: Scheduler address, "tcp://host:8786", whose workers have this Haptether version; None starts one
+            process on this machine per thread in `settings`.
+        settings: Settings of each worker; processes on this machine use one thread each.
+        progress: Called with the number of finished rows.
 
     Raises:
-        ImportError: Without dask.distributed.
-        OSError: No scheduler answers.
-        RuntimeError: Batches whose workers were lost again and again.
+        ImportError: dask.distributed is not installed.
+        OSError: The scheduler does not answer.
+        RuntimeError: The retries of a batch are exhausted.
     """
     require("the engine dask", "distributed")
     distributed = importlib.import_module("distributed")
@@ -70,7 +70,7 @@ def computed_by_cluster(
     with contextlib.ExitStack() as stack:
         if address is None:
             stack.enter_context(safe_children())
-            # Each worker is a process: one that dies takes no other with it.
+            # Each worker is a process, so that a crash affects no other.
             local = distributed.LocalCluster(
                 n_workers=settings.threads, threads_per_worker=1, processes=True, dashboard_address=None
             )
@@ -108,7 +108,7 @@ def computed_by_cluster(
 
 
 def _ranges(design: Design, gaps: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-    """First row and end of each batch."""
+    """Yield first row and end of each batch."""
     for start, end in gaps:
         first = start
         while first < end:
@@ -120,7 +120,7 @@ def _ranges(design: Design, gaps: Iterable[tuple[int, int]]) -> Iterator[tuple[i
 def _batch(
     base: Checked, first: int, columns: Mapping[str, npt.NDArray[Any]], settings: SweepSettings
 ) -> tuple[int, Metrics, ControllerTime]:
-    """On a worker: the metrics of some rows, and what controllers in Python took for them."""
+    """Compute on a worker the metrics of some rows, and the time of their Python controllers."""
     before = thread_controller_time()
     metrics = measured(base, columns, settings)
     after = thread_controller_time()

@@ -1,4 +1,4 @@
-"""Which value each path has in which row of a sweep, without a table of all rows."""
+"""Design of a sweep: the value of each path in each row, without a table of all rows."""
 
 import hashlib
 import math
@@ -17,28 +17,28 @@ from haptether.bridge.scene.sweeps.limits import EXACT, LARGEST_EXACT, counts_on
 from haptether.bridge.scene.sweeps.scenes import SCENE, SceneChoice
 
 Values: TypeAlias = "Sequence[Any] | npt.NDArray[np.float64]"
-"""Of one path: numbers, or whatever else a field takes."""
+"""Values of one path: numbers, or other types that a field takes."""
 
 ALLOWED = "numbers, strings, booleans, lists or tables"
-"""What values may be."""
+"""Allowed types of values, for messages."""
 MOST_SPANNED = 4
-"""A batch grows to at most so many times its size to keep rows together that may begin alike."""
+"""Largest factor by which a batch grows to keep rows with a common beginning together."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """A full factorial design: every combination of the factors, and in each of them the same samples.
+    """Full factorial design: every combination of the factors, each with the same samples.
 
-    Of row r with N samples, factor f of n_f levels has the level floor(r / (N n_{f+1} ... n_F)) mod n_f and each
-    sampled path its value r mod N: the samples vary fastest, then the last factor.
+    With N samples, row r has level floor(r / (N n_{f+1} ... n_F)) mod n_f of factor f with n_f levels, and value r mod
+    N of each sampled path. The samples vary fastest, then the last factor.
     """
 
     factors: Mapping[str, npt.NDArray[Any]]
-    """Levels by path: float64, or objects where they are no numbers."""
+    """Levels by path: float64, or objects if they are not numbers."""
     samples: Mapping[str, npt.NDArray[Any]]
-    """Values by path, all of one length."""
+    """Values by path, of equal length."""
     ties: Mapping[str, str]
-    """Paths that take the values of another."""
+    """Paths that take the values of another path."""
 
     def __post_init__(self) -> None:
         lengths = {path: len(values) for path, values in self.samples.items()}
@@ -61,17 +61,17 @@ class Design:
 
     @property
     def sampled(self) -> int:
-        """Rows of each combination."""
+        """Number of rows per combination."""
         return len(next(iter(self.samples.values()))) if self.samples else 1
 
     @property
     def rows(self) -> int:
-        """Rows of all combinations."""
+        """Number of rows of all combinations."""
         return self.sampled * math.prod(len(levels) for levels in self.factors.values())
 
     @property
     def span(self) -> int:
-        """Rows after which a field outside `[safety]` changes its level: rows that may begin alike are among them."""
+        """Number of rows with one level of the fields outside `[safety]`; only these rows may share a beginning."""
         paths = list(self.factors)
         first = next((place for place, path in enumerate(paths) if path.startswith("safety.")), len(paths))
         if first == len(paths):
@@ -79,14 +79,17 @@ class Design:
         return self.sampled * math.prod(len(self.factors[path]) for path in paths[first:])
 
     def end_of_batch(self, first: int, size: int) -> int:
-        """The row after a batch of about `size`, which parts no rows that may begin alike unless they are many more."""
+        """Return the end of a batch of about `size` rows that keeps rows with a common beginning together.
+
+        A much larger group of such rows is split.
+        """
         end = first + size
         if self.span <= MOST_SPANNED * size:
             end = -(-end // self.span) * self.span
         return min(end, self.rows)
 
     def columns(self, first: int, end: int) -> dict[str, npt.NDArray[Any]]:
-        """The value of each path in the rows `first` to `end` - 1, shape `(end - first,)`."""
+        """Return the values of each path in rows `first` to `end` - 1, shape `(end - first,)`."""
         row = np.arange(first, end)
         whole: dict[str, npt.NDArray[Any]] = {}
         stride = self.rows
@@ -98,7 +101,7 @@ class Design:
         return whole | {path: whole[leading] for path, leading in self.ties.items()}
 
     def described(self) -> dict[str, Any]:
-        """The design as JSON types; long samples by their SHA-256."""
+        """Return the design as JSON types; long samples are replaced by their SHA-256."""
         return {
             "vary": {path: _written_out(levels) for path, levels in self.factors.items()},
             "samples": {path: _digest(values) for path, values in self.samples.items()},
@@ -111,12 +114,12 @@ def design_of(
     samples: Mapping[str, Values] | None = None,
     ties: Mapping[str, str] | None = None,
 ) -> Design:
-    """Every combination of the values of `grid`, each with all `samples`.
+    """Return the design of every combination in `grid`, each with all `samples`.
 
     Raises:
-        SceneError: Values that are none of a field.
-        ValueError: Nothing to vary, one field twice, samples of different lengths, ties that are no paths by path, a
-            tie to what does not vary.
+        SceneError: A value is invalid for its field.
+        ValueError: Nothing varies, a field occurs twice, samples differ in length, ties are not paths by path, or a tie
+            refers to a path that does not vary.
     """
     _check_ties(ties)
     _refuse_same_field((*(grid or {}), *(samples or {}), *(ties or {})))
@@ -134,16 +137,16 @@ def design_of(
 def counts_of(
     grid: Mapping[str, Values] | None, samples: Mapping[str, Values] | None
 ) -> tuple[dict[str, int], int | None]:
-    """How many values each path of a grid has, and how many the longest of the samples, as `check_rows` takes them."""
+    """Return the number of values per path and the length of the longest samples, for `check_rows`."""
     lengths = [len(values) for values in (samples or {}).values()]
     return {path: len(values) for path, values in (grid or {}).items()}, max(lengths, default=None)
 
 
 def _check_ties(ties: Mapping[str, str] | None) -> None:
-    """Refuses what is no path by path.
+    """Refuse ties that are not paths by path.
 
     Raises:
-        ValueError: With the form.
+        ValueError: Gives the form.
     """
     if ties is None:
         return
@@ -153,10 +156,10 @@ def _check_ties(ties: Mapping[str, str] | None) -> None:
 
 
 def _check_takes_numbers(path: str, leading: str | None) -> None:
-    """Refuses numbers of a field that takes none, be they those of the path that it is tied to.
+    """Refuse numbers for a field that takes none, including numbers of the path that it is tied to.
 
     Raises:
-        SceneError: With what the field takes.
+        SceneError: Gives the types that the field takes.
     """
     steps = path_of(path)
     if takes_numbers(steps):
@@ -172,11 +175,11 @@ def _check_takes_numbers(path: str, leading: str | None) -> None:
 
 
 def _refuse_same_field(paths: Iterable[str]) -> None:
-    """Refuses two paths that mean one field: "-" may stand for "_".
+    """Refuse two paths of the same field: "-" may replace "_".
 
     Raises:
-        SceneError: A path that is not in the schema.
-        ValueError: With both.
+        SceneError: A path is not in the schema.
+        ValueError: Names both paths.
     """
     seen: dict[Path, str] = {}
     for path in paths:
@@ -188,12 +191,12 @@ def _refuse_same_field(paths: Iterable[str]) -> None:
 
 
 def _values_of_path(path: str, values: Values) -> npt.NDArray[Any]:
-    """The values of a parameter: numbers, or objects where not all are.
+    """Return the values of a parameter: numbers, or objects if not all are numbers.
 
     Raises:
-        SceneError: What no field takes.
+        SceneError: No field takes such a value.
     """
-    # An array of numbers holds nothing else, so its values are not looked at one by one.
+    # An array of a numeric type needs no check of each value.
     if not (type(values) is np.ndarray and values.dtype.kind in "fiu" and values.ndim == 1):
         values = _without_numpy(values if isinstance(values, np.ndarray) else list(values))
         if any(isinstance(value, bool | str | list | Mapping | SceneChoice) for value in values):
@@ -216,14 +219,14 @@ def _values_of_path(path: str, values: Values) -> npt.NDArray[Any]:
         message = f"{path} = {numbers[~np.isfinite(numbers)][0]}: must be a finite number"
         raise SceneError(message)
     if path != SCENE and counts_on(path_of(path)) and (large := np.flatnonzero(numbers > LARGEST_EXACT)).size:
-        # Here, where it is as it was given, and not as it was rounded.
+        # Check here, before the value is rounded to float64.
         message = f"{path} = {shown(_without_numpy(values[large[0]]))}: must be {EXACT}"
         raise SceneError(message)
     return numbers
 
 
 def _without_numpy(value: Any) -> Any:  # noqa: ANN401  # whatever a field takes
-    """NumPy's values and tuples as Python's numbers, texts and lists, within lists and tables, too."""
+    """Convert NumPy values and tuples to Python numbers, texts and lists, including nested ones."""
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):
@@ -244,10 +247,10 @@ def _categories(path: str, values: Values) -> npt.NDArray[Any]:
 
 
 def _check_encodable(path: str, value: object) -> None:
-    """Refuses what no file could have.
+    """Refuse a value that no file can hold.
 
     Raises:
-        SceneError: With the value and what is wrong with it.
+        SceneError: Gives the value and the error.
     """
     if isinstance(value, SceneChoice):
         return
@@ -270,7 +273,7 @@ def _refuse_type(value: object) -> None:
 
 
 MOST_WRITTEN_OUT = 64
-"""Most samples of a path that are written out; of more the digest is."""
+"""Largest number of samples per path that is written out; longer ones are stored as a digest."""
 
 
 def _digest(values: npt.NDArray[Any]) -> dict[str, Any]:
@@ -280,5 +283,5 @@ def _digest(values: npt.NDArray[Any]) -> dict[str, Any]:
 
 
 def _written_out(values: npt.NDArray[Any]) -> list[Any]:
-    """As JSON types; scenes by their names."""
+    """Convert to JSON types; scenes by name."""
     return [value.name if isinstance(value, SceneChoice) else value for value in values.tolist()]

@@ -1,4 +1,4 @@
-"""The rows that a sweep has computed so far: a folder beside its file, consistent whenever the process is killed."""
+"""Journal of computed rows of a sweep: a folder beside its file, consistent whenever the process is killed."""
 
 import contextlib
 import fcntl
@@ -17,37 +17,37 @@ import numpy.typing as npt
 from haptether.private_file import refuse_link
 
 REQUEST = "sweep.json"
-"""Within the folder: what was to be computed."""
+"""File in the folder that holds the request."""
 FINISHED = "finished.json"
-"""Its name once the file has all rows, and the folder is to be removed."""
+"""Name of the request after the file has all rows and the folder awaits removal."""
 _BATCH = re.compile(r"rows-(\d{12})-(\d{12})\.npz")
 _UNFINISHED = ".part"
 
 
 class Journal:
-    """Batches of rows, each a file that is written, synced and then renamed into its place.
+    """Batches of rows, each written to a file, synced, then renamed into place.
 
     Args:
-        path: The file that the sweep is for; the journal is the folder `path`.partial.
-        request: What is to be computed, in types of JSON.
-        resume: Whether to go on with a journal that is there.
+        path: Target file of the sweep; the journal is the folder `path`.partial.
+        request: Request of the sweep, in JSON types.
+        resume: True to continue with an existing journal.
 
     Raises:
-        ValueError: A journal that is there while `resume` is not set, of another request, or in use; no journal to
-            resume while the file is there.
-        OSError: The folder cannot be made or written; a symbolic link.
+        ValueError: A journal exists without `resume`, has another request, or is in use; or there is no journal to
+            resume while the file exists.
+        OSError: The folder cannot be created or written, or is a symbolic link.
     """
 
     def __init__(self, path: Path, request: Mapping[str, Any], *, resume: bool) -> None:
         self.path = path
         self.damaged = 0
-        """Rows of batches that could not be read, and were removed."""
+        """Rows of unreadable batches, which were removed."""
         self.folder = path.with_name(f"{path.name}.partial")
         refuse_link(self.folder)
         if (self.folder / FINISHED).is_file():
             _discard(self.folder)
         with contextlib.suppress(OSError):
-            # Of one that was removed up to the folder itself.
+            # A previous removal stopped before the folder itself.
             self.folder.rmdir()
         exists = (self.folder / REQUEST).is_file()
         if resume and not exists and path.exists():
@@ -63,7 +63,7 @@ class Journal:
 
     @staticmethod
     def is_begun(path: Path) -> bool:
-        """True if rows of an interrupted sweep are kept for a file."""
+        """Return True if an interrupted sweep left rows for a file."""
         return (path.with_name(f"{path.name}.partial") / REQUEST).is_file()
 
     def _begin(self, request: Mapping[str, Any], *, resume: bool) -> None:
@@ -86,7 +86,7 @@ class Journal:
                 stored = json.loads(file.read_bytes())
                 if not isinstance(stored, dict):
                     message = "no object"
-                    raise ValueError(message)  # as of what is no JSON
+                    raise ValueError(message)  # handled like invalid JSON
             except ValueError as error:
                 message = f"{file}: is damaged ({error}): remove {self.folder} and begin again"
                 raise ValueError(message) from None
@@ -95,7 +95,7 @@ class Journal:
         self._batches = batches
 
     def _whole(self, batches: list[tuple[int, int]]) -> list[tuple[int, int]]:
-        """The batches that can be read, one after the other; the others are removed, and computed again."""
+        """Return the readable batches in sequence; remove the others for recomputation."""
         kept: list[tuple[int, int]] = []
         for first, end in batches:
             try:
@@ -120,11 +120,11 @@ class Journal:
 
     @property
     def done(self) -> int:
-        """Rows that the journal has."""
+        """Number of rows in the journal."""
         return sum(end - first for first, end in self._batches)
 
     def missing(self, rows: int) -> list[tuple[int, int]]:
-        """Ranges of rows, each first and end, that the journal does not have of `rows`."""
+        """Return the missing ranges, first and end, of `rows` rows."""
         gaps, at = [], 0
         for first, end in [*self._batches, (rows, rows)]:
             if first > at:
@@ -133,16 +133,16 @@ class Journal:
         return gaps
 
     def add(self, first: int, metrics: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Stores the metrics of the rows from `first` on.
+        """Store the metrics of rows from `first` on.
 
         Raises:
-            OSError: They cannot be written.
+            OSError: The batch cannot be written.
         """
         rows = len(metrics["outcome"])
         arrays: dict[str, Any] = {}
         for name, column in metrics.items():
             if column.dtype.kind == "U":
-                # A text and its number in each row: most rows have the same few.
+                # Store each distinct text once plus a code per row, because most rows share a few texts.
                 arrays[f"{name}.texts"], codes = np.unique(column, return_inverse=True)
                 arrays[f"{name}.codes"] = codes.reshape(-1).astype(np.uint32)
             else:
@@ -152,7 +152,7 @@ class Journal:
         self._batches = sorted([*self._batches, (first, first + rows)])
 
     def batches(self) -> Iterator[tuple[int, dict[str, npt.NDArray[Any]]]]:
-        """The first row and the metrics of each batch, in the order of rows.
+        """Yield first row and metrics of each batch in row order.
 
         Raises:
             ValueError: A batch is damaged.
@@ -169,7 +169,7 @@ class Journal:
             yield first, metrics
 
     def types(self) -> dict[str, np.dtype[Any]]:
-        """The metrics that any batch has, with the types of their columns.
+        """Return the column types of the metrics of all batches.
 
         Raises:
             ValueError: A batch is damaged.
@@ -192,16 +192,16 @@ class Journal:
             with np.load(file, allow_pickle=False) as archive:
                 yield archive
         except (ValueError, zipfile.BadZipFile, EOFError, zlib.error, NotImplementedError, RuntimeError):
-            # NumPy would advise to allow pickles.
+            # NumPy's own message would recommend pickles.
             message = f"{file}: is damaged: resume, and its rows are computed again"
             raise ValueError(message) from None
 
     @contextlib.contextmanager
     def replacing(self, name: str, target: Path | None = None) -> Iterator[IO[bytes]]:
-        """A file to write that is synced and then put into the place of `target`, or of `name` in the folder.
+        """Write a file, sync it, then rename it to `target`, or to `name` in the folder.
 
         Raises:
-            OSError: It cannot be written.
+            OSError: The file cannot be written.
         """
         partial = self.folder / f"{name}{_UNFINISHED}"
         target = target or self.folder / name
@@ -219,11 +219,11 @@ class Journal:
         _sync_folder(target.parent)
 
     def close(self) -> None:
-        """Lets another process resume."""
+        """Release the lock, so that another process may resume."""
         self._lock.close()
 
     def remove(self) -> None:
-        """Removes the folder, once the file has all of it."""
+        """Remove the folder after the file is complete."""
         (self.folder / REQUEST).rename(self.folder / FINISHED)
         _sync_folder(self.folder)
         self.close()
@@ -235,7 +235,7 @@ class Journal:
 
 
 def _discard(folder: Path) -> None:
-    """Removes a finished journal, its mark last: a kill meanwhile leaves a journal that is finished."""
+    """Remove a finished journal; its mark goes last, so that a kill in between leaves a finished journal."""
     for file in folder.iterdir():
         if file.name != FINISHED:
             file.unlink()
@@ -244,14 +244,14 @@ def _discard(folder: Path) -> None:
 
 
 def kept_rows(path: Path) -> int:
-    """How many rows of the sweep of a file its journal has; 0 where there is none."""
+    """Return the number of rows in the journal of a sweep file; 0 without a journal."""
     folder = path.with_name(f"{path.name}.partial")
     names = [file.name for file in folder.iterdir()] if (folder / REQUEST).is_file() else []
     return sum(int(found[2]) - int(found[1]) for found in map(_BATCH.fullmatch, names) if found)
 
 
 def _locked(folder: Path) -> IO[bytes]:
-    """The lock of a folder; the system releases it when the process ends."""
+    """Lock a folder; the system releases the lock when the process ends."""
     descriptor = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     file = os.fdopen(descriptor, "r+b")
     try:
@@ -272,7 +272,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _refuse_other(folder: Path, stored: Mapping[str, Any], requested: Mapping[str, Any]) -> None:
-    """Refuses to resume the journal of another request."""
+    """Refuse to resume the journal of another request."""
     now, before = dict(_fields(requested)), dict(_fields(stored))
     differing = [path for path in dict.fromkeys([*before, *now]) if before.get(path) != now.get(path)]
     if not differing:
@@ -284,7 +284,7 @@ def _refuse_other(folder: Path, stored: Mapping[str, Any], requested: Mapping[st
 
 
 MOST_SHOWN = 4
-"""Differences of two requests that a message names."""
+"""Largest number of differences between two requests in a message."""
 _LONGEST = 60
 
 
@@ -295,7 +295,7 @@ def _short(text: str | None) -> str:
 
 
 def _fields(table: object, path: str = "") -> Iterator[tuple[str, str]]:
-    """The fields of nested tables as JSON, each with its dotted path; a list is one field."""
+    """Yield the fields of nested tables as JSON with dotted paths; a list is one field."""
     if isinstance(table, dict) and table:
         for key, value in table.items():
             yield from _fields(value, f"{path}.{key}" if path else key)

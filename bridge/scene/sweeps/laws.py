@@ -1,4 +1,4 @@
-"""What a sampled field may be: laws of one number, their quantiles and draws, and points of a Sobol sequence."""
+"""Distributions of a sampled field: laws of one number, quantiles, draws and Sobol points."""
 
 import csv
 import importlib
@@ -28,37 +28,37 @@ FORMS = (
     " deviation above 0, quantiles:p=v:p=v with p that rise from 0 to 1 and v that do not fall, or"
     " measured:FILE.csv:COLUMN"
 )
-"""How a law is written."""
+"""Text form of each law."""
 MOST_MEASURED = 1_000_000
-"""Measurements that are read of a file."""
+"""Largest number of measurements read from a file."""
 
 
 @dataclass(frozen=True)
 class SampleLaw:
-    """A law of one number.
+    """Distribution of one number.
 
     - uniform a, b: x = a + (b - a) u
     - loguniform a, b: x = a (b / a)^u
     - normal m, s: x = m + s z
     - lognormal m, s: x = exp(mu + sigma z), sigma² = ln(1 + s² / m²), mu = ln m - sigma² / 2: its mean is m and its
       standard deviation s
-    - quantiles p_0, v_0, ..., p_n, v_n: piecewise linear through the points (p_i, v_i), u even between p_0 and p_n:
-      what lies beyond the outer quantiles is not drawn
+    - quantiles p_0, v_0, ..., p_n, v_n: piecewise linear through the points (p_i, v_i), u uniform between p_0 and p_n:
+      values beyond the outer quantiles are not drawn
     - constant v: x = v
 
-    u is even between 0 and 1, z standard normal.
+    u is uniform between 0 and 1, z standard normal.
 
     Source: Devroye 1986, II.2 (inversion); Johnson, Kotz and Balakrishnan 1994, 14.3 (moments of the lognormal law).
     """
 
     name: str
-    """Of those above."""
+    """One of the names above."""
     numbers: tuple[float, ...]
-    """Its numbers, in their order."""
+    """Parameters in order."""
 
     @property
     def support(self) -> tuple[float, float]:
-        """The smallest and the largest value that it may have."""
+        """Return the smallest and the largest possible value."""
         if self.name == "normal":
             return -inf, inf
         if self.name == "lognormal":
@@ -66,7 +66,7 @@ class SampleLaw:
         return (self.numbers[1], self.numbers[-1]) if self.name == "quantiles" else (self.numbers[0], self.numbers[-1])
 
     def quantile(self, share: Array) -> Array:
-        """The values x below which it lies with the probabilities `share`, between 0 and 1, of any shape."""
+        """Return the quantiles x for probabilities `share` in [0, 1], of any shape."""
         if self.name in {"normal", "lognormal"}:
             unit = np.clip(share, 0.5**53, 1.0 - 0.5**53)
             return self._of_normal(np.array([NormalDist().inv_cdf(one) for one in unit.tolist()]))
@@ -81,7 +81,7 @@ class SampleLaw:
         return np.asarray(np.interp(shares[0] + (shares[-1] - shares[0]) * share, shares, values), dtype=np.float64)
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
-        """So many independent values; the first of more are the same."""
+        """Return `count` independent values; a larger count begins with the same values."""
         if self.name in {"normal", "lognormal"}:
             return self._of_normal(rng.standard_normal(count))
         return self.quantile(rng.random(count))
@@ -95,14 +95,14 @@ class SampleLaw:
 
 
 def law_of(text: str, folder: Path | None = None) -> SampleLaw:
-    """The law of `name:number:number`, of `quantiles:p=v:p=v:...` or of `measured:FILE.csv:COLUMN`.
+    """Parse `name:number:number`, `quantiles:p=v:p=v:...` or `measured:FILE.csv:COLUMN`.
 
     Args:
         text: One of these forms.
-        folder: What the path of a file is relative to; by default the working directory.
+        folder: Base folder of file paths; by default the working directory.
 
     Raises:
-        ValueError: Another form, numbers that the law does not take, or a file without such a column of numbers.
+        ValueError: Another form, invalid parameters, or a file without such a numeric column.
     """
     name, _, rest = text.partition(":")
     if name == "measured":
@@ -133,7 +133,7 @@ def _pair(part: str) -> Sequence[str]:
 
 
 def _holds(name: str, numbers: Sequence[float]) -> bool:
-    """Whether a law has these numbers."""
+    """Return True if the parameters are valid for the law."""
     if not all(map(isfinite, numbers)):
         return False
     if name == "quantiles":
@@ -152,13 +152,13 @@ def _holds(name: str, numbers: Sequence[float]) -> bool:
 
 
 def measured_law(path: str | PathLike[str], column: str) -> SampleLaw:
-    """The law of the measurements of a column of a CSV file: its empirical quantiles, linear between them.
+    """Return the empirical law of a CSV column, with linear interpolation between quantiles.
 
-    The i-th of n sorted values, counted from 0, is the quantile i / (n - 1).
+    The i-th of n sorted values, counted from 0, is quantile i / (n - 1).
 
     Raises:
-        ValueError: A file that cannot be read, without the column, or with a row that is no finite number; fewer than
-            two rows.
+        ValueError: The file cannot be read, has no such column, has a row that is not a finite number, or has fewer
+            than two rows.
 
     Source: Hyndman and Fan 1996, definition 7.
     """
@@ -166,7 +166,7 @@ def measured_law(path: str | PathLike[str], column: str) -> SampleLaw:
         rows = csv.DictReader(io.StringIO(read_text(path), newline=""))
         columns = rows.fieldnames or ()
         if column not in columns:
-            # A file may be anything, also a secret: none of its content is shown but a name close to this one.
+            # The file may be secret, so show none of its content but a name close to the requested one.
             near = get_close_matches(column, columns, n=1)
             hint = f"did you mean {near[0]}?" if near else "is the first line its header, with commas between names?"
             message = f"its header has {len(columns)} columns and no {column!r}: {hint}"
@@ -202,15 +202,15 @@ def _finite(column: str, line: int, text: str | None) -> float:
 
 
 def generator(seed: int, name: str) -> np.random.Generator:
-    """Random numbers of one quantity: the same for the same seed and name, whatever else is drawn."""
+    """Return the random generator of one quantity; it depends only on seed and name."""
     return np.random.default_rng([seed, *name.encode()])
 
 
 def sobol_points(names: Iterable[str], count: int, seed: int) -> dict[str, Array]:
-    """So many points of a scrambled Sobol sequence, between 0 and 1, a dimension for each name.
+    """Return points of a scrambled Sobol sequence between 0 and 1, one dimension per name.
 
     Raises:
-        ValueError: No name.
+        ValueError: No name is given.
         ImportError: SciPy is not installed.
 
     Source: Owen 1998 (scrambling); Joe and Kuo 2008 (direction numbers).
@@ -222,7 +222,7 @@ def sobol_points(names: Iterable[str], count: int, seed: int) -> dict[str, Array
     require("--sobol", "scipy")
     qmc = importlib.import_module("scipy.stats.qmc")
     with warnings.catch_warnings():
-        # Of a count that is no power of two; the help says it.
+        # Warning for a count that is not a power of two; the help mentions it.
         warnings.simplefilter("ignore", UserWarning)
         points = qmc.Sobol(len(names), scramble=True, rng=np.random.default_rng(seed)).random(count)
     return {name: np.clip(points[:, place], 0.5**53, 1.0 - 0.5**53) for place, name in enumerate(names)}

@@ -1,4 +1,4 @@
-"""Which numbers a field takes, many at once."""
+"""Number ranges of fields, checked for many values at once."""
 
 import math
 from collections.abc import Mapping
@@ -12,25 +12,25 @@ from msgspec import inspect
 from haptether.bridge.scene.errors import Path, allowed_at, members, shown, types_at, wrong
 
 LARGEST_EXACT = 2**53 - 1
-"""Values travel as float64: of two whole numbers above this, both may be the same one."""
+"""Values travel as float64, where larger integers are not distinct."""
 MAX_ROWS = 10_000_000
-"""Rows of a sweep in memory, some 600 bytes each while they are run, and values of one path of any sweep."""
+"""Row limit of a sweep in memory (about 600 bytes per running row), and value limit per path of any sweep."""
 MAX_STORED_ROWS = 10**12 - 1
-"""Rows of a sweep to a file: what the names in a journal count."""
+"""Row limit of a sweep to a file, from the digits in journal names."""
 EXACT = "a whole number below 2^53: the columns of a sweep are float64"
-"""What a field that counts takes, where it varies."""
+"""Allowed value of a varied integer field, for messages."""
 
 
 def check_rows(counts: Mapping[str, int], sampled: int | None = None, *, stored: bool = False) -> None:
-    """Refuses more rows than can be, before their values are looked at, which takes longer the more they are.
+    """Refuse too many rows before their values are checked, which takes longer the more there are.
 
     Args:
-        counts: How many values each path has of which every combination is run.
-        sampled: How many samples each combination has; none for one without samples.
-        stored: Whether the rows go to a file, batch by batch.
+        counts: Number of values per path of the grid.
+        sampled: Number of samples per combination; None without samples.
+        stored: True if the rows go to a file in batches.
 
     Raises:
-        ValueError: With what there are too many of.
+        ValueError: Names the excess.
     """
     for name, count in counts.items():
         if count > MAX_ROWS:
@@ -47,15 +47,15 @@ def check_rows(counts: Mapping[str, int], sampled: int | None = None, *, stored:
 
 
 def takes_numbers(path: Path) -> bool:
-    """Whether numbers may stand at a path of the schema: of a list of numbers, one for every axis."""
+    """Return True if a path of the schema takes numbers, or a list with one number per axis."""
     kinds = types_at(path)
     items = [item for kind in kinds if isinstance(kind, inspect.VarTupleType) for item in members(kind.item_type)]
-    # Nobody here knows the types of what a driver or a controller of one's own takes.
+    # Types of driver and custom controller options are unknown.
     return any(isinstance(kind, inspect.FloatType | inspect.IntType | inspect.AnyType) for kind in (*kinds, *items))
 
 
 def counts_on(path: Path) -> bool:
-    """Whether whole numbers alone may stand at a path, and such that float64 does not hold are among them."""
+    """Return True if a path takes integers only, including integers that float64 cannot hold."""
     numbers = [kind for kind in types_at(path) if isinstance(kind, inspect.FloatType | inspect.IntType)]
     return bool(numbers) and all(
         isinstance(kind, inspect.IntType) and (kind.le is None or kind.le > LARGEST_EXACT) for kind in numbers
@@ -63,7 +63,7 @@ def counts_on(path: Path) -> bool:
 
 
 def out_of_range(path: Path, values: npt.NDArray[np.float64]) -> dict[int, str]:
-    """What is wrong with the values that are outside the range of their type, by their row."""
+    """Return the errors of values outside the range of their type, by row."""
     kinds = [kind for kind in types_at(path) if isinstance(kind, inspect.FloatType | inspect.IntType)]
     good = np.zeros(len(values), dtype=bool)
     for kind in kinds:
@@ -87,22 +87,22 @@ def out_of_range(path: Path, values: npt.NDArray[np.float64]) -> dict[int, str]:
 
 
 def as_typed(value: float) -> float | int:
-    """Whole numbers as such, so that they fit fields that count; those that measure take either."""
+    """Convert integral floats to int, so that they fit integer fields; float fields accept either."""
     if value.is_integer() and abs(value) <= LARGEST_EXACT:
         return int(value)
     return value
 
 
 def whole_number(name: str, value: Any, least: int, most: int | None = None) -> int:  # noqa: ANN401  # of a caller
-    """A whole number by its type, neither a boolean nor a float, of `least` to `most`.
+    """Return an integer from `least` to `most`; booleans and floats are refused.
 
     Raises:
-        ValueError: With what it must be.
+        ValueError: Gives the allowed values.
     """
     is_whole = isinstance(value, Integral) and not isinstance(value, bool)
     if is_whole and least <= value and (most is None or value <= most):
         return int(value)
-    # A float as such: 1.0 is not 1.
+    # Keep the decimal point of a float: 1.0 is not 1.
     seen = repr(float(value)) if isinstance(value, float) else shown(value)
     kind = "" if is_whole else "a whole number, "
     message = f"{name} = {seen}: must be {kind}{least} {'or more' if most is None else f'to {most}'}"

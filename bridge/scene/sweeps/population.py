@@ -25,22 +25,22 @@ Array: TypeAlias = npt.NDArray[np.float64]
 
 _SHIPPED = FilePath(__file__).parents[2] / "populations"
 MAX_BYTES = 1 << 18
-"""Of a population's file."""
+"""Largest population file."""
 _DIMENSION = "population "
-"""What the names of its random numbers begin with: no path of a scene does."""
+"""Prefix of the names of its random numbers; no scene path begins with it."""
 _PICK = _DIMENSION + "hands"
 
 
 def _spring_damper(drawn: Mapping[str, Array]) -> dict[str, Array]:
-    """`F_h = K (target - x) - B V`: as it is."""
+    """`F_h = K (target - x) - B V`, used directly."""
     return {"operator.stiffness": drawn["stiffness"], "operator.damping": drawn["damping"]}
 
 
 def _grasp_and_arm(drawn: Mapping[str, Array]) -> dict[str, Array]:
     """`F = (k1 + b1 s) (M s² + b2 s + k2) / (M s² + (b1 + b2) s + k1 + k2) X` below its resonance.
 
-    A grasp k1, b1 between the stylus and the hand's mass M, an arm k2, b2 between that and the ground. To first order
-    in s it is `F = (K + B s) X` with `K = k1 k2 / (k1 + k2)` and `B = (b1 k2² + b2 k1²) / (k1 + k2)²`.
+    A grasp k1, b1 connects the stylus to the hand's mass M, and an arm k2, b2 connects M to the ground. To first order
+    in s, `F = (K + B s) X` with `K = k1 k2 / (k1 + k2)` and `B = (b1 k2² + b2 k1²) / (k1 + k2)²`.
 
     Source: Fu and Cavusoglu 2012, Fig. 4 (the model); its Taylor series at s = 0.
     """
@@ -52,12 +52,12 @@ def _grasp_and_arm(drawn: Mapping[str, Array]) -> dict[str, Array]:
 
 @dataclass(frozen=True)
 class HandModel:
-    """How figures of a hand become fields of `[operator]`."""
+    """Conversion of hand figures to fields of `[operator]`."""
 
     figures: tuple[str, ...]
-    """What has to be there: of 0 or more, those of stiffness above 0."""
+    """Required figures: 0 or more, stiffness above 0."""
     fields: Callable[[Mapping[str, Array]], dict[str, Array]]
-    """Fields by path, of figures by name."""
+    """Function from figures by name to fields by path."""
 
 
 HAND_MODELS: Mapping[str, HandModel] = MappingProxyType({
@@ -66,87 +66,86 @@ HAND_MODELS: Mapping[str, HandModel] = MappingProxyType({
         ("grasp_stiffness", "grasp_damping", "arm_stiffness", "arm_damping"), _grasp_and_arm
     ),
 })  # fmt: skip
-"""Models of a hand by name."""
 NOT_DRAWN = "mass_kg"
-"""A figure that any model may have, and no scene takes: its hand has no mass."""
+"""Figure that any model may have but no scene uses, because the modelled hand has no mass."""
 
 
 class FigureSource(Struct, frozen=True, kw_only=True):
-    """Where figures come from."""
+    """Origin of figures."""
 
     source: str
-    """Authors, year, title, where it was published, and where in it."""
+    """Authors, year, title, publication, and location within it."""
     measured: str
-    """What was measured, how, and what the figures are."""
+    """Measured quantity, method, and meaning of the figures."""
     subjects: int | None
-    """How many people; none where it is not said."""
+    """Number of people; None if not stated."""
     read_at: str
     """Address at which the figures were read."""
     verified: bool
-    """Whether they were read in the publication itself, or in another's transcription of it."""
+    """True if read in the publication itself, False if in another's transcription."""
 
 
 class PopulationHand(Struct, frozen=True, kw_only=True):
-    """One person, or one condition: what goes together."""
+    """One person or one condition, whose figures belong together."""
 
     name: str
-    """Within its population."""
+    """Unique within the population."""
     model: str
-    """Of `HAND_MODELS`."""
+    """Key of `HAND_MODELS`."""
     weight: float
-    """Its share in the draws, over that of the others."""
+    """Relative weight of the hand in the draws."""
     figures: Mapping[str, SampleLaw]
-    """In SI units, by the names of the model."""
+    """Figures in SI units, by the names of the model."""
     published: FigureSource
-    """Where they come from."""
+    """Origin of the figures."""
 
 
 class PopulationTrait(Struct, frozen=True, kw_only=True):
-    """A field of `[operator]` that is drawn beside the hand."""
+    """Field of `[operator]` that is drawn in addition to the hand."""
 
     field: str
-    """Its path."""
+    """Path of the field."""
     law: SampleLaw
-    """In the unit of the field."""
+    """Law in the unit of the field."""
     published: FigureSource
-    """Where it comes from."""
+    """Origin of the law."""
 
 
 class Population(Struct, frozen=True, kw_only=True):
-    """Hands of which a sample picks one, by weight, and draws its figures; traits are drawn for all of them."""
+    """Hands of which each sample picks one by weight and draws its figures; traits are common to all hands."""
 
     title: str
-    """What it is."""
+    """Description."""
     hands: tuple[PopulationHand, ...]
-    """At least one."""
+    """One or more hands."""
     traits: tuple[PopulationTrait, ...] = ()
-    """Drawn of the fields that a scene has."""
+    """Traits, drawn if the scene has the field."""
 
     @property
     def dimensions(self) -> tuple[str, ...]:
-        """Names of the random numbers that a draw takes."""
+        """Names of the random numbers that a draw needs."""
         figures = dict.fromkeys(figure for hand in self.hands for figure in HAND_MODELS[hand.model].figures)
         return (_PICK, *(_DIMENSION + name for name in (*figures, *(trait.field for trait in self.traits))))
 
     def draws(
         self, count: int, seed: int = 1, *, scene: Scene | None = None, points: Mapping[str, Array] | None = None
     ) -> dict[str, Array]:
-        """So many hands as samples of a sweep: each picks one of the hands and draws all its figures.
+        """Draw hands as samples of a sweep: each picks one of the hands and draws all its figures.
 
-        Each random number is of its own name and the seed: the first of more draws are the same, and a trait more
-        shifts nothing else. Within a hand each figure is drawn by itself.
+        Each random number depends only on its name and the seed. More draws begin with the same values, and an added
+        trait changes no other number. Figures of a hand are drawn independently.
 
         Args:
-            count: How many.
-            seed: Of the draws, 0 or more.
-            scene: Leaves out traits of parts that it does not have; by default none is left out.
-            points: Values between 0 and 1 by the names of `dimensions`, instead of random numbers.
+            count: Number of hands.
+            seed: Seed of the draws, 0 or more.
+            scene: Scene whose missing parts exclude their traits; by default no trait is excluded.
+            points: Values between 0 and 1 by name of `dimensions`, in place of random numbers.
 
         Returns:
             Values by dotted path, each of shape (count,).
 
         Raises:
-            SceneError: A scene without `[operator]`.
+            SceneError: The scene has no `[operator]`.
         """
         if scene is not None and scene.operator is None:
             message = "a population: the scene has no [operator]; add it before drawing hands"
@@ -173,7 +172,7 @@ class Population(Struct, frozen=True, kw_only=True):
 
 
 def _has(scene: Scene, path: Path) -> bool:
-    """Whether a scene has a field, or leaves it or its table out."""
+    """Return True if a scene has a field, or omits it or its table."""
     part: Any = scene
     for step in path:
         if isinstance(step, int):
@@ -191,14 +190,14 @@ def with_population(
     *,
     sobol: bool = False,
 ) -> Mapping[str, Any] | None:
-    """Samples with as many hands of a population.
+    """Return the samples with one hand of a population per sample.
 
-    Where scenes vary, fields are drawn that the first scene has: what it lacks is not drawn for the others either.
+    If scenes vary, the first scene decides which fields are drawn.
 
     Raises:
-        SceneError: A file that is no population, or a scene without a hand.
-        ValueError: No samples, a seed that is none, or a field of the population that is sampled, too.
-        ImportError: `sobol` without SciPy.
+        SceneError: The file is not a population, or the scene has no hand.
+        ValueError: No samples, an invalid seed, or a population field that is also sampled.
+        ImportError: `sobol` requires SciPy.
     """
     seed = whole_number("seed", seed, 0)
     if population is None:
@@ -215,10 +214,10 @@ def with_population(
 
 
 def refuse_both(drawn: Iterable[str], others: Iterable[str]) -> None:
-    """Refuses a field that a population draws, and something else gives; whole scenes that vary give none.
+    """Refuse a field that both a population and another argument give; varied scenes are exempt.
 
     Raises:
-        ValueError: With the first.
+        ValueError: Names the first such field.
     """
     given = {path_of(path) for path in others if path != SCENE}
     for path in drawn:
@@ -228,18 +227,18 @@ def refuse_both(drawn: Iterable[str], others: Iterable[str]) -> None:
 
 
 def population_names() -> tuple[str, ...]:
-    """Names of the populations that Haptether ships."""
+    """Return the names of the shipped populations."""
     return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
 
 
 def load_population(name_or_path: str | PathLike[str]) -> Population:
-    """Reads a population.
+    """Read a population.
 
     Args:
         name_or_path: One of `population_names()`, or the path of a TOML file.
 
     Raises:
-        SceneError: No such file, or one that is no population: with the file, the hand or trait, and the key.
+        SceneError: The file does not exist or is not a population; gives the file, the hand or trait, and the key.
     """
     if not isinstance(name_or_path, str | PathLike):
         message = (
@@ -343,7 +342,7 @@ def _trait(place: str, raw: Mapping[str, Any], folder: FilePath) -> PopulationTr
     if path[0] != "operator" or field.replace("-", "_") in {"operator.stiffness", "operator.damping"}:
         raise _wrong(place, "field", field, "a number of [operator] other than stiffness and damping")
     law = _law(place, "law", raw.get("law"), folder)
-    # A lognormal law never has its lower end, and above rows are refused one by one.
+    # A lognormal law never reaches its lower end, and rows above the range are refused one by one.
     ends = [] if law.name == "lognormal" else [end for end in law.support if isfinite(end)]
     if len(ends) < 2 and law.name != "lognormal":
         raise _wrong(place, "law", raw["law"], "a law whose values have bounds")

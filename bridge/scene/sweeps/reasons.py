@@ -1,4 +1,4 @@
-"""Why rows of a sweep were refused or diverged: the first distinct reasons, each with a row that has it."""
+"""Reasons why rows of a sweep were refused or diverged: the first distinct ones, each with an example row."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -8,27 +8,25 @@ import numpy as np
 import numpy.typing as npt
 
 MOST_REASONS = 5
-"""Distinct reasons that are kept."""
+"""Largest number of distinct reasons that are kept."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RowReason:
-    """One reason, and the first row that has it."""
+    """Reason and the first row that has it."""
 
     outcome: str
-    """How the row ended."""
     reason: str
-    """Why."""
     row: int
-    """Its number, from 0."""
+    """Row number, from 0."""
     values: Mapping[str, Any]
-    """What varies there, by path."""
+    """Varied values of the row, by path."""
     rows: int
-    """How many rows have the same reason."""
+    """Number of rows with the same reason."""
 
 
 class RowReasons:
-    """The reasons of the rows that come, batch by batch."""
+    """Reasons of rows added in batches."""
 
     def __init__(self) -> None:
         self._found: dict[str, RowReason] = {}
@@ -36,16 +34,16 @@ class RowReasons:
 
     @property
     def first(self) -> tuple[RowReason, ...]:
-        """The first distinct ones, at most `MOST_REASONS`, in the order of their rows."""
+        """First distinct reasons, at most `MOST_REASONS`, in row order."""
         return tuple(self._found.values())
 
     @property
     def others(self) -> int:
-        """How many rows have a reason that is none of the first."""
+        """Number of rows with another reason."""
         return self._rows - sum(each.rows for each in self._found.values())
 
     def add(self, first: int, columns: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Takes the rows from the number `first` on: what varies, `outcome`, and the metrics."""
+        """Add rows from number `first` on, with varied values, `outcome` and metrics."""
         if "reason" not in columns:
             return
         having = np.flatnonzero(columns["reason"] != "")

@@ -12,15 +12,15 @@ from haptether.bridge.scene.run import named_scene
 from haptether.bridge.scene.tables.session import Scene
 
 SCENE = "scene"
-"""The path of a sweep whose values are scenes."""
+"""Path of a sweep whose values are scenes."""
 
 
 @dataclass(frozen=True)
 class SceneChoice:
-    """A scene that some rows have."""
+    """Scene that some rows use."""
 
     name: str
-    """As it was given, or its title."""
+    """Name as given, or the title."""
     checked: Checked = field(repr=False)
 
     def __str__(self) -> str:
@@ -31,11 +31,13 @@ class SceneChoice:
 
 
 def with_scenes(argument: str, varied: Mapping[str, Any] | None, overrides: Iterable[str]) -> Mapping[str, Any] | None:
-    """What varies, with its scenes read and changed as the first one is; `argument` is what it is given as.
+    """Return the varied values with their scenes loaded and overridden like the first.
+
+    `argument` names the values in messages.
 
     Raises:
-        SceneError: Values that are no list, or a scene that cannot be built.
-        ValueError: No values by path, or two scenes of one name.
+        SceneError: The values are not a list, or a scene is invalid.
+        ValueError: The values are not given by path, or two scenes have the same name.
     """
     if varied is not None and not (isinstance(varied, Mapping) and all(isinstance(path, str) for path in varied)):
         message = f'{argument} = {varied!r}: must be values by path, such as {{"run.seed": [1, 2, 3]}}'
@@ -56,11 +58,11 @@ def with_scenes(argument: str, varied: Mapping[str, Any] | None, overrides: Iter
 def scene_choices(
     scenes: Sequence[Scene | SceneChoice | str | PathLike[str]], overrides: Iterable[str]
 ) -> list[SceneChoice]:
-    """The scenes that are named, each read once.
+    """Load each of the named scenes once.
 
     Raises:
-        SceneError: A scene that cannot be built.
-        ValueError: Two of one name.
+        SceneError: A scene is invalid.
+        ValueError: Two scenes have the same name.
     """
     overrides, known, found = tuple(overrides), dict[str, SceneChoice](), []
     for scene in scenes:

@@ -1,4 +1,4 @@
-"""A sweep to a file: stored by batch, resumable, in memory that does not grow with the rows."""
+"""Sweep to a file: stored in batches, resumable, with memory independent of the number of rows."""
 
 import json
 import time
@@ -44,36 +44,36 @@ from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import is_stream, refuse_existing, refuse_link
 
 HEAD_ROWS = 20
-"""Rows of a stored sweep that stay in memory."""
+"""Number of rows of a stored sweep that remain in memory."""
 SMALLEST_BATCH, LARGEST_BATCH = 64, 65_536
 BATCH_S = 2.0
-"""Target duration of a batch in s: what a kill loses at most, and long against the idle time at its end."""
+"""Target duration of a batch in s: the largest loss on a kill, and long compared with the idle time at its end."""
 GROWTH = 4
-"""A batch has at most so many times the rows of the last."""
+"""Largest growth factor from one batch to the next."""
 
 Metrics: TypeAlias = "dict[str, npt.NDArray[Any]]"
 
 
 @dataclass(frozen=True, kw_only=True)
 class StoredSweep:
-    """A sweep whose rows are in a file."""
+    """Sweep whose rows are in a file."""
 
     path: Path
     rows: int
     resumed: int
-    """Rows that an earlier run had stored."""
+    """Rows that an earlier run stored."""
     outcomes: Mapping[str, int]
-    """How many rows ended how, the most frequent first."""
+    """Number of rows per outcome, most frequent first."""
     measured: frozenset[str]
-    """Columns that have a value in some row."""
+    """Columns with a value in at least one row."""
     reasons: tuple[RowReason, ...] = field(repr=False)
-    """Why rows were refused or diverged: the first distinct ones, in the order of their rows."""
+    """First distinct reasons for refused or diverged rows, in row order."""
     other_reasons: int = field(repr=False)
-    """How many rows have a reason that is none of these."""
+    """Number of rows with another reason."""
     head: Sweep = field(repr=False)
-    """The first `HEAD_ROWS` rows."""
+    """First `HEAD_ROWS` rows."""
     whole: Sweep | None = field(repr=False, default=None)
-    """All rows, where they were to be collected."""
+    """All rows, if collected."""
 
 
 def sweep_to_file(
@@ -96,21 +96,20 @@ def sweep_to_file(
     progress: Callable[[int], None] | None = None,
     metrics: Iterable[str] | None = None,
 ) -> StoredSweep:
-    """Runs every combination of `grid` with all `samples`, and writes a file that is the same however often it resumed.
+    """Run every combination of `grid` with all `samples`, and write a file that does not depend on resumes.
 
-    Rows are kept by batch in the folder `path`.partial until the file has them all: Ctrl-C, a kill or a loss of power
-    loses at most the batch that is running. A file that ends in .csv or .parquet is written row group by row group,
-    so that memory does not grow with the rows; .npz is made of all rows at the end. The metadata of Parquet has the
-    version, the scene as TOML and what varies.
+    Batches of rows are kept in the folder `path`.partial until the file is complete. Ctrl-C, a kill or a power loss
+    loses at most the running batch. A .csv or .parquet file is written by row group, with constant memory; a .npz file
+    is written from all rows at the end. The Parquet metadata holds the version, the scene as TOML and the varied paths.
 
     Args:
-        scene: A `Scene`, the name of one that comes with Haptether, or the path of a TOML file.
-        path: A file that ends in .csv, .parquet or .npz.
-        grid: Values by dotted path, as of `sweep`; the last path varies fastest.
-        samples: Values by dotted path, all of one length: each combination has them all.
-        population: As many hands as there are samples, drawn as by `sweep`: the same in each combination.
-        seed: Of these hands, 0 or more.
-        ties: Paths that take, in each row, the value of a path that varies.
+        scene: A `Scene`, the name of a shipped scene, or the path of a TOML file.
+        path: Target file, .csv, .parquet or .npz.
+        grid: Values by dotted path, as for `sweep`; the last path varies fastest.
+        samples: Values by dotted path, of equal length; each combination has them all.
+        population: Source of one hand per sample, as for `sweep`; the same in each combination.
+        seed: Seed of these hands, 0 or more.
+        ties: Paths that take the value of a varied path in each row.
         overrides: Fields to change for all rows, `table.key=value` each.
         threads: How many threads; by default as many as there are processors.
         lanes: Whether rows may be advanced side by side in one thread; the numbers are the same.
@@ -183,13 +182,13 @@ def sweep_to_file(
 
 
 def _scenes(design: Design) -> list[SceneChoice]:
-    """The scenes that a design chooses from, each once."""
+    """Return the distinct scenes of a design."""
     levels = [values.tolist() for values in ({**design.factors, **design.samples}.get(SCENE),) if values is not None]
     return list({choice.name: choice for choice in (levels[0] if levels else ())}.values())
 
 
 def _controller_sources(base: Checked, design: Design) -> dict[str, str] | None:
-    """What the controllers in Python of a sweep are now: rows of one that was changed meanwhile are other rows."""
+    """Return the current digests of the Python controllers of a sweep; rows of a changed controller are other rows."""
     tables = [scene.safety.research for scene in (base.scene, *(each.checked.scene for each in _scenes(design)))]
     names = {table.controller for table in tables if table is not None}
     for path, values in design.factors.items():
@@ -206,7 +205,7 @@ def computed(
     settings: SweepSettings,
     progress: Callable[[int], None] | None,
 ) -> Iterator[tuple[int, Metrics]]:
-    """The first row and the metrics of batches that fill the gaps, one after the other on this machine."""
+    """Yield first row and metrics of the batches that fill the gaps, in order, computed on this machine."""
     size, done = SMALLEST_BATCH, 0
     for start, stop in gaps:
         first = start
@@ -228,7 +227,7 @@ def computed(
 def _written(
     journal: Journal, base: Checked, design: Design, request: Mapping[str, Any], *, resumed: int, collect: bool
 ) -> StoredSweep:
-    """The file of all rows, from the batches of the journal."""
+    """Write the file of all rows from the batches of the journal."""
     suffix = journal.path.suffix
     names = journal.types()
     if "ticks" not in names:
@@ -236,7 +235,7 @@ def _written(
         try:
             refuse_empty(Sweep({**labelled(design.columns(0, len(metrics["outcome"]))), **metrics}))
         except SceneError:
-            # There is nothing to go on with.
+            # No valid rows exist to resume.
             journal.remove()
             raise
     outcomes: Counter[str] = Counter()
@@ -281,7 +280,7 @@ def _written(
 
 
 def _with_all(metrics: Metrics, names: Mapping[str, np.dtype[Any]], rows: int) -> Metrics:
-    """The metrics of a batch, with columns of what was not measured for those that it does not have."""
+    """Add unmeasured columns to the metrics of a batch for the metrics that it lacks."""
     absent = {name: unmeasured(kind, rows) for name, kind in names.items() if name not in metrics}
     return in_order({**metrics, **absent})
 

@@ -1,4 +1,4 @@
-"""The file of a sweep, written row group by row group: the same rows yield the same bytes, whatever their batches."""
+"""Sweep file, written by row group: the same rows give the same bytes, whatever their batches."""
 
 import csv
 import importlib
@@ -15,48 +15,47 @@ import numpy.typing as npt
 from haptether.extras import require
 
 ROW_GROUP = 65_536
-"""Rows of a row group of Parquet."""
 STREAMED = frozenset({".csv", ".parquet"})
-"""Suffixes of files that are written without all rows in memory."""
+"""Suffixes of files written without all rows in memory."""
 SUFFIXES = (".csv", ".parquet", ".npz")
 COUNTS = frozenset({"false_trips", "intervention_ticks"})
-"""Columns of whole numbers that are float64, so that NaN can stand for what was not measured."""
+"""Integer columns stored as float64, so that NaN can mark values not measured."""
 UNMEASURED = frozenset({"never-engaged", "refused"})
-"""Outcomes of rows in which nothing was measured."""
+"""Outcomes of rows without measurements."""
 
 
 class _ArrowTable(Protocol):
-    """What of a `pyarrow.Table` is used; Haptether depends on PyArrow only as an extra."""
+    """Used part of a `pyarrow.Table`; PyArrow is only an extra."""
 
     num_rows: int
 
     def slice(self, offset: int, length: int | None = None) -> "_ArrowTable":
-        """Rows from `offset` on."""
+        """Return rows from `offset` on."""
 
     def combine_chunks(self) -> "_ArrowTable":
-        """The same rows, each column in one piece."""
+        """Return the same rows with each column contiguous."""
 
 
 class _ParquetWriter(Protocol):
-    """What of a `pyarrow.parquet.ParquetWriter` is used."""
+    """Used part of a `pyarrow.parquet.ParquetWriter`."""
 
     schema: object
 
     def write_table(self, table: _ArrowTable, row_group_size: int) -> None:
-        """Writes a row group."""
+        """Write a row group."""
 
     def close(self) -> None:
-        """Writes the footer."""
+        """Write the footer."""
 
 
 class TableFile(Protocol):
-    """A file that takes rows."""
+    """File that accepts rows."""
 
     def write(self, columns: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Writes rows below those that are there."""
+        """Append rows."""
 
     def close(self) -> None:
-        """Writes what is pending; the file stays open."""
+        """Write pending rows; the file stays open."""
 
 
 REQUEST_KEY = "haptether.sweep"
@@ -64,7 +63,7 @@ REQUEST_KEY = "haptether.sweep"
 
 
 def values_of(columns: Mapping[str, npt.NDArray[Any]], name: str) -> list[Any]:
-    """A column of a sweep as raw values, none for what was not measured."""
+    """Return a sweep column as raw values, with None for values not measured."""
     column = columns[name]
     values: list[Any] = column.tolist()
     if column.dtype.kind == "f":
@@ -82,10 +81,10 @@ def values_of(columns: Mapping[str, npt.NDArray[Any]], name: str) -> list[Any]:
 
 
 def check_suffix(path: Path) -> None:
-    """Refuses a file of another kind, or one whose library is not installed.
+    """Refuse a file of another kind, or one whose library is not installed.
 
     Raises:
-        ValueError: Another suffix.
+        ValueError: The file has another suffix.
         ImportError: PyArrow is not installed.
     """
     if path.suffix not in SUFFIXES:
@@ -96,19 +95,19 @@ def check_suffix(path: Path) -> None:
 
 
 def table_file(suffix: str, file: IO[bytes], metadata: Mapping[str, str]) -> TableFile:
-    """What writes rows to a file that is open; `metadata` is for Parquet."""
+    """Return a writer of rows to an open file; `metadata` is for Parquet."""
     return ParquetTable(file, metadata) if suffix == ".parquet" else CsvTable(file)
 
 
 class CsvTable:
-    """Rows as CSV: what was not measured is empty."""
+    """Rows as CSV; values not measured are empty."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._text = io.TextIOWrapper(file, encoding="utf-8", newline="")
         self._begun = False
 
     def write(self, columns: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Writes rows, the first time below their names."""
+        """Write rows, with a header before the first."""
         writer = csv.writer(self._text, lineterminator="\n")
         if not self._begun:
             writer.writerow(columns)
@@ -116,12 +115,12 @@ class CsvTable:
         writer.writerows(zip(*(values_of(columns, name) for name in columns), strict=True))
 
     def close(self) -> None:
-        """Writes what is pending; the file stays open."""
+        """Write pending rows; the file stays open."""
         self._text.detach()
 
 
 class ParquetTable:
-    """Rows as Parquet, in row groups of `ROW_GROUP`: what was not measured is null, counts are whole numbers."""
+    """Rows as Parquet in row groups of `ROW_GROUP`: values not measured are null, counts are integers."""
 
     def __init__(self, file: IO[bytes], metadata: Mapping[str, str]) -> None:
         self._file = file
@@ -132,7 +131,7 @@ class ParquetTable:
         self._parquet = importlib.import_module("pyarrow.parquet")
 
     def write(self, columns: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Takes rows, and writes each row group that they complete."""
+        """Take rows, and write each completed row group."""
         arrays = {
             name: self._arrow.array(values_of(columns, name), type=self._type(name, column))
             for name, column in columns.items()
@@ -144,7 +143,7 @@ class ParquetTable:
             self._flush(self._writer, whole=True)
 
     def close(self) -> None:
-        """Writes the last row group and the footer."""
+        """Write the last row group and the footer."""
         if self._writer is not None:
             if self._pending:
                 self._flush(self._writer, whole=False)
@@ -157,17 +156,17 @@ class ParquetTable:
         return writer
 
     def _flush(self, writer: _ParquetWriter, *, whole: bool) -> None:
-        """Writes the pending rows in row groups; with `whole` only those that are complete."""
+        """Write the pending rows in row groups; with `whole` only complete ones."""
         table: _ArrowTable = self._arrow.concat_tables(self._pending)
         end = table.num_rows // ROW_GROUP * ROW_GROUP if whole else table.num_rows
         for first in range(0, end, ROW_GROUP):
-            # What a slice is made of would show in the pages that it becomes.
+            # The chunks of a slice would affect the Parquet pages.
             group = table.slice(first, min(ROW_GROUP, end - first)).combine_chunks()
             writer.write_table(group, row_group_size=ROW_GROUP)
         self._pending = [table.slice(end)] if end < table.num_rows else []
 
     def _type(self, name: str, column: npt.NDArray[Any]) -> object:
-        """The Arrow type of a column."""
+        """Return the Arrow type of a column."""
         if column.dtype.kind == "U":
             kind: object = self._arrow.string()
         elif name in COUNTS or column.dtype.kind in "iu":

@@ -1,1 +1,1 @@
-"""The tables of a scene, as a user writes them."""
+"""Tables of a scene as users write them."""

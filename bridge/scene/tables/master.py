@@ -1,4 +1,4 @@
-"""The tables of a scene on the side of the hand: `[master]` and `[operator]`."""
+"""Scene tables of the operator's side: `[master]` and `[operator]`."""
 
 from typing import Annotated, Literal
 
@@ -36,7 +36,7 @@ DeviceName = Literal[
 class RotationTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[master.rotation]`: the device as a rigid body. `I dw/dt + w x I w + b w + c w / |w| = tau_device + tau_h`.
 
-    No preset has these numbers: no source that was at hand gives them.
+    No preset has these values, because no available source gives them.
 
     Source: Euler's equations, Goldstein, Poole and Safko 2002, Eq. 5.39; friction as paper Eq. 3.
     """
@@ -48,40 +48,40 @@ class RotationTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     coulomb: NonNegative = 0.0
     """c in N m."""
     measures_angular_velocity: bool = True
-    """Whether the device measures w itself; else it is estimated from orientations."""
+    """True if the device measures w itself; otherwise w is estimated from orientations."""
     max_torque_n_m: Positive | Unbounded | None = None
-    """Largest |tau| in N m that its motors exert; by default no bound."""
+    """Largest |tau| in N m of its motors; by default no bound."""
 
 
 _bit = Annotated[int, Meta(ge=0, le=31)]
 
 
 class ButtonsTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[master.buttons]`: what the buttons of a driven device do, each by its bit of `MasterSample.buttons`, 0 to 31.
+    """`[master.buttons]`: functions of a driven device's buttons, by bit of `MasterSample.buttons`, 0 to 31.
 
-    With this table nothing but a press engages: neither the start nor a signal closes a clutch that a button works. In
-    virtual time, where nobody presses, `[operator]` works clutch and gripper all the same.
+    With this table only a press engages; neither the start nor a signal closes the clutch. In virtual time `[operator]`
+    still operates clutch and gripper.
     """
 
     clutch: _bit | None = None
-    """The clutch: closed while it is held."""
+    """Clutch button: closed while held."""
     engage: _bit | None = None
-    """The clutch as a switch: a press closes it, the next opens it; it opens by itself where the two sides part."""
+    """Clutch toggle button: a press closes it, the next opens it; it opens by itself when the sides decouple."""
     gripper: _bit | None = None
-    """The gripper: a press closes it, the next opens it."""
+    """Gripper toggle button: a press closes it, the next opens it."""
 
 
 class TriggerTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[master.gripper]`: a trigger that feels like what `[slave.gripper]` holds; without it the finger feels nothing.
+    """`[master.gripper]`: trigger with force feedback from `[slave.gripper]`; without it the finger feels nothing.
 
-    `m A + b V + c sign(V) = F_device + F_finger` along its closing way, and `F_v = -force_scale F_jaws` while
-    something stops the jaws. No preset has `travel_m` and `mass_kg`: no source that was at hand gives them.
+    `m A + b V + c sign(V) = F_device + F_finger` in closing direction, and `F_v = -force_scale F_jaws` while an object
+    blocks the jaws. No preset has `travel_m` and `mass_kg`, because no available source gives them.
 
     Source: paper Eq. 3.
     """
 
     travel_m: Annotated[float, Meta(gt=0.0, le=1.0)]
-    """From open to closed, in m, at the finger."""
+    """Travel from open to closed in m, at the finger."""
     mass_kg: Positive
     """m in kg, at the finger, above 0."""
     viscous: NonNegative = 0.0
@@ -89,133 +89,138 @@ class TriggerTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     coulomb: NonNegative = 0.0
     """c in N."""
     encoder_quantum: NonNegative = 0.0
-    """Resolution of its position in m; 0 is exact."""
+    """Position resolution in m; 0 is exact."""
     force_scale: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.05
-    """Finger force per force between the jaws: at 40 N of a gripper the finger feels 2 N."""
+    """Ratio of finger force to jaw force: 40 N at the gripper gives 2 N at the finger."""
     max_force_n: Annotated[float, Meta(gt=0.0, le=50.0)] = 5.0
     """Largest force in N, at most 50."""
     max_slew_n_per_s: Positive = 10.0
-    """Largest growth of the force in N/s; unloading is free. Below K_f V of a finger that closes with V, contact does
-    not throw the trigger back, which would open the jaws again."""
+    """Largest growth of the force in N/s; unloading is not limited. For a finger that closes at V, a value below K_f V
+    prevents contact from throwing the trigger back, which would reopen the jaws.
+    """
     max_power_w: Positive = 5.0
-    """Largest power in W that it may put into the finger."""
+    """Largest power in W into the finger."""
 
 
 class MasterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[master]`: the haptic device. `m A + b V + c sign(V) = F_device + F_h`.
 
-    A field without a default has that of the preset that `device` names; without one, `mass_kg` must be given and
-    the others are as said.
+    A field without a default takes its value from the preset that `device` names. Without a preset, `mass_kg` is
+    required, and the fields state their defaults.
 
     Source: paper Eq. 3.
     """
 
     device: DeviceName | None = None
-    """Preset of `haptether.master.DEVICE_PRESETS` that fills in what this table leaves out."""
+    """Preset of `haptether.master.DEVICE_PRESETS` for the omitted fields."""
     kind: SideKind | None = None
-    """What the coordinates are: "linear" (1 to 3 axes), "joints" (1 to 7) or "pose" (3 axes and an orientation); by
-    default "linear" up to 3 axes, else "joints"."""
+    """Kind of coordinates: "linear" (1 to 3 axes), "joints" (1 to 7) or "pose" (3 axes and an orientation); by default
+    "linear" up to 3 axes, otherwise "joints".
+    """
     axes: Axis = 1
     """Number of axes: 1 to 7."""
     mass_kg: PositivePerAxis | None = None
     """m in kg, above 0."""
     viscous: PerAxis | None = None
-    """b in N s/m, of any sign; without a preset 0."""
+    """b in N s/m, of either sign; without a preset 0."""
     coulomb: NonNegativePerAxis | None = None
     """c in N, 0 or more; without a preset 0."""
     friction: Literal["vector", "axis"] | None = None
-    """`c V / |V|` along the motion (a stylus) or `c sign(V)` on each axis (joints); without a preset "vector"."""
+    """`c V / |V|` along the motion (stylus) or `c sign(V)` per axis (joints); without a preset "vector"."""
     encoder_quantum: NonNegative | None = None
-    """Resolution of the position in m; 0 is exact, also without a preset."""
+    """Position resolution in m; 0 is exact and the default without a preset."""
     measures_velocity: bool | None = None
-    """Whether the device measures V itself; by default where the position is exact."""
+    """True if the device measures V itself; by default True if the position is exact."""
     max_force_n: Positive | Unbounded | None = None
-    """Largest |F| in N that its motors exert; "unbounded" and, without a preset, nothing: no bound."""
+    """Largest |F| in N of its motors; "unbounded", or no value without a preset, means no bound."""
     force_quantum_n: NonNegative = 0.0
-    """Resolution of its force in N; 0 is exact."""
+    """Force resolution in N; 0 is exact."""
     stops: StopsPerAxis | None = None
     """Lower and upper mechanical stop in m, or one such pair per axis; none by default."""
     speed_bound: Positive | None = None
-    """Speed in m/s (rad/s) that it cannot exceed: a step of its position that is faster, and stays, is a fault. Without
-    a preset and a driver that has one, 20 m/s, of joints 60 rad/s."""
+    """Speed limit of the device in m/s (rad/s); a faster, persistent step of its position is a fault. Without a preset
+    or driver value, 20 m/s, or 60 rad/s for joints.
+    """
     position: PositionPerAxis | None = None
-    """Where it starts, in m; by default where the hand's path begins, without a hand 0."""
+    """Start position in m; by default the start of the hand's path, without a hand 0."""
     velocity: SpeedPerAxis = 0.0
-    """V at the start, in m/s."""
+    """V at the start in m/s."""
     rotation: RotationTable | None = None
-    """Its rotation; kind = "pose" needs it."""
+    """Rotation; required for kind = "pose"."""
     buttons: ButtonsTable | None = None
-    """What the buttons of a driver's device do; by default nothing."""
+    """Functions of the buttons of a driver's device; by default none."""
     gripper: TriggerTable | None = None
-    """Its trigger, where the finger feels what the gripper holds; by default it feels nothing."""
+    """Trigger with force feedback; by default the finger feels nothing."""
     driver: str | None = None
-    """Live only: drives a real device, by the name of an entry point of `haptether.masters`; this table then says what
-    the safety layer takes the device for. By default a model of this table is held by the operator."""
+    """Live only: driver of a real device, an entry point of `haptether.masters`. This table is then the safety layer's
+    model of the device. By default the operator holds a simulated device.
+    """
     options: Options = {}
-    """Live only: what the driver is called with; nothing without one."""
+    """Live only: keyword arguments of the driver."""
 
     def __hash__(self) -> int:
-        # Options are a table of any keys, which has no hash of its own.
+        # The options table may hold any keys and is not hashable.
         return hash(json.encode(self))
 
 
 class SeriesTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A recording: `file`, whose first record is time 0, or `time_s` and `values`.
+    """Recorded series: `file`, with its first record at time 0, or `time_s` and `values`.
 
-    Linear between its points, constant outside.
+    Linear between points, constant outside.
     """
 
     file: str | None = None
-    """CSV with the header `time_s,x[,y,z,...]` or .npz with the arrays `time_s` and `values`; relative to the scene. It
-    begins at its first record."""
+    """CSV with the header `time_s,x[,y,z,...]` or .npz with the arrays `time_s` and `values`; path relative to the
+    scene. Time starts at the first record.
+    """
     time_s: tuple[Seconds, ...] | None = None
     """Times in s, increasing."""
     values: tuple[ForcePerAxis, ...] | None = None
-    """One value, or a list of one per axis, for each time: m of a path, N of a push."""
+    """For each time one value, or a list with one per axis: m of a path, N of a push."""
 
 
 class LegTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[[operator.legs]]`: one leg of the hand's path. The hand rests after the last."""
+    """`[[operator.legs]]`: one leg of the hand's path. The hand stays at the end of the last leg."""
 
     duration_s: Duration
-    """Time in s that it takes, at least 1e-9."""
+    """Duration in s, at least 1e-9."""
     end: PositionPerAxis
-    """Where it ends, in m."""
+    """End position in m."""
     shape: Literal["linear", "smooth", "minimum-jerk"] = "minimum-jerk"
-    """Share of the path at share s of the time: s, `3 s² - 2 s³` or `10 s³ - 15 s⁴ + 6 s⁵` (Flash and Hogan 1985)."""
+    """Fraction of the path at time fraction s: s, `3 s² - 2 s³` or `10 s³ - 15 s⁴ + 6 s⁵` (Flash and Hogan 1985)."""
 
 
 class ReleaseTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[operator.release]`: the hand lets go."""
+    """`[operator.release]`: release of the device by the hand."""
 
     at_s: Seconds
-    """When it begins, in s; counted from engagement where there is an arm."""
+    """Start of the release in s, counted from engagement if there is an arm."""
     decay_s: Seconds = 0.05
-    """Time in s within which nothing is left; 0 is at once."""
+    """Time in s in which the grip decays to zero; 0 is immediate."""
     kind: Literal["strength", "gain"] = "strength"
-    """What decays: the grip strength, so that nothing moves before it has fallen to the load, or the impedance."""
+    """Decaying quantity: the grip strength, so that motion starts once it falls below the load, or the impedance."""
 
 
 class RegraspTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[operator.regrasp]`: the hand takes hold again after the release."""
+    """`[operator.regrasp]`: the hand grasps again after the release."""
 
     reaction_s: Seconds = 0.3
-    """From the end of the release to the first grip, in s."""
+    """Time in s from the end of the release to the first grip."""
     rise_s: Seconds = 0.1
-    """From there to the full grip, in s."""
+    """Time in s from the first grip to the full grip."""
 
 
 class RotationLegTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[[operator.rotation.legs]]`: one turn of the hand, about a fixed axis, the shorter way."""
+    """`[[operator.rotation.legs]]`: one turn of the hand about a fixed axis, by the shorter way."""
 
     duration_s: Duration
-    """Time in s that it takes, at least 1e-9."""
+    """Duration in s, at least 1e-9."""
     turn: Vector3 | None = None
-    """By how much it turns: axis times angle in rad, in the base frame, shorter than pi."""
+    """Rotation vector, axis times angle in rad, in the base frame, shorter than pi."""
     end_wxyz: Quaternion | None = None
-    """The orientation where it ends, instead of `turn`."""
+    """Final orientation, as an alternative to `turn`."""
     shape: Literal["linear", "smooth", "minimum-jerk"] = "minimum-jerk"
-    """As of `[[operator.legs]]`."""
+    """Same as in `[[operator.legs]]`."""
 
 
 class OperatorRotationTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -226,19 +231,19 @@ class OperatorRotationTable(Struct, frozen=True, kw_only=True, forbid_unknown_fi
     damping: NonNegative = 0.02
     """B_h in N m s/rad."""
     strength_n_m: NonNegative | None = None
-    """Grip strength in N m; no bound by default."""
+    """Grip strength in N m; by default no bound."""
     start_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
-    """The orientation where it begins."""
+    """Initial orientation."""
     legs: tuple[RotationLegTable, ...] = ()
-    """How it turns, leg by leg; by default it keeps its orientation."""
+    """Turns in order; by default the hand keeps its orientation."""
     release: ReleaseTable | None = None
-    """When it lets go; never by default."""
+    """Release of the device; by default never."""
 
 
 class FingerTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[operator.finger]`: the finger at the trigger of `[master.gripper]`, which means to be where `trigger` says.
+    """`[operator.finger]`: finger on the trigger of `[master.gripper]`; its target is `trigger`.
 
-    `F_finger = K_f (travel p - x) - B_f V`, at most its strength.
+    `F_finger = K_f (travel p - x) - B_f V`, saturated at its strength.
 
     Source: Hogan 1989 (impedance).
     """
@@ -248,22 +253,22 @@ class FingerTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     damping: NonNegative = 3.0
     """B_f in N s/m."""
     strength_n: NonNegative | None = None
-    """Its strength in N; no bound by default."""
+    """Strength in N; by default no bound."""
     release: ReleaseTable | None = None
-    """When it lets go of the trigger; never by default."""
+    """Release of the trigger; by default never."""
 
 
 class TremorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[operator.tremor]`: `a sin(2 pi f t)` on the path, on every axis."""
+    """`[operator.tremor]`: `a sin(2 pi f t)` added to the path on every axis."""
 
     amplitude: NonNegative = 1e-4
     """a in m."""
     frequency_hz: TremorFrequency = 10.0
-    """f in Hz, up to 100; physiological tremor lies at 8 to 12 Hz."""
+    """f in Hz, up to 100; physiological tremor is at 8 to 12 Hz."""
 
 
 class OperatorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[operator]`: the hand. `F_h = K_h (target - x) - B_h V`, at most its grip strength.
+    """`[operator]`: the hand. `F_h = K_h (target - x) - B_h V`, saturated at its grip strength.
 
     Source: Hogan 1989 (impedance); Johansson and Westling 1984 (grip).
     """
@@ -273,28 +278,30 @@ class OperatorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     damping: NonNegative = 5.0
     """B_h in N s/m."""
     grip_strength_n: NonNegative | None = None
-    """Grip strength in N; no bound by default."""
+    """Grip strength in N; by default no bound."""
     start: PositionPerAxis = 0.0
-    """Where the path begins, in m."""
+    """Start of the path in m."""
     legs: tuple[LegTable, ...] = ()
-    """The path, leg by leg; by default the hand stays at `start`."""
+    """Legs of the path; by default the hand stays at `start`."""
     recorded: SeriesTable | None = None
-    """A recorded path in m instead of legs."""
+    """Recorded path in m, as an alternative to legs."""
     release: ReleaseTable | None = None
-    """When it lets go; never by default."""
+    """Release of the device; by default never."""
     regrasp: RegraspTable | None = None
-    """How it takes hold again; never by default."""
+    """Grasp after the release; by default never."""
     tremor: TremorTable | None = None
-    """Tremor; none by default."""
+    """Tremor; by default none."""
     clutch: Literal["auto", "once"] | ClutchTimes = "auto"
-    """The clutch, with a [slave]: "auto" is pressed at the start, and let go and pressed again after each hold; "once"
-    only at the start; or pairs of press and release times in s since the start."""
+    """Clutch of a scene with a [slave]: "auto" presses at the start, and releases and presses again after each hold;
+    "once" presses at the start only; or pairs of press and release times in s since the start.
+    """
     clutch_reaction_s: Reaction = 0.5
-    """From when both sides are ready after a hold to the new press of "auto", in s, 0.05 to 60."""
+    """Time in s, 0.05 to 60, from when both sides are ready after a hold to the next press of "auto"."""
     rotation: OperatorRotationTable | None = None
-    """How the hand turns a device of kind "pose"; by default nobody does."""
+    """Rotation of a device of kind "pose" by the hand; by default none."""
     finger: FingerTable | None = None
-    """The finger at the trigger of `[master.gripper]`."""
+    """Finger on the trigger of `[master.gripper]`."""
     trigger: TriggerCourse = ()
-    """What leads the gripper of `[slave.gripper]`: pairs of time in s since engagement and position, 0 (open) to 1
-    (closed), with straight lines between; by default it stays open."""
+    """Command of `[slave.gripper]`: pairs of time in s since engagement and position, 0 (open) to 1 (closed), with
+    linear interpolation; by default it stays open.
+    """

@@ -1,4 +1,4 @@
-"""Numbers of a scene with their ranges, which validation, messages and tools read from the types."""
+"""Ranges of scene numbers as types, for validation, messages and tools."""
 
 from math import pi
 from typing import Annotated, Any, Literal, TypeAlias
@@ -6,10 +6,10 @@ from typing import Annotated, Any, Literal, TypeAlias
 from msgspec import Meta
 
 LARGEST = 1e9
-"""No number of a scene is larger: every range is closed, so that infinity is in none."""
+"""Largest magnitude of any scene number: every range is closed, which excludes infinity."""
 MAX_AXES = 7
 MAX_TICKS = 20_000_000
-"""Ticks of the longest run."""
+"""Largest number of ticks of a run."""
 
 Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, Meta(gt=0.0, le=LARGEST)]
@@ -28,29 +28,29 @@ FadeOut = Annotated[float, Meta(ge=0.05, le=0.1)]
 FadeIn = Annotated[float, Meta(ge=0.2, le=60.0)]
 SampleRate = Annotated[float, Meta(ge=1e-3, le=1e6)]
 Acceleration = Annotated[float, Meta(ge=1e-6, le=LARGEST)]
-"""In m/s²: below it a set position would not move within the longest run."""
+"""In m/s²; below this a set position would not move within the longest run."""
 Period = Annotated[float, Meta(ge=1e-5, le=2e-2)]
 TremorFrequency = Annotated[float, Meta(gt=0.0, le=100.0)]
 ClockOffset = Annotated[float, Meta(ge=-4e9, le=4e9)]
-"""In s: 127 years, as between a clock that was never set and one that was."""
+"""In s: 127 years, as between a set clock and one that was never set."""
 ClockDrift = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
-"""In parts per million; quartz has 100 at worst."""
+"""In parts per million; quartz has at most 100."""
 ClockStepTime = Annotated[float, Meta(ge=0.0, le=1e9)]
 Position = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
-"""In m: what the safety layer takes for possible."""
+"""In m, within the plausible range of the safety layer."""
 Speed = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
-"""In m/s: what the safety layer takes for possible."""
+"""In m/s, within the plausible range of the safety layer."""
 Force = Annotated[float, Meta(ge=-10000.0, le=10000.0)]
-"""In N: what the safety layer takes for possible."""
+"""In N, within the plausible range of the safety layer."""
 Angle = Annotated[float, Meta(gt=0.0, le=pi)]
-"""In rad, between two orientations."""
+"""In rad between two orientations."""
 Axis: TypeAlias = Literal[1, 2, 3, 4, 5, 6, 7]
 Unbounded: TypeAlias = Literal["unbounded"]
-"""What is written where a number would be a bound and there is to be none."""
+"""Value of a bound that disables it."""
 UNBOUNDED = "unbounded"
 
 Broadcast: TypeAlias = Literal["axes", "pairs", "rows"]
-"""How a value becomes one per axis: a number or a list of numbers; a pair or a list of pairs; each row of a list."""
+"""Broadcast of a value to one per axis: a number or list of numbers; a pair or list of pairs; each row of a list."""
 _axes = Meta(min_length=1, max_length=MAX_AXES, extra={"broadcast": "axes"})
 PerAxis: TypeAlias = Number | Annotated[tuple[Number, ...], _axes]
 """One number for every axis, or a list of one number per axis."""
@@ -70,16 +70,16 @@ Vector3: TypeAlias = Annotated[tuple[Number, ...], Meta(min_length=3, max_length
 """x, y, z."""
 PositiveVector3: TypeAlias = Annotated[tuple[Positive, ...], Meta(min_length=3, max_length=3)]
 SideKind: TypeAlias = Literal["linear", "joints", "pose"]
-"""What the coordinates of a side are: a point along 1 to 3 axes, 1 to 7 joints, or a point with an orientation."""
+"""Kind of a side's coordinates: a point along 1 to 3 axes, 1 to 7 joints, or a point with an orientation."""
 Quaternion: TypeAlias = Annotated[tuple[Number, ...], Meta(min_length=4, max_length=4)]
-"""w, x, y, z of a rotation."""
+"""Rotation as w, x, y, z."""
 AxisIndices: TypeAlias = Annotated[tuple[Annotated[int, Meta(ge=0, le=MAX_AXES - 1)], ...], Meta(max_length=MAX_AXES)]
-"""Some of the axes, counted from 0."""
+"""Axis indices from 0."""
 ClutchTimes: TypeAlias = tuple[_times, ...]
 """Press and release times in s."""
 Opening: TypeAlias = Annotated[float, Meta(ge=0.0, le=1.0)]
-"""Of a gripper or a trigger: 0 (open) to 1 (closed)."""
+"""Opening of a gripper or a trigger: 0 (open) to 1 (closed)."""
 TriggerCourse: TypeAlias = tuple[_times, ...]
-"""Pairs of a time in s and where the trigger is then."""
+"""Pairs of time in s and trigger position."""
 Options: TypeAlias = dict[str, Any]
-"""What a driver is called with: its own business, and its own errors."""
+"""Keyword arguments of a driver, which validates them itself."""

@@ -1,4 +1,4 @@
-"""A scene and its tables `[run]`, `[link]`, `[coupling]`, `[safety]` and `[record]`."""
+"""Scene and its tables `[run]`, `[link]`, `[coupling]`, `[safety]` and `[record]`."""
 
 from typing import Annotated, Literal, TypeAlias
 
@@ -36,151 +36,153 @@ from haptether.safety import ControllerName, EjectionSettings
 
 
 class RunTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[run]`: how long and how it is computed."""
+    """`[run]`: duration and computation of a run."""
 
     duration_s: Duration = 5.0
-    """In s; at most 2e7 ticks."""
+    """Duration in s; at most 2e7 ticks."""
     period_s: Period = 1e-3
-    """dT of the master in s, a whole number of ns."""
+    """dT of the master in s, a multiple of 1 ns."""
     seed: Annotated[int, Meta(ge=0)] = 0
-    """Seed of all randomness, 0 to 2^64 - 1."""
+    """Seed of all random numbers, 0 to 2^64 - 1."""
     integrator: Literal["exact"] = "exact"
-    """Nothing to choose: device and hand follow the exact solution between located events."""
+    """Only choice: device and hand follow the exact solution between located events."""
     stop_early: bool = False
-    """Ends the run when nothing that is measured can change any more."""
+    """True to end the run when no measured quantity can change any more."""
     diverged_position: Positive = 10.0
-    """|x| in m beyond which the loop has diverged; an arm has lambda_p times as much room if that is more."""
+    """|x| in m that counts as divergence; for an arm multiplied by lambda_p if that is more."""
     diverged_speed: Positive = 100.0
-    """|V| in m/s beyond which the loop has diverged."""
+    """|V| in m/s that counts as divergence."""
 
 
 class ClockTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[link.master_clock]`, `[link.slave_clock]`: what is wrong with the clock of an endpoint.
+    """`[link.master_clock]`, `[link.slave_clock]`: clock error of an endpoint.
 
-    Arm, hand, what is touched and the network live in true time; the endpoint and its loop by what its clock shows,
-    offset + (1 + drift) t, and from `step_at_s` on the step as well. Recorded times are true ones.
+    Arm, hand, environment and network use true time t. The endpoint and its loop use the clock, offset + (1 + drift) t,
+    plus the step from `step_at_s` on. Recorded times are true times.
     """
 
     offset_s: ClockOffset = 0.0
-    """By how much it is ahead of true time at the start, in s; below 0 behind."""
+    """Lead over true time at the start in s; negative if behind."""
     drift_ppm: ClockDrift = 0.0
-    """By how much it runs fast, in parts per million; below 0 slow."""
+    """Rate error in parts per million; negative if slow."""
     step_s: ClockOffset = 0.0
-    """By how much it is set forward, in s, 0 or more: its loop then finds itself late, as after a suspend."""
+    """Forward step in s, 0 or more; the loop then finds itself late, as after a suspend."""
     step_at_s: ClockStepTime = 0.0
-    """When it is set, in s of true time."""
+    """True time of the step in s."""
 
 
 class LinksTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[link]`: the network and the clocks at its ends; a direction without a table is perfect."""
+    """`[link]`: network and clocks of both ends; a direction without a table is perfect."""
 
     forward: LinkSettings | None = None
-    """From master to slave."""
+    """Link from master to slave."""
     backward: LinkSettings | None = None
-    """From slave to master."""
+    """Link from slave to master."""
     master_clock: ClockTable | None = None
-    """The master's clock; by default it is right."""
+    """Clock of the master; by default exact."""
     slave_clock: ClockTable | None = None
-    """The slave's clock; by default it is right."""
+    """Clock of the slave; by default exact."""
 
 
 class ChangeTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[[coupling.changes]]`: what somebody changes while it runs. What is left out stays.
+    """`[[coupling.changes]]`: changes during the run. Omitted fields keep their values.
 
-    A change fades within `safety.ladder.fade_in_s`. A scale follows a straight line; rotation and locks fade both
-    scales out and in again. Neither arm nor velocity jumps.
+    A change fades within `safety.ladder.fade_in_s`. A scale changes linearly; a change of rotation or locks fades both
+    scales out and in again. Arm position and velocity stay continuous.
     """
 
     at_s: Seconds
-    """When, in s since the start; not before the change above it."""
+    """Time in s since the start, not before the previous change."""
     position_scale: Positive | None = None
-    """The new lambda_p."""
+    """New lambda_p."""
     force_scale: Positive | None = None
-    """The new lambda_f."""
+    """New lambda_f."""
     rotation_scale: Positive | None = None
-    """The new lambda_r."""
+    """New lambda_r."""
     torque_scale: Positive | None = None
-    """The new lambda_tau."""
+    """New lambda_tau."""
     quat_wxyz: Quaternion | None = None
-    """The new rotation."""
+    """New rotation."""
     locked_axes: AxisIndices | None = None
-    """The new locks."""
+    """New locked axes."""
 
 
 class AlignmentTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[coupling.alignment]`: after a press the slave turns to the master, `R_s -> C R_m C'`, before the two engage.
+    """`[coupling.alignment]`: after a press the slave turns to the master, `R_s -> C R_m C'`, before they engage.
 
-    Its tool point stays where it is, and the hand feels nothing of that.
+    The tool point does not move, and the hand feels no force.
     """
 
     speed: Positive = 0.5
-    """Fastest that it turns, in rad/s."""
+    """Largest turning speed in rad/s."""
     max_angle: Angle = 1.0
-    """Angle in rad between the two beyond which it refuses and stays."""
+    """Largest angle in rad between the sides; above it the slave refuses and does not move."""
 
 
 class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[coupling]`: how master and slave are coupled.
+    """`[coupling]`: coupling of master and slave.
 
     Source: Hannaford 1989; Lawrence 1993 (position-force coupling).
     """
 
     kind: Literal["position-force"] = "position-force"
-    """Position forth, measured force back."""
+    """Position forward, measured force backward."""
     position_scale: Positive = 1.0
-    """lambda_p: motion of the slave over that of the master."""
+    """lambda_p: slave motion per master motion."""
     force_scale: Positive = 1.0
-    """lambda_f: rendered force over measured force."""
+    """lambda_f: rendered force per measured force."""
     quat_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
-    """R, which maps motions of the master to those of the slave: a unit quaternion of 3 axes, or of 2 about z."""
+    """R, which maps master motion to slave motion: a unit quaternion with 3 axes, or about z with 2."""
     locked_axes: AxisIndices = ()
-    """Axes of the slave that do not follow and are not felt, counted from 0."""
+    """Slave axes, from 0, that do not follow and are not felt."""
     command_speed: Positive | Unbounded = 3.0
-    """Fastest that the commanded position moves, in m/s, or "unbounded"; what is faster is clamped and counted."""
+    """Largest speed of the commanded position in m/s, or "unbounded"; a faster command is clamped and counted."""
     command_reach: Positive | Unbounded = "unbounded"
-    """Largest distance in m of the commanded position from where the arm began, or "unbounded"."""
+    """Largest distance in m of the commanded position from the arm's start, or "unbounded"."""
     rotation_scale: Positive = 1.0
-    """lambda_r of kind "pose": `R_s = (C R_m R_m0^T C^T)^lambda_r R_s0`."""
+    """lambda_r for kind "pose": `R_s = (C R_m R_m0^T C^T)^lambda_r R_s0`."""
     torque_scale: Positive = 1.0
-    """lambda_tau: rendered torque over measured torque."""
+    """lambda_tau: rendered torque per measured torque."""
     locks_rotation: bool = False
-    """Whether the slave keeps its orientation, and its torque is not felt."""
+    """True if the slave keeps its orientation and its torque is not felt."""
     rotation_axis: Vector3 | None = None
-    """The axis of the slave's base frame, of length 1, about which alone it turns and is felt; by default about all."""
+    """Unit axis in the slave's base frame about which it turns and is felt; by default all axes."""
     command_angular_speed: Positive | Unbounded = 2.5
-    """Fastest that the commanded orientation turns, in rad/s, or "unbounded"."""
+    """Largest angular speed of the commanded orientation in rad/s, or "unbounded"."""
     command_turn: Positive | Unbounded = "unbounded"
-    """Largest angle in rad of the commanded orientation from how the arm began, or "unbounded"."""
+    """Largest angle in rad of the commanded orientation from the arm's start, or "unbounded"."""
     alignment: AlignmentTable | None = None
-    """How the slave turns to the master before the two engage; without, they engage however they are turned."""
+    """Alignment of the slave before engagement; without it the sides engage in any orientation."""
     reference_point: Vector3 | None = None
-    """The point of the slave's tool of kind "pose" that is coupled, in m from the tool point in the tool's frame, as
-    the tip of a long tool: position, velocity, reach and moment of the slave are those of it, and the tool turns about
-    it; by default the tool point."""
+    """Coupled point of the slave's tool for kind "pose", in m from the tool point in the tool frame, for example the
+    tip of a long tool. Position, velocity, reach and moment of the slave refer to it, and the tool turns about it.
+    By default the tool point.
+    """
     change_factor: Annotated[float, Meta(ge=1.0, le=100.0)] = 2.0
-    """Largest factor, up and down, by which a command may change a scale of this table while the clutch is closed; what
-    `changes` states is allowed besides."""
+    """Largest factor, up and down, by which a command may change a scale while the clutch is closed; values in
+    `changes` are allowed too.
+    """
     changes: tuple[ChangeTable, ...] = ()
-    """What is changed while it runs; it fades as an engagement does."""
+    """Changes during the run; they fade like an engagement."""
 
 
 class SecurityTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[security]`: the session in which frames travel. Without this table they travel in the clear.
+    """`[security]`: session of the frames. Without this table frames are not encrypted.
 
-    Live runs are secure by default; a scene without attacks pays nothing for what it would not show.
+    Live runs are secure by default; a scene without attacks avoids the cost.
     """
 
     secure: bool = True
-    """Whether frames are encrypted and authenticated, after a handshake."""
+    """True to encrypt and authenticate frames after a handshake."""
 
 
 class BackwardDifference(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
                          tag_field="kind", tag="backward-difference"):  # fmt: skip
-    """Differences of the position."""
+    """Backward difference of the position."""
 
 
 class LowPass(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="low-pass"):
-    """First-order low-pass on the difference."""
+    """First-order low-pass on the backward difference."""
 
     cutoff_hz: Positive
     """Cut-off in Hz, at most half the sample rate."""
@@ -188,7 +190,7 @@ class LowPass(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag
 
 class AdaptiveWindow(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
                      tag_field="kind", tag="adaptive-window"):  # fmt: skip
-    """Slope of the longest straight line through the last samples (Janabi-Sharifi, Hayward and Chen 2000)."""
+    """Slope of the longest line through the latest samples (Janabi-Sharifi, Hayward and Chen 2000)."""
 
     noise_bound_m: Positive | None = None
     """d in m; by default the resolution of the device."""
@@ -200,7 +202,7 @@ class AdaptiveWindow(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 class SavitzkyGolay(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
                     tag_field="kind", tag="savitzky-golay"):  # fmt: skip
-    """Derivatives of a polynomial through the last samples."""
+    """Derivatives of a polynomial fit to the latest samples."""
 
     degree: Annotated[int, Meta(ge=2, le=3)] = 2
     """Degree of the polynomial."""
@@ -214,267 +216,265 @@ class Kalman(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_
     jerk_density: Positive = 10.0
     """q in m²/s⁵."""
     quantum_m: Positive | None = None
-    """Quantum of the encoder in m; by default the resolution of the device, of an exact one 2.3e-5."""
+    """Encoder quantum in m; by default the device resolution, or 2.3e-5 for an exact device."""
 
 
 class DualKalman(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="dual-kalman"):
-    """A quick Kalman filter for V, a calm one for A: for a lower bound on ejection speed at the same grasp force."""
+    """Fast Kalman filter for V, slow one for A: gives a lower bound on ejection speed at the same grasp force."""
 
     velocity_jerk_density: Positive = 1000.0
-    """q_v in m²/s⁵, of V."""
+    """q_v in m²/s⁵, for V."""
     jerk_density: Positive = 10.0
-    """q in m²/s⁵, of A."""
+    """q in m²/s⁵, for A."""
     quantum_m: Positive | None = None
-    """Quantum of the encoder in m; by default the resolution of the device, of an exact one 2.3e-5."""
+    """Encoder quantum in m; by default the device resolution, or 2.3e-5 for an exact device."""
 
 
 EstimatorTable: TypeAlias = BackwardDifference | LowPass | AdaptiveWindow | SavitzkyGolay | Kalman | DualKalman
 
 
 class LimiterTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[safety.limiter]`: bounds on the device force."""
+    """`[safety.limiter]`: bounds of the device force."""
 
     enabled: bool = True
-    """Only studies of a model switch the bounds off; the other fields then have no place here."""
+    """False disables the bounds, for model studies only; the other fields are then not allowed."""
     max_force_n: Positive | None = None
-    """Largest |F| in N; by default what the device exerts, without such a bound 7.9."""
+    """Largest |F| in N; by default the device limit, or 7.9 without one."""
     max_slew_n_per_s: Positive = 1000.0
-    """Largest growth of the force in N/s; unloading is free."""
+    """Largest growth of the force in N/s; unloading is not limited."""
     max_power_w: Positive = 20.0
-    """Largest power in W that the device may put into the hand."""
+    """Largest power in W from the device into the hand."""
     ramp_in_s: Hold = 0.2
-    """Time in s in which the force rises from zero at the start, 0 to 60; with a [slave] at each engagement, and then
-    at least 0.2."""
+    """Rise time in s of the force from zero at the start, 0 to 60; with a [slave] at each engagement, at least 0.2."""
 
 
 class LadderTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[safety.ladder]`: what a silent peer leads to, with a [slave]. Ages count from the one that the link is used to.
+    """`[safety.ladder]`: reaction to a silent peer, with a [slave]. Ages count from the usual age of the link.
 
     Source: libfranka and UR (20 ms, at most 200 ms).
     """
 
     stale_after_s: StaleAfter = 0.005
-    """In s to STALE, where the velocity of the arm decays; below `hold_after_s`."""
+    """Age in s for STALE, where the arm velocity decays; below `hold_after_s`."""
     hold_after_s: HoldAfter = 0.02
-    """In s to HOLD, where the arm holds and the force fades; below `stop_after_s` and at most 0.1, so that the force is
-    gone 0.2 s after the last frame."""
+    """Age in s for HOLD, where the arm holds and the force fades; below `stop_after_s` and at most 0.1, so that the
+    force is zero 0.2 s after the last frame.
+    """
     stop_after_s: StopAfter = 0.2
-    """In s to STOP: a soft stop of the arm, latched."""
+    """Age in s for STOP: a latched soft stop of the arm."""
     extrapolate_s: Extrapolation | None = None
-    """In s, within which the velocity decays to zero in STALE, at most 0.02 and over before HOLD; by default 0.015, or
-    less where HOLD begins earlier."""
+    """Time in s in which the velocity decays to zero in STALE, at most 0.02 and finished before HOLD; by default 0.015,
+    or less if HOLD begins earlier.
+    """
     fade_out_s: FadeOut = 0.075
-    """In s, in which the force fades from full to zero in HOLD, 0.05 to 0.1."""
+    """Time in s in which the force fades from full to zero in HOLD, 0.05 to 0.1."""
     fade_in_s: FadeIn | None = None
-    """In s, in which the force rises from zero to full at each engagement, at least 0.2; by default `ramp_in_s` of the
-    limiter, or 0.2 if that is less."""
+    """Time in s in which the force rises from zero to full at each engagement, at least 0.2; by default `ramp_in_s` of
+    the limiter, or 0.2 if that is less.
+    """
 
 
 class RotationSafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[safety.rotation]`: who watches the torque of kind "pose".
+    """`[safety.rotation]`: controllers of the torque for kind "pose".
 
-    What is not given is that of the force at a lever r: torques are r F, angular velocities V / r, damping r² mu;
-    energies, times and ratios are the same.
+    Omitted values follow from those of the force at a lever r: torques r F, angular velocities V / r, damping r² mu.
+    Energies, times and ratios are equal.
     """
 
     lever_m: Annotated[float, Meta(ge=1e-3, le=10.0)] = 0.05
-    """r in m: how far from its middle the hand holds the handle."""
+    """r in m: distance of the hand from the centre of the handle."""
     shares_trips: bool = True
-    """Whether a trip of force or torque acts on both."""
+    """True if a trip of force or torque acts on both."""
     controllers: tuple[ControllerName, ...] | None = None
-    """Who watches; by default those of the force."""
+    """Active controllers; by default those of the force."""
     damping: NonNegative | None = None
     """mu in N m s/rad, at most I / (5 dT)."""
     velocity_threshold: Positive | None = None
-    """In rad/s, of VFC."""
+    """VFC velocity threshold in rad/s."""
     vfc_torque_threshold_n_m: Positive | None = None
-    """In N m, of VFC."""
+    """VFC torque threshold in N m."""
     grasp_threshold: Annotated[float, Meta(gt=1.0, le=LARGEST)] | None = None
-    """zeta, above 1, of HSC."""
+    """zeta of HSC, above 1."""
     grasp_floor_n_m: Positive | None = None
-    """alpha in N m, of HSC."""
+    """alpha of HSC in N m."""
     hsc_torque_threshold_n_m: NonNegative | None = None
-    """In N m, of HSC."""
+    """HSC torque threshold in N m."""
     energy_threshold_j: Annotated[float, Meta(ge=-LARGEST, lt=0.0)] | None = None
-    """delta in J, below 0, of WSC."""
+    """delta of WSC in J, below 0."""
     pc_max_damping: NonNegative | None = None
-    """Bound in N m s/rad on the damping of PC, at most I / (5 dT)."""
+    """Damping bound of PC in N m s/rad, at most I / (5 dT)."""
     max_torque_n_m: Positive | None = None
-    """Largest |tau| in N m; by default what the device exerts, without such a bound that of the force at the lever."""
+    """Largest |tau| in N m; by default the device limit, or without one the force limit at the lever."""
     max_slew_n_m_per_s: Positive | None = None
     """Largest growth of the torque in N m/s."""
     max_power_w: Positive | None = None
-    """Largest power in W that the torque may put into the hand."""
+    """Largest power in W from the torque into the hand."""
     quantum_rad: Positive | None = None
-    """Resolution of an angle in rad that the estimator takes the device to have."""
+    """Angular resolution in rad that the estimator assumes for the device."""
 
 
 class TriggerSafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[safety.gripper]`: who watches the force at the trigger of `[master.gripper]`.
+    """`[safety.gripper]`: controllers of the trigger force of `[master.gripper]`.
 
-    What is not given is that of the hand, scaled by the largest forces of both and by the ways of both: velocities as
-    the way, energies as both together, damping as force by way; times and ratios are the same.
+    Omitted values follow from those of the hand, scaled by the ratio of largest forces and the ratio of travels.
+    Velocities scale with travel, energies with force times travel, damping with force per travel. Times and ratios are
+    equal.
     """
 
     reach_m: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.14
-    """Way of the hand in m that its thresholds are for: the paper's stylus is thrown over 0.14 m."""
+    """Travel of the hand in m for which its thresholds hold: the paper's stylus is thrown over 0.14 m."""
     controllers: tuple[ControllerName, ...] | None = None
-    """Who watches; by default those of the hand."""
+    """Active controllers; by default those of the hand."""
     damping: NonNegative | None = None
     """mu in N s/m, at most m / (5 dT)."""
     velocity_threshold: Positive | None = None
-    """In m/s, of VFC."""
+    """VFC velocity threshold in m/s."""
     vfc_force_threshold_n: Positive | None = None
-    """In N, of VFC."""
+    """VFC force threshold in N."""
     grasp_threshold: Annotated[float, Meta(gt=1.0, le=LARGEST)] | None = None
-    """zeta, above 1, of HSC."""
+    """zeta of HSC, above 1."""
     grasp_floor_n: Positive | None = None
-    """alpha in N, of HSC."""
+    """alpha of HSC in N."""
     hsc_force_threshold_n: NonNegative | None = None
-    """In N, of HSC."""
+    """HSC force threshold in N."""
     energy_threshold_j: Annotated[float, Meta(ge=-LARGEST, lt=0.0)] | None = None
-    """delta in J, below 0, of WSC."""
+    """delta of WSC in J, below 0."""
     pc_max_damping: NonNegative | None = None
-    """Bound in N s/m on the damping of PC, at most m / (5 dT)."""
+    """Damping bound of PC in N s/m, at most m / (5 dT)."""
 
 
 class ResearchTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[safety.research]`: a controller of your own, in Python, behind those of `[safety] controllers`.
+    """`[safety.research]`: custom Python controller, evaluated after those of `[safety] controllers`.
 
-    In simulated runs and sweeps only, of what moves and does not turn: live sides refuse such a scene.
+    Translation in simulated runs and sweeps only; live sides refuse such a scene.
     """
 
     controller: Annotated[str, Meta(min_length=1, max_length=100)]
-    """Its name: an entry point of `haptether.controllers`, or what `haptether.bridge.register_controller` was given."""
+    """Name: an entry point of `haptether.controllers`, or a name given to `haptether.bridge.register_controller`."""
     options: Options = {}
-    """What it is called with, beside the number of axes and the period."""
+    """Keyword arguments, in addition to the number of axes and the period."""
 
     def __hash__(self) -> int:
-        # Options are a table of any keys, which has no hash of its own.
+        # The options table may hold any keys and is not hashable.
         return hash(json.encode(self))
 
 
 class SafetyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[safety]`: who watches the hand. A threshold that is left out is that of the preset.
+    """`[safety]`: safety layer of the hand. Omitted thresholds come from the preset.
 
     Source: paper section 4 (preset "paper"); docs/thresholds.md (preset "measured").
     """
 
     preset: Literal["measured", "paper"] | None = None
-    """Whose thresholds: "measured" under delay, or those of the paper; by default "measured", of joints "paper"."""
+    """Source of thresholds: "measured" under delay, or "paper"; by default "measured", for joints "paper"."""
     controllers: tuple[ControllerName, ...] = ()
-    """Any of "vfc" (Eq. 2), "hsc" (Eq. 14), "wsc" (Eq. 13), "pc" (Eq. 12); by default nobody."""
+    """Active controllers: any of "vfc" (Eq. 2), "hsc" (Eq. 14), "wsc" (Eq. 13), "pc" (Eq. 12); by default none."""
     signals: Literal["estimated", "true"] = "estimated"
-    """What the observers get: what the estimator makes of measured positions, as live, or the model's own."""
+    """Input of the observers: "estimated" from measured positions, as live, or "true" model values."""
     estimator: EstimatorTable = DualKalman()
-    """How V and A are had from the position."""
+    """Estimator of V and A from the position."""
     damping: NonNegative | None = None
     """mu in N s/m, at most m / (5 dT); by default 5, or that bound if it is less."""
     velocity_threshold: Positive | None = None
-    """V_t in m/s, of VFC; measured 0.45, of the paper 0.6."""
+    """V_t of VFC in m/s; measured 0.45, paper 0.6."""
     vfc_force_threshold_n: Positive | None = None
-    """F_t in N, of VFC; measured 0.3, of the paper 1."""
+    """F_t of VFC in N; measured 0.3, paper 1."""
     vfc_form: Literal["product", "both"] | None = None
-    """"product", Eq. 1 as printed and the paper's, or "both" thresholds at the same time, the measured one."""
+    """"product": Eq. 1 as printed, in the preset "paper"; "both": both thresholds at the same time, in "measured"."""
     grasp_threshold: Annotated[float, Meta(gt=1.0, le=LARGEST)] = 1.5
-    """zeta, above 1, of HSC."""
+    """zeta of HSC, above 1."""
     grasp_floor_n: Positive = 1e-3
-    """alpha in N, of HSC."""
+    """alpha of HSC in N."""
     hsc_force_threshold_n: NonNegative | None = None
-    """F_t in N, of HSC; measured 0.3, of the paper 0.1."""
+    """F_t of HSC in N; measured 0.3, paper 0.1."""
     hsc_velocity_threshold: NonNegative | None = None
-    """V_s in m/s, of HSC: a push trips only while the device moves along it faster than that; 0 is as printed.
-
-    Measured 0.05, of the paper 0.
+    """V_s of HSC in m/s: a push trips only while the device moves along it faster than this; 0 is as printed.
+    Measured 0.05, paper 0.
     """
     energy_threshold_j: Annotated[float, Meta(ge=-LARGEST, lt=0.0)] | None = None
-    """delta in J, below 0, of WSC; of the paper -0.03.
-
-    Measured: that of V_w = 0.29 m/s, `-m V_w² / (2 eta)`, m the lightest axis.
+    """delta of WSC in J, below 0; paper -0.03.
+    Measured: the value for V_w = 0.29 m/s, `-m V_w² / (2 eta)`, with m of the lightest axis.
     """
     wsc_force_threshold_n: NonNegative | None = None
-    """F_w in N, of WSC: a motion trips only while the push along it exceeds that; 0 is as printed, and the paper's.
-
-    Measured 0.005 with `master.stops`; without, 0: a push that WSC does not see would have no end.
+    """F_w of WSC in N: a motion trips only while the push along it exceeds this; 0 is as printed and in "paper".
+    Measured 0.005 with `master.stops`. Without stops 0, because a push that WSC ignores would have no end.
     """
     energy_ratio: Ratio | None = None
-    """eta, above 0 and at most 1; measured 0.05, of the paper 0.5."""
+    """eta, above 0 and at most 1; measured 0.05, paper 0.5."""
     window: Annotated[int, Meta(ge=1, le=3_600_000)] | None = None
-    """w in ticks, of WSC; measured 10, of the paper 100."""
+    """w of WSC in ticks; measured 10, paper 100."""
     pc_max_damping: NonNegative | None = None
-    """Bound in N s/m on the damping of PC, at most m / (5 dT); by default 10, or that bound if it is less."""
+    """Damping bound of PC in N s/m, at most m / (5 dT); by default 10, or that bound if it is less."""
     hold_off_s: Hold = 0.1
-    """Least duration of an intervention in s, 0 to 60; as printed 0."""
+    """Minimum duration of an intervention in s, 0 to 60; as printed 0."""
     release_ramp_s: Hold = 0.2
-    """Least time in s over which an intervention fades out, 0 to 60: a hand that yields takes longer; as printed 0."""
+    """Minimum fade-out time of an intervention in s, 0 to 60; a yielding hand takes longer; as printed 0."""
     probe_force_n: NonNegative | None = None
-    """A in N of the probe that a hand must answer before an intervention fades; 0 only listens for one that moves.
-
-    By default mu times 0.12 m/s, which moves a free device by less than 0.1 m/s, or 0 where friction would hide it.
+    """A in N of the probe that a hand must answer before an intervention fades; 0 only waits for a hand that moves.
+    By default mu times 0.12 m/s, which moves a free device at less than 0.1 m/s, or 0 if friction would hide it.
     """
     probe_threshold: Annotated[float, Meta(gt=0.0, lt=1.0)] = 0.2
-    """r_th: the share of the probe that a hand holds against, at least."""
+    """r_th: minimum fraction of the probe that a hand must resist."""
     release_tries: Annotated[int, Meta(ge=0, le=1000)] | None = None
-    """After so many tries, of a second each, without the force being back for 1 s it is withheld: by default 5.
-
-    0 is no end; without a probe it then fades by time alone, and no hand is asked for.
+    """Number of release tries, of 1 s each, after which the force is withheld unless it returned for 1 s; by default 5.
+    0 sets no limit. Without a probe 0 fades by time only, and no hand is required.
     """
     limiter: LimiterTable = LimiterTable()
-    """Bounds on the device force."""
+    """Bounds of the device force."""
     ladder: LadderTable | None = None
-    """Times of the ladder, with a [slave]; by default the ladder's own."""
+    """Times of the ladder, with a [slave]; by default the ladder's defaults."""
     rotation: RotationSafetyTable | None = None
-    """What differs for the torque of kind "pose"."""
+    """Differences for the torque of kind "pose"."""
     gripper: TriggerSafetyTable | None = None
-    """What differs for the force at the trigger of `[master.gripper]`."""
+    """Differences for the trigger force of `[master.gripper]`."""
     research: ResearchTable | None = None
-    """A controller of your own, in Python; simulated runs only."""
+    """Custom Python controller; simulated runs only."""
 
 
 class RecordTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[record]`: the signals are kept; without this table only metrics and events."""
+    """`[record]`: keep signals; without this table only metrics and events are kept."""
 
     every: Annotated[int, Meta(ge=1, le=1_000_000)] = 1
-    """Every so many ticks."""
+    """Interval of recorded ticks."""
 
 
 class Scene(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A scene. A table that is absent is a part that is not built; SI units; positive forces push along +x."""
+    """Scene. An absent table is a part that is not built; SI units; positive forces push along +x."""
 
     schema: Literal[1]
     """Version of the format."""
     title: str = ""
-    """What it is, in a few words."""
+    """Short title."""
     shows: str = ""
-    """What it shows, in a sentence."""
+    """Purpose in one sentence."""
     run: RunTable = RunTable()
-    """How long and how it is computed."""
+    """Duration and computation of the run."""
     master: MasterTable
-    """The device."""
+    """Haptic device."""
     operator: OperatorTable | None = None
-    """The hand; by default nobody holds the device."""
+    """Hand; by default nobody holds the device."""
     slave: SlaveTable | None = None
-    """The arm; by default the environment is rendered on the device itself."""
+    """Arm; by default the environment is rendered on the device itself."""
     environment: EnvironmentTable | None = None
-    """What is touched and what pushes; by default nothing."""
+    """Objects and pushes; by default none."""
     link: LinksTable | None = None
-    """The network; by default the two sides share one wire without delay."""
+    """Network; by default both sides share one wire without delay."""
     coupling: CouplingTable | None = None
-    """How master and slave are coupled; the default coupling where there is an arm."""
+    """Coupling of master and slave; with an arm the default coupling applies."""
     security: SecurityTable | None = None
-    """The session; by default frames travel in the clear."""
+    """Session; by default frames are not encrypted."""
     safety: SafetyTable = SafetyTable()
-    """Who watches the hand; by default only the bounds of the limiter."""
+    """Safety layer of the hand; by default only the bounds of the limiter."""
     record: RecordTable | None = None
-    """What is kept of the signals; by default nothing."""
+    """Recorded signals; by default none."""
 
     def ejection_settings(self) -> EjectionSettings:
-        """What `haptether.safety.ejection_bound` takes of it.
+        """Return the inputs of `haptether.safety.ejection_bound`.
 
         Raises:
-            SceneError: A scene that cannot be built.
+            SceneError: The scene is invalid.
         """
-        # It reads the tables of this file.
+        # The module imports the tables of this file.
         from haptether.bridge.scene.ejection import settings_of  # noqa: PLC0415
 
         return settings_of(self)

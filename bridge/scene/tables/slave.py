@@ -1,4 +1,4 @@
-"""The tables of a scene on the side of the robot: `[slave]` and `[environment]`."""
+"""Scene tables of the robot's side: `[slave]` and `[environment]`."""
 
 from typing import Annotated, Literal, TypeAlias
 
@@ -28,41 +28,42 @@ from haptether.bridge.scene.tables.ranges import (
 )
 
 SIMULATED = "simulated"
-"""The arm that is a model."""
+"""Name of the simulated arm."""
 
 
 class ForceSensorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[slave.force_sensor]`: what stands between the force on the tool and what is sent back."""
+    """`[slave.force_sensor]`: sensor between the tool force and the force that is sent back."""
 
     noise_n: NonNegative = 0.0
-    """Standard deviation in N."""
+    """Noise standard deviation in N."""
     bias_n: ForcePerAxis = 0.0
     """Offset in N."""
     quantum_n: NonNegative = 0.0
     """Resolution in N; 0 is exact."""
     rate_hz: SampleRate | None = None
-    """Samples per second, 1e-3 to 1e6; by default one at each tick."""
+    """Samples per second, 1e-3 to 1e6; by default one per tick."""
 
 
 class GripperTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[slave.gripper]`: follows the trigger of the master while the two sides are coupled, and else keeps its grip."""
+    """`[slave.gripper]`: follows the master's trigger while the sides are coupled; otherwise keeps its grip."""
 
     position: Opening = 0.0
-    """Where it starts, 0 (open) to 1 (closed)."""
+    """Start position, 0 (open) to 1 (closed)."""
     speed: Annotated[float, Meta(gt=0.0, le=100.0)] = 1.8
-    """Fastest motion of the jaws in 1/s; 1.8 is 150 mm/s of 85 mm."""
+    """Largest jaw speed in 1/s; 1.8 is 150 mm/s for 85 mm."""
     force_n: Annotated[float, Meta(ge=0.0, le=10_000.0)] = 40.0
-    """With which it closes on what is in between, in N."""
+    """Closing force in N."""
     object: Opening | None = None
-    """Where the jaws of a model meet something rigid; by default nothing is in between."""
+    """Jaw position at which a simulated gripper meets a rigid object; by default there is none."""
     device: str = SIMULATED
-    """Live only: drives a real gripper, by the name of an entry point of `haptether.grippers`, such as "robotiq"; by
-    default, and in virtual time, it is the model that the rest of this table describes."""
+    """Live only: driver of a real gripper, an entry point of `haptether.grippers`, such as "robotiq". By default, and
+    in virtual time, the gripper is the model of this table.
+    """
     options: Options = {}
-    """Live only: what the driver is called with; nothing without one."""
+    """Live only: keyword arguments of the driver."""
 
     def __hash__(self) -> int:
-        # Options are a table of any keys, which has no hash of its own.
+        # The options table may hold any keys and is not hashable.
         return hash(json.encode(self))
 
 
@@ -71,7 +72,7 @@ _point = Annotated[tuple[Position, ...], Meta(min_length=3, max_length=3)]
 
 
 class ToolTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[slave.tool]`: the arm's tool as a rigid body, whose point has the mass, stiffness and damping of the arm.
+    """`[slave.tool]`: tool as a rigid body; its point has the mass, stiffness and damping of the arm.
 
     `I w' + w x I w = k_r log(R_set R^T) + b_r (w_set - w) + tau_e`
 
@@ -83,106 +84,109 @@ class ToolTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, o
     rotational_stiffness: NonNegative
     """k_r in N m/rad."""
     rotational_damping: NonNegative | None = None
-    """b_r in N m s/rad; by default critical for the least inertia, `2 sqrt(k_r I)`."""
+    """b_r in N m s/rad; by default critical for the smallest inertia, `2 sqrt(k_r I)`."""
     max_angular_speed: Positive | Unbounded = 2.5
-    """Fastest that the set orientation turns, in rad/s, or "unbounded"."""
+    """Largest angular speed of the set orientation in rad/s, or "unbounded"."""
     quat_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
-    """How it is turned at the start."""
+    """Initial orientation."""
     points: tuple[_point, ...] = ((0.0, 0.0, 0.0),)
-    """Points of it that touch, in m in its own frame; by default the tool point."""
+    """Contact points in m in the tool frame; by default the tool point."""
     jaw_width_m: Metres = 0.085
-    """Between the open jaws of its gripper, along its x axis, in m."""
+    """Distance between the open gripper jaws along the tool's x axis, in m."""
     jaw_friction: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.5
     """Coefficient of friction at the jaws."""
     jaw_stiffness: Positive = 1e4
-    """How the jaws hold, in N/m."""
+    """Contact stiffness of the jaws in N/m."""
     jaw_radius_m: Metres = 0.01
-    """Radius in m of a jaw's pad, at which friction withstands moments."""
+    """Radius in m of a jaw pad, at which friction resists moments."""
 
 
 class SlaveTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[slave]`: the arm. Without this table the environment is rendered on the device itself."""
+    """`[slave]`: arm. Without this table the environment is rendered on the device itself."""
 
     control: Literal["position", "velocity", "pd"] = "position"
-    """Tracks positions as a critically damped second-order system, velocities as a first-order system, or pulls with
-    `M x'' = K_s (x_set - x) + B_s (V_set - V) + F_e`."""
+    """"position" tracks as a critically damped second-order system, "velocity" as a first-order system, "pd" by `M x''
+    = K_s (x_set - x) + B_s (V_set - V) + F_e`.
+    """
     mass_kg: Positive = 4.0
     """M in kg."""
     bandwidth_hz: Positive = 15.0
-    """Bandwidth in Hz of position or velocity control."""
+    """Bandwidth of position or velocity control in Hz."""
     stiffness: Positive | None = None
-    """K_s in N/m: of "pd", which needs it, and of nothing else."""
+    """K_s in N/m; required for "pd", not allowed otherwise."""
     damping: NonNegative | None = None
-    """B_s in N s/m, of "pd" only; by default critical, `2 sqrt(K_s M)`."""
+    """B_s in N s/m, for "pd" only; by default critical, `2 sqrt(K_s M)`."""
     max_speed: Positive | Unbounded = 1.0
-    """Fastest that the set position moves, in m/s, or "unbounded"; a UR moves at 1 m/s."""
+    """Largest speed of the set position in m/s, or "unbounded"; a UR moves at 1 m/s."""
     max_acceleration: Acceleration | None = None
-    """Bound on its acceleration in m/s², at least 1e-6; none by default."""
+    """Acceleration bound in m/s², at least 1e-6; by default none."""
     speed_bound: Positive | None = None
-    """Speed in m/s (rad/s) that it cannot exceed: a step of its position that is faster, and stays, is a fault. Without
-    a driver that has one, 20 m/s, of joints 60 rad/s."""
+    """Speed limit of the arm in m/s (rad/s); a faster, persistent step of its position is a fault. Without a driver
+    value, 20 m/s, or 60 rad/s for joints.
+    """
     period_s: Annotated[float, Meta(ge=1e-5, le=2e-2)] | None = None
-    """Period of its loop in s, 10 us to 20 ms; by default that of the master."""
+    """Loop period in s, 10 us to 20 ms; by default that of the master."""
     position: PositionPerAxis | None = None
-    """Where it starts, in m; by default where the master does."""
+    """Start position in m; by default that of the master."""
     force_sensor: ForceSensorTable | None = None
-    """Its force sensor; by default the force is exact."""
+    """Force sensor; by default the force is exact."""
     kind: SideKind | None = None
-    """What its coordinates are; that of the master, since no map leads from one kind to another yet."""
+    """Kind of coordinates; must be that of the master, because no map between kinds exists yet."""
     gripper: GripperTable | None = None
-    """Its gripper; none by default."""
+    """Gripper; by default none."""
     tool: ToolTable | None = None
-    """The tool that it turns; kind = "pose" needs it."""
+    """Tool that turns; required for kind = "pose"."""
     device: str = SIMULATED
-    """Live only: drives a real arm, by the name of an entry point of `haptether.slaves`, such as "ur"; by default, and
-    in virtual time, the arm is the model that the rest of this table describes."""
+    """Live only: driver of a real arm, an entry point of `haptether.slaves`, such as "ur". By default, and in virtual
+    time, the arm is the model of this table.
+    """
     options: Options = {}
-    """Live only: what the driver is called with; nothing without one."""
+    """Live only: keyword arguments of the driver."""
 
     def __hash__(self) -> int:
-        # Options are a table of any keys, which has no hash of its own.
+        # The options table may hold any keys and is not hashable.
         return hash(json.encode(self))
 
 
 class Plane(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="plane"):
-    """Fills the side of a plane that its normal points away from."""
+    """Half space behind a plane, opposite to its normal."""
 
     point: PositionPerAxis = 0.0
-    """A point on it, in m."""
+    """Point on the plane in m."""
     normal: PerAxis | None = None
-    """Outward normal of any length; by default along +x."""
+    """Outward normal of any length; by default +x."""
 
 
 class Sphere(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="sphere"):
-    """A ball."""
+    """Sphere."""
 
     centre: PositionPerAxis = 0.0
-    """In m."""
+    """Centre in m."""
     radius: Positive
-    """In m."""
+    """Radius in m."""
 
 
 class Box(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="box"):
-    """A box along the axes."""
+    """Box aligned with the axes."""
 
     centre: PositionPerAxis = 0.0
-    """In m."""
+    """Centre in m."""
     half_extents: PositivePerAxis
     """Half of its size in m."""
 
 
 class Spring(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="spring"):
-    """Pushes and pulls everywhere: `F = K (anchor - x) - B V`."""
+    """Spring that pushes and pulls everywhere: `F = K (anchor - x) - B V`."""
 
     anchor: PositionPerAxis = 0.0
-    """In m."""
+    """Anchor in m."""
 
 
 Shape: TypeAlias = Plane | Sphere | Box | Spring
 
 
 class ContactTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[environment.objects.contact]`: how an object resists, d deep.
+    """`[environment.objects.contact]`: contact force of an object at depth d.
 
     Source: Hunt and Crossley 1975; paper Eq. 15 is Kelvin and Voigt.
     """
@@ -190,172 +194,174 @@ class ContactTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     law: Literal["kelvin-voigt", "hunt-crossley"] = "kelvin-voigt"
     """`max(0, K d + B d')` or `max(0, K d^n (1 + chi d'))`."""
     stiffness: NonNegative
-    """K in N/m, of Hunt and Crossley in N/m^n."""
+    """K in N/m; for Hunt and Crossley in N/m^n."""
     damping: NonNegative = 0.0
-    """B in N s/m, of Hunt and Crossley chi in s/m."""
+    """B in N s/m; for Hunt and Crossley chi in s/m."""
     exponent: Annotated[float, Meta(ge=1.0, le=5.0)] | None = None
-    """n, of Hunt and Crossley only; by default 1.5, that of a ball on a plane (Hertz)."""
+    """n, for Hunt and Crossley only; by default 1.5, a ball on a plane (Hertz)."""
     friction: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.0
-    """Coefficient of Coulomb friction along the surface; needs two axes."""
+    """Coefficient of Coulomb friction along the surface; requires two axes."""
 
 
 class MotionTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[environment.objects.motion]`: a constant velocity for a while, and a sine on top."""
+    """`[environment.objects.motion]`: constant velocity for an interval, plus a sine."""
 
     velocity: SpeedPerAxis = 0.0
-    """In m/s."""
+    """Velocity in m/s."""
     from_s: Seconds = 0.0
-    """When the velocity begins, in s."""
+    """Start of the velocity in s."""
     until_s: Seconds | None = None
-    """When it ends, in s; by default with the run."""
+    """End of the velocity in s; by default the end of the run."""
     amplitude: PositionPerAxis = 0.0
-    """Amplitude in m of the sine."""
+    """Amplitude of the sine in m."""
     frequency_hz: NonNegative = 0.0
-    """Its frequency in Hz."""
+    """Frequency of the sine in Hz."""
 
 
 class BodyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[environment.objects.body]`: the object slides freely on the ground."""
+    """`[environment.objects.body]`: object that slides freely on the ground."""
 
     mass_kg: Positive
-    """In kg."""
+    """Mass in kg."""
     viscous: NonNegative = 0.0
     """Viscous friction with the ground in N s/m."""
     coulomb: NonNegative = 0.0
     """Coulomb friction with the ground in N."""
     velocity: SpeedPerAxis = 0.0
-    """V at the start, in m/s."""
+    """V at the start in m/s."""
 
 
 class ObjectTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[[environment.objects]]`: something that is touched."""
+    """`[[environment.objects]]`: object that can be touched."""
 
     shape: Shape = Plane()
-    """`kind` "plane", "sphere", "box" or "spring" with its numbers; by default the wall that fills x < 0."""
+    """`kind` "plane", "sphere", "box" or "spring" with its numbers; by default a wall that fills x < 0."""
     contact: ContactTable
-    """How it resists."""
+    """Contact force."""
     motion: MotionTable | None = None
-    """How it moves on its own; by default it stands."""
+    """Prescribed motion; by default the object stands still."""
     body: BodyTable | None = None
-    """Its mass; by default it does not move."""
+    """Mass; by default the object does not move."""
 
 
 class PusherTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[[environment.pushers]]`: a force of its own, on the arm or, without one, rendered on the device."""
+    """`[[environment.pushers]]`: independent force on the arm or, without one, rendered on the device."""
 
     shape: Literal["step", "ramp", "half-sine", "sine", "recorded"] = "step"
-    """At once; rising linearly and staying; `F sin(pi t / duration)`; `F sin(2 pi f t)`; as recorded."""
+    """Step; ramp that stays; `F sin(pi t / duration)`; `F sin(2 pi f t)`; recorded."""
     at_s: Seconds = 0.0
-    """When it begins, in s since engagement; since the start without an arm."""
+    """Start in s since engagement, or since the start of the run without an arm."""
     duration_s: Duration | None = None
-    """How long it lasts, in s; "half-sine" needs it. By default to the end of the run or of the recording."""
+    """Duration in s; required for "half-sine". By default to the end of the run or of the recording."""
     rise_s: Seconds | None = None
-    """Time in s in which a ramp rises; "ramp" needs it."""
+    """Rise time of a ramp in s; required for "ramp"."""
     frequency_hz: Positive | None = None
-    """f in Hz; "sine" needs it."""
+    """f in Hz; required for "sine"."""
     force_n: ForcePerAxis | None = None
-    """F in N; all but "recorded" need it."""
+    """F in N; required except for "recorded"."""
     recorded: SeriesTable | None = None
-    """The recording in N; "recorded" needs it."""
+    """Recorded force in N; required for "recorded"."""
 
 
 class HoleTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[[environment.holes]]`: a round hole in a half space, which touches the points of a tool of kind "pose"."""
+    """`[[environment.holes]]`: round hole in a half space, in contact with the tool points of kind "pose"."""
 
     entrance: _point
-    """Middle of its entrance, in m."""
+    """Centre of the entrance in m."""
     axis: Vector3 = (0.0, 0.0, 1.0)
-    """Its axis, out of the material, of any length but 0."""
+    """Axis out of the material, of any length but 0."""
     radius: Metres
-    """In m."""
+    """Radius in m."""
     depth: Metres
-    """In m."""
+    """Depth in m."""
     chamfer_m: Annotated[float, Meta(ge=0.0, le=1000.0)] = 0.0
-    """Height in m of a chamfer of 45 degrees."""
+    """Height in m of a 45 degree chamfer."""
     contact: ContactTable
-    """How it resists."""
+    """Contact force."""
 
 
 class HandleTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[[environment.handles]]`: a valve, a crank or a door, which turns about one axis while the tool holds it.
+    """`[[environment.handles]]`: valve, crank or door that turns about one axis while the tool holds it.
 
-    `J theta'' = -b theta' - c sign(theta') - k theta + tau`. A tool without a gripper holds it from the engagement on,
-    if it is in reach; one with a gripper while the jaws press.
+    `J theta'' = -b theta' - c sign(theta') - k theta + tau`. A tool without a gripper holds it from engagement on if it
+    is in reach; a tool with a gripper holds it while the jaws press.
     """
 
     point: _point
-    """A point on its axis, in m."""
+    """Point on the axis in m."""
     axis: Vector3
-    """Its axis, of any length but 0."""
+    """Axis, of any length but 0."""
     grip: _point
-    """Where it is gripped while its angle is 0, in m."""
+    """Grip point at angle 0, in m."""
     reach_m: Metres = 0.03
-    """How near in m the tool point must be to hold it."""
+    """Largest distance in m from the tool point at which the tool can hold it."""
     width_m: Annotated[float, Meta(ge=0.0, le=1000.0)] = 0.02
-    """Its width in m between the jaws."""
+    """Width between the jaws in m."""
     inertia_kg_m2: Positive
     """J in kg m² about its axis."""
     viscous: NonNegative = 0.0
     """b in N m s/rad."""
     coulomb: NonNegative = 0.0
-    """c in N m, in full above 0.01 rad/s."""
+    """c in N m, at full value above 0.01 rad/s."""
     stiffness: NonNegative = 0.0
-    """k in N m/rad of a spring that turns it back to 0."""
+    """k in N m/rad of a spring that returns it to 0."""
     stops_rad: Annotated[tuple[Number, ...], Meta(min_length=2, max_length=2)] = (-1e9, 1e9)
-    """Lower and upper stop in rad; by default none that is reached."""
+    """Lower and upper stop in rad; by default out of reach."""
     hold_stiffness: Positive = 1e4
-    """How it is held, in N/m."""
+    """Stiffness of the hold in N/m."""
     hold_rotational_stiffness: NonNegative = 50.0
-    """And in N m/rad."""
+    """Rotational stiffness of the hold in N m/rad."""
 
 
 class RigidBodyTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[[environment.bodies]]`: a box of even density that lies on what is touched, and that jaws can hold."""
+    """`[[environment.bodies]]`: box of uniform density that rests on objects and that jaws can hold."""
 
     mass_kg: Positive
-    """In kg."""
+    """Mass in kg."""
     half_extents: Annotated[tuple[Metres, ...], Meta(min_length=3, max_length=3)]
     """Half of its size in m."""
     position: _point
-    """Where its middle begins, in m."""
+    """Initial centre in m."""
     quat_wxyz: Quaternion = (1.0, 0.0, 0.0, 0.0)
-    """How it is turned at the start."""
+    """Initial orientation."""
     gravity: Annotated[float, Meta(ge=0.0, le=100.0)] = 9.81
     """Gravity along -z, in m/s²."""
 
 
 class TorqueTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[[environment.torques]]`: a torque of its own on the tool of kind "pose"."""
+    """`[[environment.torques]]`: independent torque on the tool of kind "pose"."""
 
     shape: Literal["step", "ramp", "half-sine", "sine"] = "step"
-    """At once; rising linearly and staying; `tau sin(pi t / duration)`; `tau sin(2 pi f t)`."""
+    """Step; ramp that stays; `tau sin(pi t / duration)`; `tau sin(2 pi f t)`."""
     at_s: Seconds = 0.0
-    """When it begins, in s since engagement."""
+    """Start in s since engagement."""
     duration_s: Duration | None = None
-    """How long it lasts, in s; "half-sine" needs it. By default to the end of the run."""
+    """Duration in s; required for "half-sine". By default to the end of the run."""
     rise_s: Seconds | None = None
-    """Time in s in which a ramp rises; "ramp" needs it."""
+    """Rise time of a ramp in s; required for "ramp"."""
     frequency_hz: Positive | None = None
-    """f in Hz; "sine" needs it."""
+    """f in Hz; required for "sine"."""
     torque_n_m: ForcePerAxis
     """tau in N m, in the base frame."""
 
 
 class EnvironmentTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[environment]`: what is touched and what pushes."""
+    """`[environment]`: objects and pushes."""
 
     rendering: Literal["sampled", "continuous"] = "sampled"
-    """How it acts on a device without an arm between: held over each tick, as hardware does, or at every instant."""
+    """Action on a device without an arm: "sampled" holds the force over each tick, as hardware does; "continuous" does
+    not.
+    """
     delay_ticks: Annotated[int, Meta(ge=0, le=100_000)] = 0
-    """Ticks by which its force is late; only sampled and without an arm."""
+    """Delay of its force in ticks; only for "sampled" without an arm."""
     objects: tuple[ObjectTable, ...] = ()
-    """What is touched."""
+    """Objects that can be touched."""
     pushers: tuple[PusherTable, ...] = ()
-    """What pushes by itself."""
+    """Independent forces."""
     torques: tuple[TorqueTable, ...] = ()
-    """What turns a tool of kind "pose" by itself."""
+    """Independent torques on a tool of kind "pose"."""
     holes: tuple[HoleTable, ...] = ()
-    """Holes in what is touched, for a tool of kind "pose"."""
+    """Holes for a tool of kind "pose"."""
     handles: tuple[HandleTable, ...] = ()
     """Handles of doors and valves, for a tool of kind "pose"."""
     bodies: tuple[RigidBodyTable, ...] = ()

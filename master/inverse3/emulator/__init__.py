@@ -1,4 +1,4 @@
-"""An emulated Inverse Service: an Inverse3 with a hand on it and a VerseGrip, for the driver and other clients."""
+"""Emulated Inverse Service: an Inverse3 with a hand and a VerseGrip, for the driver and other clients."""
 
 from haptether.master.inverse3.emulator.control import ControlLine
 from haptether.master.inverse3.emulator.device import EmulatedInverse3, EmulatedSettings

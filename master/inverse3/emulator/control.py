@@ -1,4 +1,4 @@
-"""The control line: commands to the emulated service, each a line and answered by a line."""
+"""Control line of the emulated service: one-line commands with one-line answers."""
 
 import json
 import math
@@ -29,15 +29,15 @@ class ControlLine:
     """Commands of an operator or a test to the emulated service.
 
     Args:
-        service: That is commanded.
-        server: Whose connections it closes.
+        service: Emulated service.
+        server: Server of the connections.
     """
 
     def __init__(self, service: "Service", server: "Server") -> None:
         self._service = service
         self._server = server
         self.quit = False
-        """Whether the process is to end."""
+        """True if the process must end."""
         self._commands: dict[str, Callable[[list[str]], str | None]] = {
             "help": lambda _: " ".join(sorted(self._commands)),
             "status": lambda _: json.dumps(self.figures()),
@@ -63,7 +63,7 @@ class ControlLine:
         }
 
     def answer(self, line: str, now_s: float) -> str:
-        """The answer to a line: `ok`, `ok RESULT`, or `error: WHY`."""
+        """Return the answer to a line: `ok`, `ok RESULT`, or `error: WHY`."""
         name, *arguments = line.split() or [""]
         command = self._commands.get(name)
         if command is None:
@@ -77,7 +77,7 @@ class ControlLine:
         return f"ok {result}" if result else "ok"
 
     def figures(self) -> dict[str, Any]:
-        """State and figures."""
+        """Return state and figures."""
         return {**self._service.figures(), **self._server.figures()}
 
     def _quit(self, _arguments: list[str]) -> None:
@@ -170,7 +170,7 @@ def _numbers(arguments: list[str], count: int, largest: float) -> list[float]:
 
 
 def _seconds(arguments: list[str]) -> float:
-    """From a number in ms."""
+    """Convert a number in ms to s."""
     (milliseconds,) = _numbers(arguments, 1, 10_000.0)
     if milliseconds < 0.0:
         _refuse(f"{milliseconds:g}: must be at least 0 ms")

@@ -1,4 +1,4 @@
-"""The emulated Inverse3: a mass with friction on three axes, and a hand that holds it; time is an argument."""
+"""Emulated Inverse3: a mass with friction on three axes, held by a hand; time is an argument."""
 
 import math
 from dataclasses import dataclass
@@ -8,16 +8,16 @@ Vector = tuple[float, float, float]
 
 STEP_S: Final = 1e-4
 MAX_GAP_S: Final = 0.1
-"""Longest time that is made up for: a process that stood still does not jump."""
+"""Longest integrated pause in s, so that a suspended process does not jump."""
 STILL_M_S: Final = 1e-5
-"""Below this speed friction holds."""
+"""Speed in m/s below which friction holds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EmulatedSettings:
     """m, b, c of the device and the spring of the hand, in SI units.
 
-    No source has the numbers of an Inverse3: these are those of its preset, a stand-in.
+    No source gives values of an Inverse3; these are the substitutes of its preset.
     """
 
     mass_kg: float = 0.157
@@ -26,7 +26,7 @@ class EmulatedSettings:
     hand_stiffness: float = 200.0
     hand_damping: float = 8.0
     reach_m: float = 0.4
-    """Farthest from the origin, where it stops."""
+    """Largest distance from the origin."""
 
     def __post_init__(self) -> None:
         limits = {"mass_kg": (1e-3, 10.0), "viscous": (0.0, 100.0), "coulomb": (0.0, 20.0)}
@@ -41,8 +41,8 @@ class EmulatedInverse3:
     """m A = F + F_hand - b V - c V/|V|, semi-implicit Euler at 10 kHz.
 
     Args:
-        settings: Of device and hand.
-        position: Where it begins, in m in the device's frame.
+        settings: Settings of device and hand.
+        position: Initial position in m in the device frame.
     """
 
     def __init__(self, settings: EmulatedSettings, position: Vector = (0.0, -0.12, 0.15)) -> None:
@@ -50,13 +50,13 @@ class EmulatedInverse3:
         self.position = position
         self.velocity: Vector = (0.0, 0.0, 0.0)
         self.force: Vector = (0.0, 0.0, 0.0)
-        """That the motors exert, in N."""
+        """Motor force in N."""
         self.hand: Vector | None = position
-        """Where the hand wants it; none where nobody holds it."""
+        """Target of the hand; None if nobody holds the device."""
         self._now_s: float | None = None
 
     def advance(self, now_s: float) -> None:
-        """Moves it on to a time in s."""
+        """Advance to a time in s."""
         if self._now_s is None:
             self._now_s = now_s
         self._now_s = max(self._now_s, now_s - MAX_GAP_S)
@@ -75,7 +75,7 @@ class EmulatedInverse3:
         )
         pushed = [v + p / own.mass_kg * STEP_S for v, p in zip(self.velocity, push, strict=True)]
         speed = math.hypot(*pushed)
-        # Friction takes at most all of the momentum.
+        # Friction removes at most the whole momentum.
         left = max(0.0, speed - own.coulomb / own.mass_kg * STEP_S)
         scale = 0.0 if speed < STILL_M_S or left == 0.0 else left / speed
         vx, vy, vz = (v * scale for v in pushed)

@@ -1,4 +1,4 @@
-"""The process of the emulated service: its two WebSockets and its clock; no other module has them."""
+"""Process of the emulated service: the only module with its two WebSockets and its clock."""
 
 import contextlib
 import select
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 RECEIVE: Final = 65536
 WATCH_S: Final = 0.01
-"""At most so long until the device is moved on."""
+"""Largest interval in s of device updates."""
 MAX_MESSAGE: Final = 1 << 16
 MAX_CLIENTS: Final = 16
 
 
 class Client:
-    """A connection, and whether it is one of events."""
+    """Connection, and whether it receives events."""
 
     def __init__(self, connection: socket.socket, *, listens: bool) -> None:
         self.socket = connection
@@ -39,15 +39,15 @@ class Client:
         self.is_open = False
 
     def send(self, text: str) -> None:
-        """Sends a text frame."""
+        """Send a text frame."""
         self.protocol.send_text(text.encode())
         self.flush()
 
     def flush(self) -> None:
-        """Sends what the protocol has to send.
+        """Send pending protocol data.
 
         Raises:
-            OSError: The client takes no more.
+            OSError: The client accepts no more data.
         """
         sent = b"".join(self.protocol.data_to_send())
         if sent and self.socket.send(sent) != len(sent):
@@ -56,22 +56,22 @@ class Client:
 
 
 class Server:
-    """Serves the states at one port and the events at another, of this machine.
+    """Server of states at one port and events at another, on this machine.
 
     Args:
-        service: That answers.
-        host: Address to listen on.
-        port: Of the states; 0 for any that is free.
-        event_port: Of the events; 0 for any that is free.
+        service: Emulated service.
+        host: Listening address.
+        port: Port of the states; 0 selects a free one.
+        event_port: Port of the events; 0 selects a free one.
 
     Raises:
-        OSError: A port that is taken.
+        OSError: A port is in use.
     """
 
     def __init__(self, service: "Service", host: str, port: int, event_port: int) -> None:
         self.service = service
         self.channel: ControlChannel | None = None
-        """A further source of input of its loop."""
+        """Additional input of its loop."""
         self._clients: list[Client] = []
         self._due: list[tuple[float, Client, str]] = []
         self._stalled_until_s = 0.0
@@ -85,7 +85,7 @@ class Server:
         self.event_port: int = self._events.getsockname()[1]
 
     def run(self, stopped: Callable[[], bool]) -> None:
-        """Serves until `stopped`."""
+        """Serve until `stopped` returns True."""
         while not stopped():
             self._wait()
             now_s = time.monotonic()
@@ -94,16 +94,16 @@ class Server:
             self._tell()
 
     def disconnect(self) -> None:
-        """Closes all connections; new ones are accepted."""
+        """Close all connections; new ones are accepted."""
         for client in list(self._clients):
             self._lose(client)
 
     def figures(self) -> dict[str, Any]:
-        """The connections, for `status`."""
+        """Return the connections for `status`."""
         return {"clients": sum(not client.listens for client in self._clients), "port": self.port}
 
     def close(self) -> None:
-        """Closes everything."""
+        """Close all sockets."""
         self.disconnect()
         self._states.close()
         self._events.close()
@@ -117,7 +117,7 @@ class Server:
         readable, _, _ = select.select([*channel, *listening, *own], [], [], max(0.0, until_s - now_s))
         for descriptor in readable:
             if descriptor in own:
-                # Not closed by another one's message meanwhile.
+                # A message of another client may have closed it.
                 if own[descriptor] in self._clients:
                     self._read(own[descriptor])
             elif descriptor in listening:

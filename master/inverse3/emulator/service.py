@@ -1,4 +1,4 @@
-"""What the emulated service answers: one frame on connection, one for each message; time is an argument."""
+"""Answers of the emulated service: one frame on connection, one per message; time is an argument."""
 
 import json
 import math
@@ -12,36 +12,36 @@ from haptether.master.inverse3.emulator.device import EmulatedInverse3, Vector
 DEVICE_ID: Final = "0E30"
 GRIP_ID: Final = "0E31"
 IDLE_S: Final = 0.02
-"""After so long without a message the device idles; the real time is not published: chosen."""
+"""Time in s without a message after which the device idles; chosen, because none is published."""
 MAX_LOG: Final = 100
 
 
 class Faults:
-    """What goes wrong on command."""
+    """Faults on command."""
 
     def __init__(self) -> None:
         self.drop = 0
-        """So many replies are not sent."""
+        """Number of suppressed replies."""
         self.delay_s = 0.0
-        """Each reply comes so late."""
+        """Delay of each reply in s."""
         self.stall_s = 0.0
-        """From the next message on, no reply comes for so long, once."""
+        """One-time delay in s of replies from the next message on."""
         self.garble: str | None = None
-        """What the next reply is instead."""
+        """Replacement of the next reply."""
         self.twice = 0
-        """So many replies are sent twice."""
+        """Number of replies sent twice."""
         self.added: Vector = (0.0, 0.0, 0.0)
-        """What another program exerts, in N."""
+        """Force of another program in N."""
         self.gain = 1.0
-        """Of forces, as a force gate may have."""
+        """Gain of forces, as of a force gate."""
 
 
 class Service:
     """One Inverse3, one wireless VerseGrip, and sessions.
 
     Args:
-        device: That it has.
-        grip: Whether there is a VerseGrip.
+        device: Emulated device.
+        grip: True if there is a VerseGrip.
     """
 
     def __init__(self, device: EmulatedInverse3, *, grip: bool = True) -> None:
@@ -54,7 +54,7 @@ class Service:
         self.orientation = (1.0, 0.0, 0.0, 0.0)
         self.buttons = {"a": False, "b": False, "c": False}
         self.events: deque[str] = deque()
-        """Still to be told."""
+        """Pending events."""
         self.log: deque[str] = deque(maxlen=MAX_LOG)
         self.braked = False
         self.asleep_after_s: float | None = None
@@ -62,22 +62,22 @@ class Service:
         self._idles = True
         self._commanded: Vector = (0.0, 0.0, 0.0)
         self._sent: Vector = (0.0, 0.0, 0.0)
-        """The last force of a client, be it that the device idles since."""
+        """Last force of a client, even if the device idles since."""
         self._last_s = -math.inf
         self._config: dict[str, Any] = {"force_gate": {"gain": 0.3}, "damping": {"scalar": 0.0}}
 
     def advance(self, now_s: float) -> None:
-        """Moves the device on; without messages it idles."""
+        """Advance the device; without messages it idles."""
         if now_s - self._last_s > IDLE_S:
             self._idle()
         self.device.advance(now_s)
 
     def first(self) -> str:
-        """The frame on connection, with what is configured."""
+        """Return the frame on connection, with the configuration."""
         return json.dumps({"session_id": 1, **self._state(configured=True)})
 
     def receive(self, text: bytes, now_s: float) -> list[str]:
-        """The replies to a message of a client."""
+        """Return the replies to a message of a client."""
         full = False
         try:
             message = msgspec.json.decode(text)
@@ -103,13 +103,13 @@ class Service:
         return [state]
 
     def tell(self, name: str, details: dict[str, Any], level: str = "info") -> None:
-        """Sends an event to whoever listens."""
+        """Send an event to all listeners."""
         self.events.append(
             json.dumps({"name": name, "category": "device", "level": level, "data": details, "message": ""})
         )
 
     def brake(self, *, on: bool) -> None:
-        """The emergency brake."""
+        """Set the emergency brake."""
         self.braked = on
         self._exert()
         self.tell("device-safety-triggered", {
@@ -117,13 +117,13 @@ class Service:
         }, "critical")  # fmt: skip
 
     def sleep(self, *, awake: bool) -> None:
-        """The grip."""
+        """Set the sleep state of the grip."""
         self.awake = awake
         if not awake:
             self.tell("device-sleep", {"device_family": "wireless_verse_grip", "device_id": GRIP_ID})
 
     def figures(self) -> dict[str, Any]:
-        """State and figures, for `status`."""
+        """Return state and figures for `status`."""
         device = self.device
         return {
             "position": list(device.position),
@@ -178,11 +178,11 @@ class Service:
                 "cursor_position": _xyz(device.position),
                 "cursor_velocity": _xyz(device.velocity),
                 "current_cursor_force": _xyz(device.force),
-                # Before 3.5 the domain of control was told so, and the vendor's client still requires it.
+                # Format before 3.5, which the vendor's client still requires.
                 "mode": "idle" if self._idles else "position",
                 "control_domain": "undefined" if self._idles else "cartesian",
                 "control_mode": "idle" if self._idles else "force",
-                # The service leaves out the parts that change nothing.
+                # The service omits parts that change nothing.
                 "transform": {},
             },
             "status": self.status,

@@ -1,1 +1,1 @@
-"""A gripper on a servo of the bus of its arm: `[slave.gripper] device = "dynamixel"`."""
+"""Gripper on a servo of its arm's bus: `[slave.gripper] device = "dynamixel"`."""

@@ -1,4 +1,4 @@
-"""The driver of a gripper on a servo of the arm's bus: `[slave.gripper] device = "dynamixel"`."""
+"""Driver of a gripper on a servo of the arm's bus: `[slave.gripper] device = "dynamixel"`."""
 
 from typing import Any
 
@@ -9,13 +9,13 @@ from haptether.slave.gripper import MAX_FORCE_N, MAX_SPEED, GripperCommand, Grip
 
 
 class DynamixelGripper:
-    """A gripper that is read and written with the joints of its arm; see `Gripper` and docs/dynamixel.md.
+    """Gripper that is read and written with the joints of its arm; see `Gripper` and docs/dynamixel.md.
 
     Args:
-        options: Those of `DynamixelGripperOptions`.
+        options: Fields of `DynamixelGripperOptions`.
 
     Raises:
-        ValueError: Options that cannot be, or an arm on whose bus it cannot be.
+        ValueError: The options are invalid, or the arm does not support it.
     """
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
@@ -23,10 +23,10 @@ class DynamixelGripper:
         self.servo = GripServo(self.options.settings())
         self._arm: DynamixelSlave | None = None
         self._shown: object = None
-        """The fault of the last sample."""
+        """Fault of the last sample."""
 
     def attach(self, arm: object) -> None:
-        """Joins the bus of its arm, which is not open yet."""
+        """Join the bus of its arm, which is not open yet."""
         if not isinstance(arm, DynamixelSlave):
             message = (
                 f"[slave.gripper] device = dynamixel: is on the bus of an arm of servos: [slave] device must be"
@@ -37,11 +37,11 @@ class DynamixelGripper:
         self._arm = arm
 
     def open(self) -> None:
-        """Nothing: the arm opens the bus, and the checklist of both runs then."""
+        """Do nothing: the arm opens the bus and runs the checklist of both."""
         self._attached()
 
     def read(self) -> GripperSample:
-        """What was read with the joints last."""
+        """Return the last values read with the joints."""
         servo = self.servo
         self._shown = servo.fault
         return GripperSample(
@@ -53,25 +53,25 @@ class DynamixelGripper:
         )
 
     def write(self, command: GripperCommand) -> None:
-        """A goal that is sent with the next goals of the joints."""
+        """Set a goal, to be sent with the next joint goals."""
         if self.servo.is_due:
-            # No goal of the joints has been sent since the one before.
+            # No joint goals have been sent since the previous gripper goal.
             self._attached().servos.send_grip()
         self.servo.write(command.position, command.speed, command.force_n)
 
     def hold(self) -> None:
-        """Stops jaws that move, at once; those that press on something keep their force."""
+        """Stop moving jaws at once; pressing jaws keep their force."""
         self.servo.hold()
         self._attached().servos.send_grip()
 
     def acknowledge(self) -> None:
-        """The operator has removed the fault: torque comes on again where the jaws are."""
+        """Acknowledge a fixed fault: torque returns at the current jaw position."""
         if self._shown is not None and self._shown is self.servo.fault:
-            # Another since the last sample was not shown to anybody.
+            # Another fault since the last sample has not been shown yet.
             self.servo.acknowledge()
 
     def close(self) -> None:
-        """Nothing: the arm has closed the bus, and the servo keeps its grip."""
+        """Do nothing: the arm has closed the bus, and the servo keeps its grip."""
 
     def _attached(self) -> DynamixelSlave:
         if self._arm is None:

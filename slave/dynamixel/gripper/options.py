@@ -1,4 +1,4 @@
-"""What the driver of a gripper on a servo is called with: `[slave.gripper.options]` of a scene."""
+"""Options of a servo gripper's driver: `[slave.gripper.options]` of a scene."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, Final
@@ -13,35 +13,35 @@ from haptether.options import converted, refused
 DEVICE: Final = "gripper = dynamixel"
 LEAST_WAY_RAD: Final = 0.1
 MOST_WAY_RAD: Final = 6.0
-"""Below a turn: a servo forgets turns with its supply."""
+"""Below one turn, because a servo loses turns at power-off."""
 Angle = Annotated[float, Meta(ge=-512.0, le=512.0, extra={"unit": "rad"})]
 
 
 class DynamixelGripperOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Options of the driver `dynamixel` of a gripper, in SI units; its port is that of the arm."""
+    """Options of the gripper driver `dynamixel`, in SI units; its port is that of the arm."""
 
     id: Annotated[int, Meta(ge=0, le=252)]
-    """Of its servo."""
+    """Id of the servo."""
     model: str
-    """Of its servo, one with current control."""
+    """Model of the servo; requires current control."""
     open_rad: Angle
-    """Angle of the servo from its mechanical centre where the jaws are open."""
+    """Servo angle from its mechanical centre with open jaws."""
     closed_rad: Angle
-    """Where they touch."""
+    """Servo angle with closed jaws."""
     lever_m: Annotated[float, Meta(gt=0.0, le=0.5, extra={"unit": "m"})]
-    """Torque of the servo over force of the jaws."""
+    """Ratio of servo torque to jaw force."""
     cap_a: Annotated[float, Meta(gt=0.0, le=10.0, extra={"unit": "A"})] | None = None
-    """Greatest current, at which the motor must be able to stand for long; by default 0.3 of what the model can."""
+    """Largest current, safe for a long stall; by default 0.3 of the model's largest."""
     max_speed: Annotated[float, Meta(gt=0.0, le=10.0, extra={"unit": "rad/s"})] = 3.0
-    """Fastest that the servo turns."""
+    """Largest servo speed."""
     torque_constant: Annotated[float, Meta(gt=0.0, le=20.0, extra={"unit": "N m/A"})] | None = None
-    """Torque at the output per ampere, as it was measured; by default forces hold for the largest that is published."""
+    """Measured output torque per ampere; by default forces use the largest published value."""
 
     def settings(self) -> GripSettings:
-        """Those of the servo.
+        """Return the settings of the servo.
 
         Raises:
-            ValueError: A servo that cannot be, or ends that are too near or too far apart; names the key.
+            ValueError: The servo is invalid, or the ends are too close or too far apart; names the key.
         """
         way = self.closed_rad - self.open_rad
         if not LEAST_WAY_RAD <= abs(way) <= MOST_WAY_RAD:
@@ -69,10 +69,10 @@ class DynamixelGripperOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_
 
 
 def dynamixel_gripper_options(given: Mapping[str, Any]) -> DynamixelGripperOptions:
-    """The options from what a scene has, whose numbers may be written as text.
+    """Convert the options of a scene; numbers may be given as text.
 
     Raises:
-        ValueError: A key that there is not or that is missing, or a value that it cannot have; names the key.
+        ValueError: A key is unknown or missing, or a value is invalid; names the key.
     """
     required = {
         "id": "that of its servo", "model": "that of its servo", "open_rad": "the servo's angle where it is open",

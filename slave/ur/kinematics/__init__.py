@@ -1,1 +1,1 @@
-"""Kinematics of UR arms: models, poses, forward and inverse kinematics, streamed joint velocities within limits."""
+"""Kinematics of UR arms: models, poses, forward and inverse kinematics, joint velocity streaming within limits."""

@@ -1,6 +1,6 @@
 """Forward kinematics, Jacobian, manipulability and their time derivatives of a UR arm.
 
-The expressions are CasADi's. Each is compiled when it is first used; what is not used costs nothing.
+CasADi expressions, each compiled on first use.
 """
 
 from collections.abc import Sequence
@@ -24,29 +24,28 @@ from haptether.slave.ur.kinematics.symbolic import Buffered, Symbol, casadi_modu
 
 
 class Rates(NamedTuple):
-    """How the Jacobian and the manipulability change while the joints move."""
+    """Time derivatives of Jacobian and manipulability."""
 
     jacobian_dot: Array
     """dJ/dt, (6, 6)."""
     manipulability_rate: float
-    """d/dt of the manipulability in m^3/s; at a singularity, where that has a kink, of one of its two sides or 0."""
+    """d/dt of the manipulability in m^3/s; at a singularity, where it has a kink, the value of one side or 0."""
 
 
 class UrKinematics:
     """Kinematics of one UR arm, for one thread.
 
-    A returned array is the same memory at every call: **the next call of that method overwrites it**. Copy what is to
-    be kept. It lies column after column and cannot be written to. Joint angles are best given as float64 arrays; any
-    other sequence is converted first.
+    A returned array is the same memory at every call: **the next call of that method overwrites it**. Copy it to keep
+    it. It is column-major and read-only. Float64 arrays of joint angles are fastest; other sequences are converted.
 
     Args:
-        model: The arm.
-        calibration: Deltas of this unit; without them the arm is as its data sheet has it.
-        tool: flange_from_tool, (4, 4); without it the tool is the flange.
+        model: Model of the arm.
+        calibration: Deltas of this unit; by default the data sheet applies.
+        tool: flange_from_tool, (4, 4); by default the flange.
 
     Raises:
-        ValueError: The deltas are not of such an arm, or the tool is not a rigid transform. From every method: an
-            argument is not six finite numbers.
+        ValueError: The deltas do not fit the model, or the tool is not a rigid transform. Every method: an argument is
+            not six finite numbers.
     """
 
     def __init__(
@@ -60,23 +59,23 @@ class UrKinematics:
         self.model = model
         self.calibration = calibration
         self.rows = dh_rows(model, calibration)
-        """Its Denavit-Hartenberg rows, with the deltas."""
+        """Denavit-Hartenberg parameters with deltas."""
         self.tool = tool_transform(tool)
         """flange_from_tool, (4, 4)."""
 
     @cached_property
     def chain(self) -> Chain:
-        """The expressions, to build others from."""
+        """Expressions for further use."""
         return symbolic_chain(self.rows, self.tool)
 
     def forward(self, q: Numbers) -> Array:
-        """base_from_tool, (4, 4), at the joint angles q in rad, (6,)."""
+        """Return base_from_tool, (4, 4), at joint angles q in rad, (6,)."""
         function = self._forward
         function.one(q)
         return function.results[0]
 
     def forward_and_jacobian(self, q: Numbers) -> tuple[Array, Array]:
-        """base_from_tool, (4, 4), and the geometric Jacobian, (6, 6), at the joint angles q in rad, (6,).
+        """Return base_from_tool, (4, 4), and the geometric Jacobian, (6, 6), at joint angles q in rad, (6,).
 
         `(v, w) = J qd`: velocity of the tool point in m/s over angular velocity in rad/s, both in the base frame.
 
@@ -88,9 +87,10 @@ class UrKinematics:
         return transform, jacobian
 
     def manipulability(self, q: Numbers) -> float:
-        """`sqrt(det(J J')) = |det J|` at the joint angles q in rad, (6,): 0 at a singularity, the same for every tool.
+        """Return `sqrt(det(J J')) = |det J|` at joint angles q in rad, (6,): 0 at a singularity.
 
-        In m^3: linear and angular velocity are mixed as they stand, so compare values of one arm only.
+        In m^3: linear and angular velocity are mixed without scaling, so compare values of one arm only.
+        The tool does not matter.
 
         Source: T. Yoshikawa, "Manipulability of Robotic Mechanisms", Int. J. Robotics Research 4(2), 1985, Eq. 13.
         """
@@ -100,9 +100,9 @@ class UrKinematics:
         return value
 
     def rates(self, q: Numbers, qd: Numbers) -> Rates:
-        """dJ/dt and d/dt of the manipulability at the joint angles q in rad and speeds qd in rad/s, (6,) each.
+        """Return dJ/dt and d/dt of the manipulability at joint angles q in rad and speeds qd in rad/s, (6,) each.
 
-        Directional derivatives along qd of the expressions themselves, so exact.
+        Exact directional derivatives of the expressions along qd.
         """
         function = self._rates
         function.all(q, qd)
@@ -119,10 +119,10 @@ class UrKinematics:
 
     @cached_property
     def determinant(self) -> Symbol:
-        """Of the Jacobian, as an expression."""
+        """Determinant of the Jacobian as an expression."""
         casadi = casadi_module()
-        # The determinant is the same for every point of the last link. On the last axis, where the two wrist axes
-        # meet, most terms of its expansion are zero.
+        # The determinant is equal for every point of the last link. On the last axis, at the intersection of two wrist
+        # axes, most terms of its expansion are zero.
         rows = self.rows
         a, d = (*rows.a[:5], 0.0), (*rows.d[:5], 0.0)
         bare = symbolic_chain(replace(rows, a=a, d=d), np.eye(4))

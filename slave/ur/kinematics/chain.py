@@ -1,22 +1,21 @@
-"""The chain of a UR arm: its Denavit-Hartenberg rows with the deltas of one unit, in numbers and in CasADi symbols.
+"""Kinematic chain of a UR arm: Denavit-Hartenberg parameters with deltas of one unit, as numbers and CasADi symbols.
 
 `base_from_tool = T_1(q_1) ... T_6(q_6) flange_from_tool` with `T_i = Rz(q_i + theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`.
 
-What one unit's kinematics differ by from its model is in `calibration.toml`. Its four keys are those of the
-controller's `calibration.conf`, six numbers each, in m and rad:
+`calibration.toml` holds the deltas of one unit from its model. Its four keys are those of the controller's
+`calibration.conf`, six numbers each, in m and rad:
 
-    delta_theta = [2.1e-5, 0.97, -1.86, 0.89, 5.7e-5, -7.5e-5]
-    delta_a = [3.9e-4, 0.184, 0.145, -6.4e-5, 7.8e-6, 0.0]
-    delta_d = [4.0e-5, 278.2, -183.7, -94.5, 3.0e-4, 1.2e-4]
-    delta_alpha = [-2.7e-4, 1.3e-3, -3.2e-3, 6.5e-4, -5.9e-4, 0.0]
+    delta_theta = [2.1e-5, 0.97, -1.86, 0.89, 5.7e-5, -7.5e-5] delta_a = [3.9e-4, 0.184, 0.145, -6.4e-5, 7.8e-6, 0.0]
+    delta_d = [4.0e-5, 278.2, -183.7, -94.5, 3.0e-4, 1.2e-4] delta_alpha = [-2.7e-4, 1.3e-3, -3.2e-3, 6.5e-4, -5.9e-4,
+    0.0]
 
-Axes 2, 3 and 4 are all but parallel, so that their common normals, from which `d` and `theta` count, lie wherever the
-last micrometre puts them: hundreds of metres away, and back again with the next row. So these rows have wide bounds
-each, and the chain as a whole a narrow one.
+Axes 2, 3 and 4 are nearly parallel. Their common normals, the reference of `d` and `theta`, are therefore
+ill-conditioned and may be hundreds of metres away, compensated by the next row. These rows have wide individual bounds,
+and the whole chain has a narrow one.
 
 Source: J. Denavit, R. S. Hartenberg, "A Kinematic Notation for Lower-Pair Mechanisms", J. Applied Mechanics 22, 1955,
 in the form of Universal Robots, "DH Parameters for calculations of kinematics and dynamics"; Universal Robots' ROS
-driver, `ur_calibration`, "algorithm": why the rows of a real arm look like that.
+driver, `ur_calibration`, "algorithm": for the reason of such rows.
 """
 
 import itertools
@@ -36,28 +35,28 @@ from haptether.slave.ur.kinematics.pose import Array
 from haptether.slave.ur.kinematics.symbolic import Symbol, casadi_module
 
 MAX_BYTES: Final = 1 << 16
-"""Largest file of a calibration."""
+"""Largest calibration file in bytes."""
 NOT_ROTATION: Final = 1e-9
-"""How far a tool's rotation may be from one."""
+"""Allowed deviation of a tool's rotation from orthonormality."""
 
-# Per joint; several times what published calibrations of real arms have (446 m, 7.2 rad, 0.63 m, 0.014 rad).
+# Per joint; several times the published calibrations of real arms (446 m, 7.2 rad, 0.63 m, 0.014 rad).
 LIMITS: Final[dict[str, Six]] = {
     "delta_theta": (0.1, 12.6, 12.6, 12.6, 0.1, 0.1),
     "delta_a": (0.02, 2.0, 2.0, 0.02, 0.02, 0.02),
     "delta_d": (0.02, 2000.0, 2000.0, 2000.0, 0.02, 0.02),
     "delta_alpha": (0.05, 0.05, 0.05, 0.05, 0.05, 0.05),
 }
-# What a mounted arm of that model may be off; published ones are off by millimetres and mrad.
+# Largest deviation of a mounted arm from its model; published ones are millimetres and mrad.
 MAX_M: Final = 0.05
 MAX_RAD: Final = 0.05
 NONE: Final[Six] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class UrCalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Deltas to the Denavit-Hartenberg rows of a model, base to flange.
+    """Deltas to the Denavit-Hartenberg parameters of a model, base to flange.
 
     Raises:
-        ValueError: A delta is not finite, or larger than any arm has.
+        ValueError: A delta is not finite, or larger than on any arm.
     """
 
     delta_theta: Six = NONE
@@ -81,10 +80,10 @@ class UrCalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
                     raise ValueError(message)
 
     def check(self, model: UrModel) -> None:
-        """Refuses deltas that cannot be of an arm of this model, above all those of another model.
+        """Refuse deltas that do not fit this model, in particular those of another model.
 
         Raises:
-            ValueError: The tool would be more than 0.05 m or 0.05 rad from where the model has it.
+            ValueError: The tool would deviate from the model by more than 0.05 m or 0.05 rad.
         """
         metres, radians = deviation(dh_rows(model, self), dh_rows(model))
         if metres > MAX_M or radians > MAX_RAD:
@@ -96,7 +95,7 @@ class UrCalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 def read_calibration(path: Path | str, model: UrModel) -> UrCalibration:
-    """The deltas in a `calibration.toml`, held to a model; a key that is absent is six zeros.
+    """Read the deltas from a `calibration.toml` and check them against a model; an absent key is six zeros.
 
     Raises:
         ValueError: Not TOML, an unknown key, a wrong length, a number that is not finite or absurdly large, or deltas
@@ -111,7 +110,7 @@ def read_calibration(path: Path | str, model: UrModel) -> UrCalibration:
         calibration = msgspec.convert(table, UrCalibration)
         calibration.check(model)
     except ValueError as error:
-        # msgspec's ValidationError and tomllib's TOMLDecodeError are ValueErrors too.
+        # ValidationError of msgspec and TOMLDecodeError of tomllib are ValueErrors.
         message = f"{path}: {error}"
         raise ValueError(message) from None
     return calibration
@@ -119,7 +118,7 @@ def read_calibration(path: Path | str, model: UrModel) -> UrCalibration:
 
 @dataclass(frozen=True, slots=True)
 class DhRows:
-    """Denavit-Hartenberg rows of a unit: `theta` is added to the joint angle. m, rad."""
+    """Denavit-Hartenberg parameters of a unit in m and rad; `theta` is added to the joint angle."""
 
     theta: Six
     a: Six
@@ -128,7 +127,7 @@ class DhRows:
 
 
 def dh_rows(model: UrModel, calibration: UrCalibration | None = None) -> DhRows:
-    """The rows of the model with the deltas of the unit added."""
+    """Return the parameters of the model plus the deltas of the unit."""
     if calibration is None:
         return DhRows((0.0,) * 6, model.a, model.d, model.alpha)
     return DhRows(
@@ -145,7 +144,7 @@ def _sum(nominal: Six, delta: Six) -> Six:
 
 
 def tool_transform(flange_from_tool: Array | Sequence[Sequence[float]] | None) -> Array:
-    """The tool as a homogeneous transform, shape (4, 4); without one it is the flange.
+    """Return the tool as a homogeneous transform, shape (4, 4); by default the flange.
 
     Raises:
         ValueError: Not a rigid transform within 1e-9.
@@ -165,7 +164,7 @@ def tool_transform(flange_from_tool: Array | Sequence[Sequence[float]] | None) -
 
 
 def cos_sin(angle: float) -> tuple[float, float]:
-    """Cosine and sine, exact at multiples of a right angle, which keeps terms that are zero out of the chain."""
+    """Return cosine and sine, exact at multiples of a right angle, which keeps zero terms out of the chain."""
     quarters = angle / (math.pi / 2)
     if quarters == round(quarters):
         return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(quarters) % 4]
@@ -173,7 +172,7 @@ def cos_sin(angle: float) -> tuple[float, float]:
 
 
 def chain_transform(rows: DhRows, q: Array | Sequence[float], flange_from_tool: Array | None = None) -> Array:
-    """The tool in the base, shape (4, 4), in NumPy: for set-up and as a second opinion, not for loops."""
+    """Return base_from_tool, shape (4, 4), in NumPy: for set-up and verification, too slow for loops."""
     base_from_link = np.eye(4)
     for angle, offset, a, d, alpha in zip(q, rows.theta, rows.a, rows.d, rows.alpha, strict=True):
         (c, s), (ca, sa) = cos_sin(angle + offset), cos_sin(alpha)
@@ -189,12 +188,12 @@ def chain_transform(rows: DhRows, q: Array | Sequence[float], flange_from_tool: 
 
 
 def deviation(rows: DhRows, others: DhRows) -> tuple[float, float]:
-    """How far two chains come apart, in m and rad, over 64 postures that bend every joint in both directions."""
+    """Return the largest deviation of two chains in m and rad over 64 postures that bend every joint both ways."""
     metres = radians = 0.0
     for q in itertools.product((-1.1, 0.7), repeat=6):
         one, other = chain_transform(rows, q), chain_transform(others, q)
         metres = max(metres, float(np.linalg.norm(one[:3, 3] - other[:3, 3])))
-        # |R1 - R2| (Frobenius) = 2 sqrt(2) sin(t/2), well conditioned where t is small.
+        # |R1 - R2| (Frobenius) = 2 sqrt(2) sin(t/2), well conditioned for small t.
         apart = float(np.linalg.norm(one[:3, :3] - other[:3, :3])) / math.sqrt(8)
         radians = max(radians, 2 * math.asin(min(apart, 1.0)))
     return metres, radians
@@ -202,24 +201,23 @@ def deviation(rows: DhRows, others: DhRows) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """The chain in CasADi symbols: all are functions of `q`."""
+    """Chain in CasADi symbols, as functions of `q`."""
 
     q: Symbol
     """Joint angles, (6, 1)."""
     transform: Symbol
     """base_from_tool, (4, 4)."""
     jacobian: Symbol
-    """Geometric, of the tool point in the base frame: rows are linear over angular velocity, (6, 6)."""
+    """Geometric Jacobian of the tool point in the base frame: linear over angular velocity, (6, 6)."""
     joint_frames: tuple[tuple[Symbol, Symbol], ...]
-    """Rotation (3, 3) and origin (3, 1) of each link's frame in the base, after its joint."""
+    """Rotation (3, 3) and origin (3, 1) of each link frame in the base, after its joint."""
 
 
 def symbolic_chain(rows: DhRows, flange_from_tool: Array) -> Chain:
-    """Forward kinematics and geometric Jacobian as expressions.
+    """Return forward kinematics and geometric Jacobian as expressions.
 
-    Column i is `(z x (p - o), z)` with the axis z of joint i and a point o on it. The point is the one that the link
-    i reaches from (`d_i` along the axis), so that `p - o` is summed up from the tool backwards and terms that cancel
-    in exact arithmetic do not occur.
+    Column i is `(z x (p - o), z)` with the axis z of joint i and a point o on it. o is the start of link i (`d_i` along
+    the axis), so that `p - o` is summed from the tool backwards, without terms that cancel in exact arithmetic.
 
     Source: B. Siciliano et al., "Robotics: Modelling, Planning and Control", 2009, Eq. 3.30.
     """
@@ -257,7 +255,7 @@ def symbolic_chain(rows: DhRows, flange_from_tool: Array) -> Chain:
 
 
 def jacobian_determinant(jacobian: Symbol) -> Symbol:
-    """Determinant of a (6, 6) Jacobian by Laplace's expansion along its linear rows: a polynomial, exact where it is 0.
+    """Return the determinant of a (6, 6) Jacobian by Laplace expansion along its linear rows, exact at 0.
 
     `det J = sum over the 20 choices S of 3 columns of sign(S) det(J_linear[S]) det(J_angular[not S])`.
 

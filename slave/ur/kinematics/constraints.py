@@ -1,11 +1,10 @@
-"""What a streamed motion must keep to, and the distances that it must keep: to planes, and of the arm to itself.
+"""Limits of a streamed motion, and distances to keep: to planes, and between parts of the arm.
 
-A limit that is not named is not in the problem. Where the body of an arm is, is known roughly: balls and capsules on
-its links. A guide for a planner, not a safety function: the links' radii are chosen, and a gripper is known only by a
-ball.
+A limit that is not given is not in the problem. The arm's body is approximated by balls and capsules on its links. This
+guides a planner and is not a safety function: link radii are chosen, and a gripper is only a ball.
 
-Source: Universal Robots' ROS description, `config/<model>/physical_parameters.yaml` and `visual_parameters.yaml`: how
-far upper arm and forearm lie beside the plane through the shoulder, "measured from model".
+Source: Universal Robots' ROS description, `config/<model>/physical_parameters.yaml` and `visual_parameters.yaml`:
+offset of upper arm and forearm from the plane through the shoulder, "measured from model".
 """
 
 import math
@@ -24,25 +23,25 @@ if TYPE_CHECKING:
     from haptether.slave.ur.kinematics.arm import UrKinematics
 
 UNIT: Final = 1e-9
-"""How far the length of a normal may be from 1."""
+"""Allowed deviation of a normal's length from 1."""
 
 
 class WorkspacePlane(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A plane in the base frame; what it is for stays where `normal . p >= offset_m`.
+    """Plane in the base frame; its subject stays where `normal . p >= offset_m`.
 
     Raises:
         ValueError: A number is not finite, or the normal is not of length 1.
     """
 
     normal: tuple[float, float, float]
-    """Points to where the arm may be; of length 1."""
+    """Unit normal towards the allowed side."""
     offset_m: float
     whole_arm: bool = False
-    """For the balls of elbow, forearm, wrist and flange, as a table is; else for the tool point alone."""
+    """True to apply to the balls of elbow, forearm, wrist and flange, as for a table; False for the tool point only."""
 
     @classmethod
     def through(cls, nx: float, ny: float, nz: float, d: float) -> "WorkspacePlane":
-        """The plane `n . p = d` for the tool point, with a normal of any length above 0."""
+        """Return the plane `n . p = d` for the tool point, with a normal of any length above 0."""
         length = math.hypot(nx, ny, nz)
         return cls(normal=(nx / length, ny / length, nz / length), offset_m=d / length)
 
@@ -54,20 +53,20 @@ class WorkspacePlane(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class ToolCone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A cone in the base frame in which the tool's z axis stays: its tilt is the angle to the cone's axis.
+    """Cone in the base frame for the tool's z axis; the tilt is the angle to the cone's axis.
 
     Raises:
         ValueError: A number is not finite, the axis is not of length 1, or the angle is not above 0 and below pi.
     """
 
     axis: Vector
-    """Of length 1."""
+    """Unit axis."""
     half_angle: float
-    """rad."""
+    """Half angle in rad."""
 
     @classmethod
     def around(cls, x: float, y: float, z: float, half_angle: float) -> "ToolCone":
-        """The cone around an axis of any length above 0."""
+        """Return the cone around an axis of any length above 0."""
         length = math.hypot(x, y, z)
         return cls(axis=(x / length, y / length, z / length), half_angle=half_angle)
 
@@ -78,34 +77,34 @@ class ToolCone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             raise _out_of_range("half_angle", self.half_angle, "above 0 and below pi")
 
     def tilt(self, quat_wxyz: Quaternion) -> tuple[float, Vector]:
-        """Tilt of a tool of that orientation, rad, and the axis of length 1 about which a turn increases it."""
+        """Return the tilt of a tool orientation in rad, and the unit axis about which a turn increases it."""
         (cx, cy, cz), (ax, ay, az) = self.axis, tool_axis(quat_wxyz)
         nx, ny, nz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
         length = math.hypot(nx, ny, nz)
         if length < UNIT:
-            # Along the axis, or against it: any turn across increases it, or decreases it, as much.
+            # On the axis, in either direction, all transverse turns are equivalent.
             nx, ny, nz = (0.0, -cz, cy) if abs(cx) < abs(cy) else (cz, 0.0, -cx)
         scale = 1.0 / math.hypot(nx, ny, nz)
         return math.atan2(length, cx * ax + cy * ay + cz * az), (nx * scale, ny * scale, nz * scale)
 
 
 def tool_axis(quat_wxyz: Quaternion) -> Vector:
-    """The tool's z axis in the base frame: `R e_z`."""
+    """Return the tool's z axis in the base frame: `R e_z`."""
     w, x, y, z = quat_wxyz
     return 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
 
 
 class SelfKeepOut(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Forearm, wrist and flange stay clear of base, shoulder and upper arm.
+    """Keep forearm, wrist and flange clear of base, shoulder and upper arm.
 
     Raises:
-        ValueError: A number is out of range.
+        ValueError: A value is out of range.
     """
 
     margin_m: float = 0.01
-    """Left between the surfaces, m."""
+    """Distance between the surfaces in m."""
     radius_m: float | None = None
-    """Of all links, m; without it that of the model."""
+    """Radius of all links in m; by default from the model."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.margin_m < math.inf:
@@ -115,26 +114,26 @@ class SelfKeepOut(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class StreamingLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Limits of a streamed motion, joints from the base to the flange.
+    """Limits of a streamed motion, joints from base to flange.
 
     Raises:
-        ValueError: A number is out of range.
+        ValueError: A value is out of range.
     """
 
     position_min: Six | None = None
-    """rad, -inf for a joint without ends."""
+    """Smallest angles in rad, -inf for an unlimited joint."""
     position_max: Six | None = None
-    """rad."""
+    """Largest angles in rad."""
     max_speed: Six | None = None
-    """rad/s."""
+    """Largest speeds in rad/s."""
     max_acceleration: Six | None = None
-    """rad/s^2, also for braking. Without it the velocity may jump."""
+    """Largest accelerations in rad/s^2, also for braking; None allows velocity jumps."""
     max_tool_speed: float | None = None
-    """Length of the tool point's velocity, m/s."""
+    """Largest speed of the tool point in m/s."""
     planes: tuple[WorkspacePlane, ...] = ()
     self_keep_out: SelfKeepOut | None = None
     approach_rate_hz: float = 10.0
-    """A distance to a plane, or between links, shrinks at most at this rate times what is left of it."""
+    """A distance to a plane, or between links, shrinks at most at this rate times the remaining distance."""
 
     def __post_init__(self) -> None:
         if (self.position_min is None) != (self.position_max is None):
@@ -154,9 +153,9 @@ class StreamingLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 
 
 def model_limits(model: UrModel, max_acceleration: float = 8.0) -> StreamingLimits:
-    """Position and speed as the model's data sheet has them, and one acceleration for all joints in rad/s^2.
+    """Return position and speed limits from the model's data sheet, and one acceleration for all joints in rad/s^2.
 
-    The vendor publishes no largest acceleration: 8 is chosen, and lets a joint stop from 3 rad/s within 0.6 rad.
+    The vendor publishes no largest acceleration; the chosen 8 stops a joint from 3 rad/s within 0.6 rad.
     """
     return StreamingLimits(
         position_min=model.position_min,
@@ -167,19 +166,20 @@ def model_limits(model: UrModel, max_acceleration: float = 8.0) -> StreamingLimi
 
 
 class StreamingCost(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a streamed motion is to be good at.
+    """Cost of a streamed motion.
 
     Raises:
-        ValueError: A number is out of range.
+        ValueError: A value is out of range.
     """
 
     weights: Six = (1.0, 1.0, 1.0, 0.1, 0.1, 0.1)
-    """Of what is missing of the tool's velocity, squared: linear in (m/s)^-2, angular in (rad/s)^-2. A tenth makes
-    1 rad/s weigh as much as 0.3 m/s."""
+    """Weights of the squared tool velocity error: linear in (m/s)^-2, angular in (rad/s)^-2. With a tenth, 1 rad/s
+    counts like 0.3 m/s.
+    """
     damping: float = 0.01
-    """Weight of joint velocities at a singularity, (rad/s)^-2."""
+    """Weight of joint velocities at a singularity in (rad/s)^-2."""
     damping_below: float = 0.05
-    """Manipulability, as a part of `|a2 a3| (|a2| + |a3|)`, below which damping sets in."""
+    """Manipulability, as a fraction of `|a2 a3| (|a2| + |a3|)`, below which damping starts."""
 
     def __post_init__(self) -> None:
         for number in self.weights:
@@ -191,7 +191,7 @@ class StreamingCost(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             raise _out_of_range("damping_below", self.damping_below, "above 0")
 
 
-# How far upper arm and forearm lie along the axes of joints 2 and 3, m.
+# Offsets of upper arm and forearm along the axes of joints 2 and 3 in m.
 OFFSETS_M: Final[dict[str, tuple[float, float]]] = {
     "ur3": (0.1198, 0.0275),
     "ur5": (0.13585, 0.0165),
@@ -204,8 +204,8 @@ OFFSETS_M: Final[dict[str, tuple[float, float]]] = {
     "ur30": (0.260, 0.043),
 }
 
-# Chosen: the cylinder that the vendor states for the base (0.06 m for a UR5e, 0.075 m for a UR10e and UR20), and more
-# for the two large arms, whose joints are wider than that.
+# Chosen: the vendor's cylinder of the base (0.06 m for a UR5e, 0.075 m for a UR10e and UR20), and more for the two
+# large arms, whose joints are wider.
 RADII_M: Final[dict[str, float]] = {
     "ur3": 0.06,
     "ur5": 0.06,
@@ -224,18 +224,18 @@ ROUNDED_M: Final = 1e-8
 
 @dataclass(frozen=True, slots=True)
 class Ball:
-    """A ball on a link; link 0 is the base, link i follows joint i."""
+    """Ball on a link; link 0 is the base, link i follows joint i."""
 
     name: str
     link: int
     place: Vector
-    """Of the centre in the link's frame, m."""
+    """Centre in the link frame in m."""
     radius_m: float
 
 
 @dataclass(frozen=True, slots=True)
 class Capsule:
-    """A cylinder with round ends on a link."""
+    """Cylinder with hemispherical ends on a link."""
 
     name: str
     link: int
@@ -246,18 +246,18 @@ class Capsule:
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """What may touch something, and what it may touch of the arm itself."""
+    """Collision geometry of the arm."""
 
     balls: tuple[Ball, ...]
-    """From the elbow to the flange."""
+    """Balls from elbow to flange."""
     capsules: tuple[Capsule, ...]
-    """From the base to the elbow."""
+    """Capsules from base to elbow."""
     pairs: tuple[tuple[int, int], ...]
-    """Ball and capsule that are not neighbours."""
+    """Pairs of ball and capsule that are not neighbours."""
 
 
 def arm_body(model: UrModel, radius_m: float | None = None) -> Body:
-    """Balls along forearm and wrist, capsules along base, shoulder and upper arm."""
+    """Return balls along forearm and wrist, and capsules along base, shoulder and upper arm."""
     arm = SAME_ARM.get(model.name, model.name)
     upper, lower = OFFSETS_M[arm]
     radius = RADII_M[arm] if radius_m is None else radius_m
@@ -275,16 +275,16 @@ def arm_body(model: UrModel, radius_m: float | None = None) -> Body:
         Capsule("shoulder", 1, origin, (0.0, 0.0, upper), radius),
         Capsule("upper arm", 2, (-model.a[1], 0.0, upper), (0.0, 0.0, upper), radius),
     )
-    # The elbow is on the upper arm, the forearm hangs on it, and wrist 1 folds beside it.
+    # The elbow is on the upper arm, the forearm starts there, and wrist 1 folds beside it.
     base_and_shoulder = tuple((ball, capsule) for ball in range(1, 6) for capsule in (0, 1))
     return Body(balls, capsules, base_and_shoulder + tuple((ball, 2) for ball in (3, 4, 5)))
 
 
 def link_levers(kinematics: "UrKinematics") -> tuple[float, ...]:
-    """How fast a distance of the arm to itself can change by each joint, m/rad: no ball is farther from its axis.
+    """Return the largest change of a self distance per joint in m/rad: the largest distance of a ball from the axis.
 
-    Joints before a capsule turn ball and capsule alike, and a capsule on the axis of a joint is the same when that
-    turns the ball.
+    Joints before a capsule turn ball and capsule equally, and a capsule on a joint's axis is invariant under that
+    joint.
     """
     body = arm_body(kinematics.model)
     levers = [0.0] * 6
@@ -296,7 +296,7 @@ def link_levers(kinematics: "UrKinematics") -> tuple[float, ...]:
 
 
 def plane_levers(kinematics: "UrKinematics", planes: Iterable[WorkspacePlane]) -> tuple[float, ...]:
-    """How fast a distance to a plane can change by each joint, m/rad: the base's axis moves nothing along itself."""
+    """Return the largest change of a plane distance per joint in m/rad; the base axis does not move along itself."""
     x, y, z = kinematics.tool[:3, 3].tolist()
     tool = (6, (x, y, z))
     balls = tuple((ball.link, ball.place) for ball in arm_body(kinematics.model).balls)
@@ -310,26 +310,27 @@ def plane_levers(kinematics: "UrKinematics", planes: Iterable[WorkspacePlane]) -
 
 
 def _lever(kinematics: "UrKinematics", joint: int, link: int, place: Vector) -> float:
-    """How far a point of a link can be from the axis of a joint before it, m."""
+    """Return the largest distance in m of a link's point from the axis of a preceding joint."""
     rows = kinematics.rows
-    # Along the axis the joint's own d is no lever.
+    # The joint's own d is along the axis and adds no lever.
     between = sum(abs(rows.a[i]) + abs(rows.d[i]) for i in range(joint + 1, link))
     return abs(rows.a[joint]) + between + math.hypot(*place)
 
 
 @dataclass(frozen=True, slots=True)
 class Distance:
-    """A distance in m and its gradient by the joint angles, (1, 6), as expressions."""
+    """Distance in m and its gradient by the joint angles, (1, 6), as expressions."""
 
     value: Symbol
     gradient: Symbol
 
 
 def clearance(chain: Chain, ball: Ball, capsule: Capsule, margin_m: float) -> Distance:
-    """How far the two are apart, less a margin.
+    """Return the distance between ball and capsule, minus a margin.
 
     The capsule's nearest point is `s + t (e - s)` with `t = clip((c - s)'(e - s) / |e - s|^2, 0, 1)`. To first order
-    only the ball's motion against the capsule's link changes the distance: the nearest point moves across.
+    only the ball's motion relative to the capsule's link changes the distance, because the nearest point moves
+    tangentially.
 
     Source: C. Ericson, "Real-Time Collision Detection", 2005, section 5.1.2.
     """
@@ -345,7 +346,7 @@ def clearance(chain: Chain, ball: Ball, capsule: Capsule, margin_m: float) -> Di
 
 
 def height(chain: Chain, normal: Vector, offset_m: float, ball: Ball) -> Distance:
-    """How far a ball is above a plane."""
+    """Return the height of a ball above a plane."""
     casadi = casadi_module()
     direction, centre = casadi.SX(casadi.DM(list(normal))), _in_base(chain, ball.link, ball.place)
     value = casadi.dot(direction, centre) - ball.radius_m - offset_m
@@ -353,7 +354,7 @@ def height(chain: Chain, normal: Vector, offset_m: float, ball: Ball) -> Distanc
 
 
 def tool_height(chain: Chain, normal: Vector, offset_m: float) -> Distance:
-    """How far the tool point is above a plane."""
+    """Return the height of the tool point above a plane."""
     casadi = casadi_module()
     direction = casadi.SX(casadi.DM(list(normal)))
     value = casadi.dot(direction, chain.transform[:3, 3]) - offset_m
@@ -361,7 +362,7 @@ def tool_height(chain: Chain, normal: Vector, offset_m: float) -> Distance:
 
 
 def _in_base(chain: Chain, link: int, place: Vector) -> Symbol:
-    """A point of a link in the base frame, (3, 1)."""
+    """Return a point of a link in the base frame, (3, 1)."""
     casadi = casadi_module()
     rotation, origin = _frame(chain, link)
     return origin + casadi.mtimes(rotation, casadi.SX(casadi.DM(list(place))))
@@ -373,10 +374,10 @@ def _frame(chain: Chain, link: int) -> tuple[Symbol, Symbol]:
 
 
 def _gradient(chain: Chain, direction: Symbol, point: Symbol, joints: range) -> Symbol:
-    """Of `direction . point` by the joints that move it.
+    """Return the gradient of `direction . point` by the joints that move it.
 
-    `direction . (z x (point - o))`; joint i, from 0, turns about z of the frame i. The product of axis and point is the
-    same for every direction, so that it is taken once for all that the point may touch.
+    `direction . (z x (point - o))`; joint i, from 0, turns about z of frame i. The product of axis and point does not
+    depend on the direction, so it is computed once per point.
     """
     casadi = casadi_module()
     columns = [casadi.SX(0)] * 6

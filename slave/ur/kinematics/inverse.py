@@ -1,6 +1,6 @@
-"""Inverse kinematics of UR arms: all eight branches in closed form, or the one nearest to where the arm was.
+"""Inverse kinematics of UR arms: all eight branches in closed form, or the one nearest to a posture.
 
-The emulated controller answers with it. The driver does not need it: an arm is led from where its joints are, and joint
+Used by the emulated controller. The driver does not need it: it starts from the arm's joint angles, and joint
 velocities (`streaming`) never leave the branch.
 """
 
@@ -20,17 +20,17 @@ Matrix: TypeAlias = Array | Sequence[Sequence[float]]
 class UrInverse:
     """Inverse kinematics of one UR arm.
 
-    The closed form is right to rounding (1e-14 m and rad), at singularities too. With a calibration there is none: its
-    postures are the starts of a Newton iteration on the unit's own chain, which ends within 5e-13 m and rad. Beside
-    singularities, where the postures of the unit are far from those of the model, `all` may then miss a branch.
+    The closed form is exact to rounding (1e-14 m and rad), also at singularities. With a calibration its postures start
+    a Newton iteration on the unit's chain, which ends within 5e-13 m and rad. Near singularities, where postures of
+    unit and model differ strongly, `all` may then miss a branch.
 
     Args:
-        model: The arm; its `position_min` and `position_max` are the limits of `nearest`.
-        calibration: Deltas of this unit; without them the arm is as its data sheet has it.
-        tool: flange_from_tool, (4, 4); without it the tool is the flange.
+        model: Model of the arm; its `position_min` and `position_max` are the limits of `nearest`.
+        calibration: Deltas of this unit; by default the data sheet applies.
+        tool: flange_from_tool, (4, 4); by default the flange.
 
     Raises:
-        ValueError: The deltas are not of such an arm, or the tool is not a rigid transform.
+        ValueError: The deltas do not fit the model, or the tool is not a rigid transform.
 
     Source: K. P. Hawkins, "Analytic Inverse Kinematics for the Universal Robots UR-5/UR-10 Arms", Georgia Institute of
     Technology, 2013; N. Yamashita, M. Fukushima, "On the Rate of Convergence of the Levenberg-Marquardt Method", 2001.
@@ -47,7 +47,7 @@ class UrInverse:
         self.model = model
         self.calibration = calibration
         self.reason = ""
-        """Why the last call of `nearest` found no posture; empty if it found one."""
+        """Reason why the last call of `nearest` found no posture; empty on success."""
         self._solver = UrInverseSolver(
             _rows(dh_rows(model)),
             None if calibration is None else _rows(dh_rows(model, calibration)),
@@ -57,13 +57,13 @@ class UrInverse:
         )
 
     def all(self, base_from_tool: Matrix) -> Array:
-        """Every posture that has the tool there, (n, 6) in rad, n up to 8; n is 0 where the arm does not reach.
+        """Return every posture for a tool pose, (n, 6) in rad, n up to 8; n is 0 out of reach.
 
-        Each joint is within -pi to pi, whatever its limits; multiples of 2 pi are for the caller to add. Two branches
-        that meet at a singularity are there twice. Where q5 is 0 or pi, q6 is free, and any.
+        Each joint is within -pi to pi regardless of its limits; the caller adds multiples of 2 pi. Two branches that
+        meet at a singularity appear twice. If q5 is 0 or pi, q6 is arbitrary.
 
         Args:
-            base_from_tool: Rigid transform, (4, 4). A rotation in single precision is moved to the nearest one.
+            base_from_tool: Rigid transform, (4, 4). A single-precision rotation is orthonormalised.
 
         Raises:
             ValueError: Not a rigid transform within 1e-6.
@@ -71,15 +71,14 @@ class UrInverse:
         return self._solver.all(_float64(base_from_tool))
 
     def nearest(self, base_from_tool: Matrix, q_near: Numbers) -> Array | None:
-        """The posture within the limits that is nearest to `q_near`, or None: then `reason` says why.
+        """Return the posture within the limits nearest to `q_near`, or None with a `reason`.
 
-        Nearest by the sum of squares over the joints, each with the multiple of 2 pi that its limits allow. Where q5 is
-        0 or pi, q6 stays as near to where it was as the reach allows. Where two branches meet (arm stretched or folded,
-        wrist over the base's axis), the arm may leave on either: give where it is about to be, and it goes straight
-        through.
+        Minimises the sum of squares over the joints, with multiples of 2 pi within the limits. If q5 is 0 or pi, q6
+        stays as close as the reach allows. Where two branches meet (stretched or folded arm, wrist over the base axis),
+        either may follow; pass a predicted posture to pass straight through.
 
         Args:
-            base_from_tool: Rigid transform, (4, 4). A rotation in single precision is moved to the nearest one.
+            base_from_tool: Rigid transform, (4, 4). A single-precision rotation is orthonormalised.
             q_near: Joint angles in rad, (6,).
 
         Raises:

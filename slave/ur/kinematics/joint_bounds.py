@@ -1,4 +1,4 @@
-"""Bounds of each joint's velocity for one period: by speed, by acceleration, and what it can brake from."""
+"""Bounds of each joint's velocity for one period, from speed, acceleration and braking distance."""
 
 import math
 from functools import reduce
@@ -8,14 +8,14 @@ from haptether.slave.ur.kinematics.constraints import StreamingLimits
 from haptether.slave.ur.kinematics.quadratic import UNBOUNDED
 from haptether.slave.ur.kinematics.symbolic import Symbol, casadi_module
 
-# Bounds that cross by no more than this, rad/s, cross by rounding: a joint that brakes just in time.
+# Largest crossing of bounds in rad/s attributed to rounding: a joint that brakes just in time.
 CROSSED: Final = 1e-9
 
 
 def joint_bounds(
     q: Symbol, before: Symbol, limits: StreamingLimits, period_s: float
 ) -> tuple[list[Symbol], list[Symbol]]:
-    """Bounds of each joint's velocity by speed, acceleration, and what it can brake from before its end."""
+    """Return the bounds of each joint's velocity by speed, acceleration and braking distance."""
     casadi = casadi_module()
     lower: list[Symbol] = []
     upper: list[Symbol] = []
@@ -41,12 +41,11 @@ def joint_bounds(
 
 
 def _last_speed(distance: Symbol, step: float, period_s: float) -> Symbol:
-    """The largest velocity now from which a joint stops within a distance, if it slows by `step` each period.
+    """Return the largest velocity from which a joint stops within a distance, if it slows by `step` per period.
 
-    Held for one period, then for one each of v - step, v - 2 step, ..., it goes `T ((n + 1) v - step n (n + 1) / 2)`
-    with `n = floor(v / step)`. So `v = distance / ((n + 1) T) + n step / 2`, with the largest n for which
-    `T step n (n + 1) / 2 <= distance`. At or past its end it is 0. From such a velocity the next one that is allowed
-    is never more than a step away.
+    Held for one period, then for one each of v - step, v - 2 step, ..., it moves `T ((n + 1) v - step n (n + 1) / 2)`
+    with `n = floor(v / step)`. So `v = distance / ((n + 1) T) + n step / 2`, with the largest n for which `T step n (n
+    + 1) / 2 <= distance`. At or past its end it is 0. The next allowed velocity is then at most one step away.
     """
     casadi = casadi_module()
     left = casadi.fmax(distance, 0.0)

@@ -1,7 +1,7 @@
-"""What the UR arms are: their geometry, their limits, and the sensor in their flange.
+"""UR arm models: geometry, limits and flange sensor.
 
-Denavit-Hartenberg rows in the vendor's convention, `T_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`, in the frame that
-the controller calls base (ROS's `base_link` is that frame rotated by pi about z).
+Denavit-Hartenberg parameters in the vendor's convention, `T_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`, in the frame
+that the controller calls base (ROS's `base_link` is that frame rotated by pi about z).
 
 Source: Universal Robots, "DH Parameters for calculations of kinematics and dynamics" (geometry, link masses), "Max.
 joint torques", and the vendor's ROS description, `config/<model>/joint_limits.yaml` (speeds, torques); data sheets
@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from typing import Final
 
 Six = tuple[float, float, float, float, float, float]
-"""One number a joint, from the base to the flange."""
+"""One value per joint, from base to flange."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WrenchSensor:
-    """What the controller knows of force (N) and torque (N m) at the tool; None where the vendor states no figure."""
+    """Force (N) and torque (N m) measurement at the tool; None if the vendor states no value."""
 
     force_range_n: float | None
     force_precision_n: float | None
@@ -27,12 +27,12 @@ class WrenchSensor:
     torque_precision_nm: float | None
     torque_accuracy_nm: float
     measured: bool
-    """By a sensor in the flange; else estimated from the currents of the motors."""
+    """True if measured by a flange sensor, False if estimated from motor currents."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UrModel:
-    """An arm as its data sheet has it; the deltas of one unit are a `UrCalibration`."""
+    """Arm by its data sheet; `UrCalibration` holds the deltas of one unit."""
 
     name: str
     a: Six
@@ -42,7 +42,7 @@ class UrModel:
     alpha: Six
     """Link twists in rad."""
     position_min: Six
-    """Smallest joint angles in rad, -inf for a joint without ends."""
+    """Smallest joint angles in rad, -inf for an unlimited joint."""
     position_max: Six
     """Largest joint angles in rad."""
     max_speed: Six
@@ -77,7 +77,7 @@ MASSES_KG: Final[dict[str, Six]] = {
     "ur5e": (3.761, 8.058, 2.846, 1.37, 1.3, 0.365),
     "ur10e": (7.369, 13.051, 3.989, 2.1, 1.98, 0.615),
     "ur16e": (7.369, 10.45, 4.321, 2.18, 2.033, 0.907),
-    # An older sheet has 0.846 kg for the last link of the UR20.
+    # An older sheet gives 0.846 kg for the last link of the UR20.
     "ur20": (16.343, 29.632, 7.879, 3.054, 3.126, 0.926),
     "ur30": (16.343, 28.542, 7.156, 3.054, 3.126, 0.926),
 }
@@ -113,7 +113,7 @@ def _sensor(
     *,
     measured: bool = True,
 ) -> WrenchSensor:
-    """A sensor from range, precision and accuracy."""
+    """Return a sensor from range, precision and accuracy."""
     return WrenchSensor(
         force_range_n=force[0],
         force_precision_n=force[1],
@@ -125,7 +125,7 @@ def _sensor(
     )
 
 
-# From the motors' currents: the vendor's forum states an accuracy, nobody a range or a precision.
+# Estimated from motor currents: the vendor's forum states an accuracy, but no range or precision.
 ESTIMATED: Final = _sensor((None, None, 10.0), (None, None, 5.0), measured=False)
 
 SENSORS: Final[dict[str, WrenchSensor]] = {
@@ -140,9 +140,9 @@ SENSORS: Final[dict[str, WrenchSensor]] = {
     "ur30": _sensor((200, 5.0, 10.0), (20, 0.2, 0.5)),
 }
 
-# Raised payload on the arm of another: the vendor's ROS description has the same masses for both of a pair, and for the
-# UR12e the same joint speeds and torques; ur-analytic-ik 0.1.0 has the same geometry for both. That speeds and torques
-# of the UR7e and the sensors of both are the same too is concluded, and not from a data sheet.
+# Higher payload on the arm of another model. The vendor's ROS description has equal masses for both of a pair, and for
+# the UR12e equal joint speeds and torques; ur-analytic-ik 0.1.0 has equal geometry. Equal speeds and torques of the
+# UR7e, and equal sensors of both, are inferred, not from a data sheet.
 SAME_ARM: Final = {"ur7e": "ur5e", "ur12e": "ur10e"}
 
 ENDLESS_WRIST: Final = frozenset({"ur3", "ur3e"})
@@ -160,7 +160,7 @@ def _model(name: str) -> UrModel:
         a=(0.0, a2, a3, 0.0, 0.0, 0.0),
         d=(d1, 0.0, 0.0, d4, d5, d6),
         alpha=ALPHA,
-        # ROS's narrower range of the elbow is a convention of its planners; the controller allows a full turn.
+        # ROS's narrower elbow range is a planner convention; the controller allows a full turn.
         position_min=(-math.tau, -math.tau, -math.tau, -math.tau, -math.tau, -last),
         position_max=(math.tau, math.tau, math.tau, math.tau, math.tau, last),
         max_speed=(v1, v2, v3, v4, v5, v6),
@@ -181,14 +181,14 @@ MAX_PAYLOAD_KG: Final = {
     "ur3": 3.0, "ur5": 5.0, "ur10": 10.0, "ur3e": 3.0, "ur5e": 5.0, "ur7e": 7.5, "ur10e": 12.5, "ur12e": 12.5,
     "ur16e": 16.0, "ur20": 25.0, "ur30": 35.0,
 }  # fmt: skip
-"""What each arm carries at most, of the data sheets; that of UR20 and UR30 near the flange alone."""
+"""Largest payload of each arm from data sheets; for UR20 and UR30 near the flange only."""
 
 
 def ur_model(name: str) -> UrModel:
-    """The arm of that name, which may be written in capitals.
+    """Return an arm by its case-insensitive name.
 
     Raises:
-        ValueError: There is no such arm.
+        ValueError: The arm does not exist.
     """
     found = UR_MODELS.get(name.lower())
     if found is None:

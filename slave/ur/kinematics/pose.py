@@ -1,7 +1,7 @@
-"""Rotation vectors and poses as the UR controller writes them; inside, rotations are matrices or `quat_wxyz`.
+"""Rotation vectors and poses in the UR controller's form; internally rotations are matrices or `quat_wxyz`.
 
-A pose is `(x, y, z, rx, ry, rz)`: metres, and axis times angle in rad. All go through the unit quaternion, whose half
-angle is well conditioned from 0 to pi. Results are floats and NumPy arrays; arguments are sequences of numbers.
+A pose is `(x, y, z, rx, ry, rz)`: metres, and axis times angle in rad. All conversions use the unit quaternion, whose
+half angle is well conditioned from 0 to pi. Results are floats and NumPy arrays; arguments are sequences of numbers.
 
 Source: K. Shoemake, "Animating Rotation with Quaternion Curves", 1985; S. W. Shepperd, "Quaternion from Rotation
 Matrix", J. Guidance and Control 1(3), 1978.
@@ -19,17 +19,17 @@ Numbers: TypeAlias = Sequence[float] | Array
 Quaternion: TypeAlias = tuple[float, float, float, float]
 Vector: TypeAlias = tuple[float, float, float]
 
-# How far a rotation may be from one: what is written with seven digits passes, what was never a rotation does not.
+# Allowed deviation of a rotation: accepts seven digits, rejects non-rotations.
 NOT_UNIT = 1e-6
-# Below this angle the next term of the series of sin(x)/x is less than half an ulp of 1.
+# Angle below which the next term of the series of sin(x)/x is less than half an ulp of 1.
 SMALL = 1e-4
 
 
 def finite(name: str, values: Numbers, count: int) -> list[float]:
-    """So many numbers.
+    """Return `count` finite numbers.
 
     Raises:
-        ValueError: Another count, or one that is not finite.
+        ValueError: The count differs, or a value is not finite.
     """
     numbers = [float(value) for value in values]
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
@@ -39,7 +39,7 @@ def finite(name: str, values: Numbers, count: int) -> list[float]:
 
 
 def quat_wxyz_from_rotvec(rotvec: Numbers) -> Quaternion:
-    """Unit quaternion of a rotation vector: `(cos(t/2), sin(t/2) r/t)` with `t = |r|`; w >= 0 for t <= pi.
+    """Return the unit quaternion of a rotation vector: `(cos(t/2), sin(t/2) r/t)` with `t = |r|`; w >= 0 for t <= pi.
 
     Raises:
         ValueError: Not three finite numbers.
@@ -52,10 +52,10 @@ def quat_wxyz_from_rotvec(rotvec: Numbers) -> Quaternion:
 
 
 def rotvec_from_quat_wxyz(quat_wxyz: Numbers) -> Vector:
-    """Rotation vector of a quaternion, with an angle from 0 to pi: `2 atan2(|v|, w) v/|v|`.
+    """Return the rotation vector of a quaternion, angle from 0 to pi: `2 atan2(|v|, w) v/|v|`.
 
-    The quaternion and its negative are the same rotation. At pi so are `r` and `-r`; then the first component that is
-    not zero is positive.
+    The quaternion and its negative are the same rotation. At pi so are `r` and `-r`; then the first non-zero component
+    is positive.
 
     Raises:
         ValueError: Not four finite numbers, or not of length 1 within 1e-6.
@@ -72,7 +72,7 @@ def rotvec_from_quat_wxyz(quat_wxyz: Numbers) -> Vector:
 
 
 def rotvec_near(quat_wxyz: Numbers, near: Numbers) -> Vector:
-    """Of the rotation vectors of a quaternion, `r + 2 pi k r/|r|`, the nearest to another: goes on past an angle of pi.
+    """Return the rotation vector `r + 2 pi k r/|r|` nearest to another one; continues beyond an angle of pi.
 
     Raises:
         ValueError: Not four finite numbers, or not of length 1 within 1e-6.
@@ -87,7 +87,7 @@ def rotvec_near(quat_wxyz: Numbers, near: Numbers) -> Vector:
 
 
 def quat_product(p: Quaternion, q: Quaternion) -> Quaternion:
-    """Hamilton's product of two quaternions, `quat_wxyz`."""
+    """Return the Hamilton product of two quaternions, `quat_wxyz`."""
     pw, px, py, pz = p
     qw, qx, qy, qz = q
     return (
@@ -99,7 +99,7 @@ def quat_product(p: Quaternion, q: Quaternion) -> Quaternion:
 
 
 def turn_between(quat_wxyz: Quaternion, other: Quaternion) -> Vector:
-    """`log(R_other R')`: the rotation vector in the base frame that leads from one orientation to another, rad.
+    """Return `log(R_other R')`: the rotation vector in the base frame between two orientations in rad.
 
     Raises:
         ValueError: Not four finite numbers, or not of length 1 within 1e-6.
@@ -109,7 +109,7 @@ def turn_between(quat_wxyz: Quaternion, other: Quaternion) -> Vector:
 
 
 def unit_quaternion(name: str, quaternion: Numbers) -> Quaternion:
-    """The quaternion, of length 1 to rounding.
+    """Return the quaternion normalised to length 1.
 
     Raises:
         ValueError: Not four finite numbers, or not of length 1 within 1e-6.
@@ -123,7 +123,7 @@ def unit_quaternion(name: str, quaternion: Numbers) -> Quaternion:
 
 
 def matrix_from_quat_wxyz(quat_wxyz: Numbers) -> Array:
-    """Rotation matrix, shape (3, 3), of a unit quaternion.
+    """Return the rotation matrix, shape (3, 3), of a unit quaternion.
 
     Raises:
         ValueError: Not four finite numbers, or not of length 1 within 1e-6.
@@ -139,7 +139,7 @@ def matrix_from_quat_wxyz(quat_wxyz: Numbers) -> Array:
 
 
 def quat_wxyz_from_matrix(matrix: Array | Sequence[Sequence[float]]) -> Quaternion:
-    """Unit quaternion with w >= 0 of a rotation matrix, from its largest component (Shepperd).
+    """Return the unit quaternion with w >= 0 of a rotation matrix, from its largest component (Shepperd).
 
     Raises:
         ValueError: Not of shape (3, 3), not finite, or `R'R` not 1 within 1e-6 or a reflection.
@@ -167,7 +167,7 @@ def quat_wxyz_from_matrix(matrix: Array | Sequence[Sequence[float]]) -> Quaterni
 
 
 def matrix_from_rotvec(rotvec: Numbers) -> Array:
-    """Rotation matrix, shape (3, 3), of a rotation vector.
+    """Return the rotation matrix, shape (3, 3), of a rotation vector.
 
     Raises:
         ValueError: Not three finite numbers.
@@ -176,7 +176,7 @@ def matrix_from_rotvec(rotvec: Numbers) -> Array:
 
 
 def rotvec_from_matrix(matrix: Array | Sequence[Sequence[float]]) -> Vector:
-    """Rotation vector, with an angle from 0 to pi, of a rotation matrix.
+    """Return the rotation vector, angle from 0 to pi, of a rotation matrix.
 
     Raises:
         ValueError: Not of shape (3, 3), not finite, or not a rotation within 1e-6.
@@ -185,7 +185,7 @@ def rotvec_from_matrix(matrix: Array | Sequence[Sequence[float]]) -> Vector:
 
 
 def transform_from_pose(pose: Numbers) -> Array:
-    """Homogeneous transform, shape (4, 4), of a pose.
+    """Return the homogeneous transform, shape (4, 4), of a pose.
 
     Raises:
         ValueError: Not six finite numbers.
@@ -198,7 +198,7 @@ def transform_from_pose(pose: Numbers) -> Array:
 
 
 def pose_from_transform(transform: Array) -> Array:
-    """Pose, shape (6,), of a homogeneous transform of shape (4, 4), or of its upper three rows.
+    """Return the pose, shape (6,), of a homogeneous transform of shape (4, 4), or of its upper three rows.
 
     Raises:
         ValueError: Not a rotation, or not finite.
@@ -208,7 +208,7 @@ def pose_from_transform(transform: Array) -> Array:
 
 
 def pose_trans(a_from_b: Numbers, b_from_c: Numbers) -> Array:
-    """Pose of c in a, shape (6,): as URScript's `pose_trans`.
+    """Return the pose of c in a, shape (6,), same as URScript's `pose_trans`.
 
     Raises:
         ValueError: Not six finite numbers.

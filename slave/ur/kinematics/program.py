@@ -1,8 +1,8 @@
-"""The quadratic program of one period of a streamed motion, and its minimum.
+"""Quadratic program of one period of a streamed motion, and its minimum.
 
-Bounds of the joints' velocities are by speed, acceleration, and what a joint can brake from before its end; each row
-keeps a distance. The minimum without any limit comes from the Cholesky factor of H; where that is within all limits it
-is the minimum, and no solver is asked.
+Joint velocity bounds follow from speed, acceleration and braking distance; each row keeps a distance. The minimum
+without limits comes from the Cholesky factor of H. If it satisfies all limits it is the minimum, and no solver is
+needed.
 """
 
 from typing import Final
@@ -27,30 +27,30 @@ from haptether.slave.ur.kinematics.quadratic import UNBOUNDED, QuadraticProgram,
 from haptether.slave.ur.kinematics.speed_limit import CLOSE, SpeedLimit
 from haptether.slave.ur.kinematics.symbolic import Buffered, Symbol, casadi_module
 
-# Solutions that the search for its multiplier may take; 1 to 4 are common.
+# Largest number of solutions in the multiplier search; 1 to 4 are common.
 MAX_SOLUTIONS: Final = 40
-# From this multiplier on, (m/s)^-2, the cost drowns in rounding: then the tool cannot be that slow.
+# Multiplier in (m/s)^-2 above which rounding dominates the cost: the tool cannot be that slow.
 MAX_MULTIPLIER: Final = 1e6
-# Keeps the cost strictly convex where nothing else does. It slows a motion by less than 1e-5 of it where the smallest
-# singular value of the weighted Jacobian is above 0.03.
+# Keeps the cost strictly convex in all cases. It slows a motion by less than 1e-5 of it if the smallest singular value
+# of the weighted Jacobian is above 0.03.
 REGULAR: Final = 1e-8
-# What has drifted out of bounds by the curvature of its path is brought back no faster than this, m/s.
+# Largest return speed in m/s after a drift out of bounds by path curvature.
 RETURN_M_S: Final = 1e-3
-# Kinds of distances that a program may leave out.
+# Kinds of distances that a program may omit.
 ITSELF: Final = 0
 PLANES: Final = 1
 
 
 class BoundedProgram:
-    """The program as a function of joint angles, joint velocities before, and the tool's twist; and its minimum.
+    """Program as a function of joint angles, previous joint velocities and tool twist, and its minimum.
 
     Args:
-        kinematics: The arm with its tool.
-        limits: What to keep to: each row is one of their distances, and what they do not name is not there.
-        cost: Weights and damping.
+        kinematics: Kinematics of the arm with its tool.
+        limits: Limits; each row is one of their distances.
+        cost: Cost weights and damping.
         period_s: Time between two calls in s.
-        keeps_itself: Whether the distances of the arm to itself are among the rows.
-        keeps_planes: Whether those to planes are.
+        keeps_itself: True to include self distances.
+        keeps_planes: True to include plane distances.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class BoundedProgram:
         distances = _distances(kinematics, limits, keeps_itself=keeps_itself, keeps_planes=keeps_planes)
         n = len(distances)
         floors, certificate = casadi.SX.sym("floors", n), casadi.SX.sym("certificate", 14)
-        # d(distance)/dt >= -rate distance: an approach that would take for ever.
+        # d(distance)/dt >= -rate distance: an asymptotic approach.
         left = [distance.value - floors[row] for row, (_, _, distance) in enumerate(distances)]
         lower = casadi.vertcat(*lows, *[casadi.fmin(-limits.approach_rate_hz * each, RETURN_M_S) for each in left])
         upper = casadi.vertcat(*highs)
@@ -96,19 +96,19 @@ class BoundedProgram:
         nearest = [_least(left, distances, kind) for kind in (ITSELF, PLANES)]
         needs, spare = _needs_and_spare(kinematics, limits, (q, lower[:6], upper), certificate, left_out)
 
-        # A factor that is none, by rounding, makes each of the six not a number, and with them the least of these.
+        # A failed factor, by rounding, makes each of the six NaN, and thus their minimum.
         slack = casadi.mmin(casadi.vertcat(*within))
         bounds = casadi.vertcat(upper, UNBOUNDED * casadi.SX.ones(n))
         results = [hessian, -casadi.mtimes(weighted, twist), rows.T, lower, bounds, values, free, *speed]
         scalars = [slack, spare, casadi.vertcat(*nearest), casadi.vertcat(*needs)]
         self.function = Buffered("streaming", [q, before, twist, floors, certificate], [*results, *scalars], kept=2)
         self.rows = tuple(name for name, _, _ in distances)
-        """What each row of A is, as text."""
+        """Text of each row of A."""
         memory = self.function.memory
         self.quadratic = QuadraticProgram(
             memory[0].reshape(6, 6), memory[1], memory[2].reshape(n, 6), memory[3], memory[4]
         )
-        """Of the last call of `function`."""
+        """Program of the last call of `function`."""
         self.speed_limit: SpeedLimit | None = None
         if limits.max_tool_speed is not None:
             self.speed_limit = SpeedLimit(limits.max_tool_speed, memory[7].reshape(3, 6), memory[8].reshape(6, 6))
@@ -116,17 +116,17 @@ class BoundedProgram:
         self._distances, self._free = memory[5], memory[6]
         self._slack, self._spare, self._nearest, self._need = self.function.numbers[-4:]
         self._certificate = np.zeros(14)
-        """For each kind the joint angles of its certificate, and how far the arm was away there."""
+        """Certificate per kind: joint angles, and distance there."""
         self._solver = QuadraticSolver()
         self._unheld = np.zeros(6 + n)
         self.multipliers = self._unheld
-        """Of the last minimum, (6 + n,): positive where an upper bound holds, negative where a lower one does."""
+        """Multipliers of the last minimum, (6 + n,): positive for an active upper bound, negative for a lower one."""
 
     def begin(self, q: Numbers, offset: Array) -> None:
-        """Motion begins at joint angles: what is nearer there than it may be goes no nearer; planes lie at an offset.
+        """Start a motion: distances that are too small may not shrink; planes have an offset.
 
         Raises:
-            ValueError: A number is not finite.
+            ValueError: A value is not finite.
         """
         floors = self._normals @ offset
         self.function.keep(0, floors)
@@ -134,10 +134,10 @@ class BoundedProgram:
         self.function.keep(0, np.minimum(floors, self._distances))
 
     def certify(self, seen: "BoundedProgram", q: Numbers, kind: int) -> bool:
-        """Takes over how far the arm is from itself or from planes; whether that is twice what one period needs.
+        """Store a distance certificate; return True if the distance is more than twice the need of one period.
 
         Args:
-            seen: A program that has the distances of this kind, called at `q`.
+            seen: Program with the distances of this kind, called at `q`.
             q: Joint angles in rad, (6,).
             kind: `ITSELF` or `PLANES`.
         """
@@ -149,17 +149,17 @@ class BoundedProgram:
         return True
 
     def is_apart(self) -> bool:
-        """Whether no distance that is left out can hold anything back in this period, by the last certificates.
+        """Return True if no omitted distance can be active in this period, by the last certificates.
 
-        A distance h was at least h_c at the angles q_c, and changes by at most `sum L_i |dq_i|`. A row
-        `dh/dt >= -rate h` then holds for all velocities within the joints' bounds w if
-        `h_c - sum L_i |q_i - q_ci| >= sum L_i w_i / rate`: the program without it has the same minimum.
+        A distance h was at least h_c at the angles q_c, and changes by at most `sum L_i |dq_i|`. A row `dh/dt >= -rate
+        h` then holds for all velocities within the joints' bounds w if `h_c - sum L_i |q_i - q_ci| >= sum L_i w_i /
+        rate`: the program without it has the same minimum.
         """
         return bool(self._spare[0] >= 0.0)
 
     def minimum(self, multiplier: float) -> tuple[Array | None, float]:
-        """Joint velocities, (6,), or None where the bounds leave nothing, and m; from the m of the period before."""
-        # Not a number is not within.
+        """Return joint velocities, (6,), or None if infeasible, and m; starts from the previous period's m."""
+        # NaN counts as outside.
         if self._slack[0] >= 0.0:
             self.multipliers = self._unheld
             return self._free.copy(), 0.0
@@ -171,7 +171,7 @@ class BoundedProgram:
         return found, m
 
     def _within_speed(self, limit: SpeedLimit, m: float) -> tuple[Array | None, float]:
-        """The optimum with the tool's speed within its limit, and its multiplier."""
+        """Return the optimum within the tool speed limit, and its multiplier."""
         program = self.quadratic
         limit.reset()
         for _ in range(MAX_SOLUTIONS):
@@ -189,7 +189,7 @@ class BoundedProgram:
 
 
 def _damping(kinematics: UrKinematics, cost: StreamingCost) -> Symbol:
-    """`l = damping (1 - w/w0)^2` below the manipulability w0, 0 above.
+    """Return `l = damping (1 - w/w0)^2` below the manipulability w0, 0 above.
 
     Source: Y. Nakamura, H. Hanafusa, "Inverse Kinematic Solutions with Singularity Robustness for Robot Manipulator
     Control", J. Dynamic Systems, Measurement, and Control 108, 1986, Eq. 30.
@@ -204,7 +204,7 @@ def _damping(kinematics: UrKinematics, cost: StreamingCost) -> Symbol:
 
 
 def _least(left: list[Symbol], distances: list[tuple[str, Vector, Distance]], kind: int) -> Symbol:
-    """What is left of the distances of one kind, at least; without any, nothing is near."""
+    """Return the smallest remaining distance of one kind; unbounded if there are none."""
     casadi = casadi_module()
     kept = [one for one, (_, normal, _) in zip(left, distances, strict=True) if any(normal) == (kind == PLANES)]
     return casadi.mmin(casadi.vertcat(*kept)) if kept else casadi.SX(UNBOUNDED)
@@ -217,10 +217,10 @@ def _needs_and_spare(
     certificate: Symbol,
     left_out: list[int],
 ) -> tuple[list[Symbol], Symbol]:
-    """What one period needs of each kind of distance, and what the certificates of those left out have beside it."""
+    """Return the distance that one period needs per kind, and the spare of the omitted kinds' certificates."""
     casadi = casadi_module()
     q, lower, upper = joints
-    # Of all joints within their bounds, the fastest that a distance can change, over the rate.
+    # Fastest change of a distance over all joints within their bounds, divided by the rate.
     fastest = casadi.fmax(casadi.fabs(lower), casadi.fabs(upper))
     levers = [casadi.DM(list(each)) for each in (link_levers(kinematics), plane_levers(kinematics, limits.planes))]
     needs = [casadi.dot(each, fastest) / limits.approach_rate_hz for each in levers]
@@ -234,7 +234,7 @@ def _needs_and_spare(
 def _distances(
     kinematics: UrKinematics, limits: StreamingLimits, *, keeps_itself: bool, keeps_planes: bool
 ) -> list[tuple[str, Vector, Distance]]:
-    """The distances that are kept, each with what it is of, as text, and the normal of its plane, if it is to one."""
+    """Return the distances with their text and, for a plane, its normal."""
     chain, keep_out = kinematics.chain, limits.self_keep_out
     body = arm_body(kinematics.model, None if keep_out is None else keep_out.radius_m)
     found: list[tuple[str, Vector, Distance]] = []

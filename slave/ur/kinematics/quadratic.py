@@ -1,4 +1,4 @@
-"""A quadratic program with bounds, and its minimum by an active-set method.
+"""Quadratic program with bounds, solved by an active-set method.
 
 Source: D. Arnstroem, A. Bemporad, D. Axehill, "A Dual Active-Set Solver for Embedded Quadratic Programming Using
 Recursive LDL^T Updates", IEEE Trans. Automatic Control 67(8), 2022 (daqp).
@@ -12,11 +12,11 @@ import numpy as np
 from haptether.slave.ur.kinematics.pose import Array
 
 UNBOUNDED: Final = 1e30
-"""What daqp takes for infinite."""
+"""Value that daqp treats as infinite."""
 
 
 class QuadraticProgram(NamedTuple):
-    """`minimise 1/2 x'Hx + f'x` subject to `lower <= (x, A x) <= upper`, over m numbers x."""
+    """`minimise 1/2 x'Hx + f'x` subject to `lower <= (x, A x) <= upper`, with m variables x."""
 
     hessian: Array
     """H, (m, m), positive definite."""
@@ -25,36 +25,36 @@ class QuadraticProgram(NamedTuple):
     rows: Array
     """A, (n, m)."""
     lower: Array
-    """(m + n,); -1e30 is none."""
+    """Lower bounds, (m + n,); -1e30 for none."""
     upper: Array
-    """(m + n,); 1e30 is none."""
+    """Upper bounds, (m + n,); 1e30 for none."""
 
 
 SOLVED: Final = 1
 INFEASIBLE: Final = -1
-# daqp's own tolerance of 1e-6 would let a joint be that much too fast. Problems here take about 10 steps; with hundreds
-# it goes round in circles. Its regularisation is not needed: costs are strictly convex.
+# daqp's default tolerance of 1e-6 would allow a joint to exceed its speed by that much. Problems here take about 10
+# steps; with hundreds it cycles. Its regularisation is not needed, because costs are strictly convex.
 SETTINGS: Final = {"primal_tol": 1e-11, "dual_tol": 1e-12, "eps_prox": 0.0, "iter_limit": 300}
 
 
 class QuadraticSolver:
-    """Solves programs of one size, each from where the last one ended.
+    """Solver for programs of one size, each warm-started from the last.
 
-    Two traps of daqp:
+    Two pitfalls of daqp:
 
-    - `update` refuses a program whose bounds cross, and keeps the one before, whose solution `solve` then returns again
-      as solved: that is caught here;
-    - with a number that is not finite it reports success: that the caller has to check before.
+    - `update` refuses a program with crossing bounds and keeps the previous one, whose solution `solve` then returns as
+      solved. This class detects it.
+    - With a non-finite number it reports success. The caller must check for it.
     """
 
     def __init__(self) -> None:
         self._solver: Any = import_module("daqp").Model()
         self._is_set_up = False
         self.multipliers = np.zeros(0)
-        """Of the last solution, (m + n,): positive where an upper bound holds, negative where a lower one does."""
+        """Multipliers of the last solution, (m + n,): positive for an active upper bound, negative for a lower one."""
 
     def solve(self, program: QuadraticProgram) -> Array | None:
-        """The minimum, (m,), or None where the bounds leave nothing."""
+        """Return the minimum, (m,), or None if infeasible."""
         hessian, linear, rows, lower, upper = program
         for _ in range(2):
             if self._is_set_up:
@@ -70,7 +70,7 @@ class QuadraticSolver:
             if flag == SOLVED:
                 self.multipliers = info["lam"]
                 return solution  # type: ignore[no-any-return]
-            # The next start is from scratch: where this one began may be what led it astray.
+            # Cold start next, because the warm start may have caused the failure.
             self._is_set_up = False
             if flag == INFEASIBLE:
                 return None

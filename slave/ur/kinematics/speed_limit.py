@@ -1,4 +1,4 @@
-"""The limit of the tool's speed in a quadratic program: a ball, by the multiplier of a cost."""
+"""Tool speed limit in a quadratic program: a ball, by the multiplier of a cost."""
 
 import math
 from typing import Final
@@ -8,19 +8,19 @@ import numpy as np
 from haptether.slave.ur.kinematics.pose import Array
 
 CLOSE: Final = 1e-9
-"""How far the tool's speed may be from its limit where the limit holds, as a part of it."""
+"""Relative tolerance of the tool speed at an active limit."""
 
 
 class SpeedLimit:
-    """`|J qd| <= max_speed` as a cost `m/2 |J qd|^2`: m is searched for which the speed, which falls with m, is that.
+    """`|J qd| <= max_speed` as a cost `m/2 |J qd|^2`, with a search for the m that reaches the limit.
 
-    By 1/speed, which is all but linear in m as long as the same bounds hold; where bounds come and go it has kinks, and
-    where they leave nothing to choose it is flat. So: secants from the m before, then within a bracket, which is halved
-    where secants do not do that.
+    The speed falls with m. Searches on 1/speed, which is nearly linear in m for a fixed set of active bounds. It has
+    kinks where the set changes, and is flat where bounds leave no freedom. Therefore: secants from the previous m, then
+    within a bracket, with bisection if secants do not halve it.
 
     Args:
-        max_speed: Of the tool point, in m/s.
-        jacobian: Linear velocity of the tool point by those of the joints, (3, 6); read at each call.
+        max_speed: Limit of the tool point's speed in m/s.
+        jacobian: Linear Jacobian of the tool point, (3, 6); read at each call.
         squared: J'J, (6, 6); read at each call.
 
     Source: J. J. More, D. C. Sorensen, "Computing a Trust Region Step", SIAM J. Sci. Stat. Comput. 4(3), 1983, section
@@ -33,32 +33,32 @@ class SpeedLimit:
         self._squared = squared
         self._sum = np.zeros((6, 6))
         self._slope = 1.0
-        """Of 1/speed by m, as it was last seen."""
+        """Last slope of 1/speed over m."""
         self._before: tuple[float, float] | None = None
-        """m and 1/speed - 1/max_speed of the try before."""
+        """m and 1/speed - 1/max_speed of the previous try."""
         self._fast = (0.0, -math.inf)
-        """The same of the largest m that was too fast."""
+        """Same for the largest m that was too fast."""
         self._slow = (math.inf, math.inf)
-        """The same of the smallest m that was too slow."""
+        """Same for the smallest m that was too slow."""
         self._width = math.inf
-        """Of the bracket two tries ago."""
+        """Width of the bracket two tries ago."""
 
     def speed(self, qd: Array) -> float:
-        """Of the tool point in m/s."""
+        """Return the tool point's speed in m/s."""
         return math.hypot(*(self._jacobian @ qd).tolist())
 
     def added_to(self, hessian: Array, m: float) -> Array:
-        """H + m J'J."""
+        """Return H + m J'J."""
         np.multiply(self._squared, m, out=self._sum)
         np.add(self._sum, hessian, out=self._sum)
         return self._sum
 
     def reset(self) -> None:
-        """Drops the bracket and keeps the slope, for the next program."""
+        """Drop the bracket and keep the slope for the next program."""
         self._before, self._fast, self._slow, self._width = None, (0.0, -math.inf), (math.inf, math.inf), math.inf
 
     def next(self, m: float, speed: float) -> float:
-        """The m to try after one that gave that speed; 0 before any other below what is needed."""
+        """Return the next m to try after one that gave a speed; 0 first if below the required value."""
         tried = m, 1 / max(speed, 1e-12) - 1 / self.max_speed
         before, self._before = self._before, tried
         if before is not None and m != before[0]:
@@ -66,7 +66,7 @@ class SpeedLimit:
             self._slope = slope if slope > 0 else self._slope
         following = m - tried[1] / self._slope
         too_fast = tried[1] < 0
-        # Illinois: an end that stays a second time counts half.
+        # Illinois: an end that stays twice counts half.
         if too_fast:
             if before is not None and before[1] < 0:
                 self._slow = self._slow[0], self._slow[1] / 2
@@ -77,7 +77,7 @@ class SpeedLimit:
             self._slow = tried
         (low, low_value), (high, high_value) = self._fast, self._slow
         if high == math.inf:
-            # With every joint at a bound the speed does not change at all, until m frees one.
+            # With every joint at a bound the speed is constant until m frees one.
             return min(following, 10 * m + 1) if following > m else 10 * m + 1
         if low_value == -math.inf:
             return max(following, 0.0)

@@ -1,11 +1,10 @@
-"""Differential inverse kinematics: the joint velocities that follow a tool velocity best within all limits.
+"""Differential inverse kinematics: joint velocities that best follow a tool velocity within all limits.
 
-Solving without limits and clipping what comes out is not that: the clipped joints no longer balance the others, and the
-tool goes elsewhere, past limits of its own too. So the limits are in the problem, which is solved to rounding:
-
+Clipping an unconstrained solution does not achieve this: clipped joints no longer balance the others, so the tool
+deviates, possibly beyond its own limits. Therefore the limits are part of the problem, which is solved to rounding:
 `minimise 1/2 |J qd - twist|_W^2 + 1/2 (l + e) |qd|^2` over the joint velocities qd of the next period, subject to
-`lower <= (qd, A qd) <= upper`; rows of A are gradients of distances. The limit of the tool's speed is no row of A, but
-in the cost.
+`lower <= (qd, A qd) <= upper`; rows of A are gradients of distances. The tool speed limit is not a row of A but part of
+the cost.
 
 Source: S. R. Buss, "Introduction to Inverse Kinematics with Jacobian Transpose, Pseudoinverse and Damped Least Squares
 methods", 2004, for the cost; O. Kanoun, F. Lamiraux, P.-B. Wieber, "Kinematic Control of Redundant Manipulators", IEEE
@@ -22,24 +21,23 @@ from haptether.slave.ur.kinematics.quadratic import UNBOUNDED, QuadraticProgram,
 
 
 class UrStreaming:
-    """Joint velocities for one arm, one period after the other, for one thread.
+    """Joint velocities of one arm, period by period, for one thread.
 
-    A limit of the tool's speed is a ball, `|J qd| <= max_speed`, and no polyhedron. Where it holds, its multiplier m
-    joins the cost as `m/2 |J qd|^2`, and m is searched for which the speed is at its limit, from the m of the period
-    before: what comes out is the optimum in the ball, not in a box or in facets around it.
+    The tool speed limit is a ball, `|J qd| <= max_speed`, not a polyhedron. If active, its multiplier m joins the cost
+    as `m/2 |J qd|^2`. The search for the m that reaches the limit starts from the previous period's m. The result is
+    the optimum within the ball, not within a box or facets around it.
 
-    Distances are most of the program. While the arm is so far from itself, or from itself and from all planes, that no
-    velocity within the joints' bounds could be held back by them (`BoundedProgram.is_apart`), the program without them
-    is solved.
+    Distances dominate the program's cost. They are omitted while no velocity within the joint bounds can activate them
+    (`BoundedProgram.is_apart`): self distances, or self and plane distances.
 
     Args:
-        kinematics: The arm with its tool.
-        limits: What to keep to; what is not named costs nothing.
+        kinematics: Kinematics of the arm with its tool.
+        limits: Limits; absent ones cost nothing.
         period_s: Time between two calls in s.
-        cost: Weights and damping.
+        cost: Cost weights and damping.
 
     Raises:
-        ValueError: The period is not above 0, or so long that a distance could be overrun within one.
+        ValueError: The period is not positive, or so long that a distance could be crossed within one.
     """
 
     def __init__(
@@ -57,64 +55,64 @@ class UrStreaming:
         self.limits = limits
         self.period_s = period_s
         self.reason = ""
-        """Why the last call braked; empty if it did not."""
+        """Reason why the last call braked; empty otherwise."""
         self.speed_multiplier = 0.0
-        """m of the last solution: above 0 where the tool is at its limit of speed."""
+        """m of the last solution: positive if the tool speed limit is active."""
         cost = cost or StreamingCost()
         self._near = BoundedProgram(kinematics, limits, cost, period_s)
         self._far: BoundedProgram | None = None
         if limits.self_keep_out is not None:
             self._far = BoundedProgram(kinematics, limits, cost, period_s, keeps_itself=False)
         self._free: BoundedProgram | None = None
-        """Without any distance; none where there are no planes, for then `_far` is that."""
+        """Program without distances; None without planes, because `_far` is the same."""
         if limits.planes:
-            # Where it does not keep itself there is nothing to certify.
+            # Without self distances nothing needs a certificate.
             itself = limits.self_keep_out is None
             self._free = BoundedProgram(kinematics, limits, cost, period_s, keeps_itself=itself, keeps_planes=False)
         self._is_far = False
         self._is_free = False
         self._last = self._near
         self.rows = self._near.rows
-        """What each row of the program is, as text."""
+        """Text of each row of the program."""
         self._step = None if limits.max_acceleration is None else np.array(limits.max_acceleration) * period_s
 
     @property
     def program(self) -> QuadraticProgram:
-        """A copy of the last program, without the limit of the tool's speed."""
+        """Return a copy of the last program, without the tool speed limit."""
         if self.looks_away:
             self._near.function.all(*self._last.function.given)
         return QuadraticProgram(*(array.copy() for array in self._near.quadratic))
 
     @property
     def looks_away(self) -> bool:
-        """Whether the last program was without distances that could not hold the arm back."""
+        """True if the last program omitted distances that could not be active."""
         return self._last is not self._near
 
     @property
     def multipliers(self) -> Array:
-        """Of the last solution, (6 + n,): positive where an upper bound holds, negative where a lower one does."""
+        """Multipliers of the last solution, (6 + n,): positive for an active upper bound, negative for a lower one."""
         found = self._last.multipliers
-        # Those to planes are the first rows, those of the arm to itself the last. What is not looked at holds nothing.
+        # Plane rows come first, self rows last. Omitted rows are inactive.
         return np.concatenate((found, np.zeros(6 + len(self.rows) - len(found))))
 
     @property
     def held_by(self) -> str:
-        """Which distances held the last solution back, as text; empty where none did."""
+        """Return the distances that limited the last solution as text; empty if none did."""
         held = self.multipliers[6:] < 0
         return ", ".join(row for row, is_held in zip(self.rows, held, strict=True) if is_held)
 
     def begin(self, q: Numbers, offset: Numbers = (0.0, 0.0, 0.0)) -> None:
-        """Motion begins at joint angles: what is nearer there than it may be need not go away, but goes no nearer.
+        """Start a motion: distances that are too small need not grow, but may not shrink.
 
-        Without this call every distance is kept above 0, and what is below comes back at up to 1 mm/s.
+        Without this call every distance is kept above 0, and a negative one returns at up to 1 mm/s.
 
         Args:
             q: Joint angles, (6,), rad.
-            offset: From the frame of the planes to that of the model, (3,), m: an arm of which the model is right to a
-                few mm keeps its planes where its controller has them.
+            offset: Offset from the planes' frame to the model's, (3,), m. It keeps the planes at the controller's
+                positions if the model is only accurate to a few mm.
 
         Raises:
-            ValueError: A number is not finite.
+            ValueError: A value is not finite.
         """
         self._is_far = self._is_free = False
         for program in (self._near, self._far, self._free):
@@ -122,16 +120,15 @@ class UrStreaming:
                 program.begin(q, np.array(offset, dtype=np.float64))
 
     def velocity(self, q: Numbers, qd: Numbers, twist: Numbers) -> Array:
-        """Joint velocities for the next period, (6,), rad/s.
+        """Return joint velocities for the next period, (6,), rad/s.
 
-        Where no velocity is within all limits, or a number is not finite, it brakes, within the acceleration limits,
-        and `reason` says why. It raises nothing.
+        If the limits are infeasible, or a value is not finite, it brakes within the acceleration limits and sets
+        `reason`. Never raises.
 
         Args:
-            q: Joint angles at the begin of the period, (6,), rad: those that were commanded, not the measured ones.
-            qd: Joint velocities that were commanded for the period before, (6,), rad/s.
-            twist: Of the tool, (6,), in the base frame: velocity of its point in m/s over angular velocity
-                in rad/s.
+            q: Commanded, not measured, joint angles at the start of the period, (6,), rad.
+            qd: Commanded joint velocities of the previous period, (6,), rad/s.
+            twist: Twist of the tool, (6,), in the base frame: linear velocity in m/s, angular velocity in rad/s.
         """
         try:
             program = self._evaluated(q, qd, twist)
@@ -148,7 +145,7 @@ class UrStreaming:
         return solution
 
     def _evaluated(self, q: Numbers, qd: Numbers, twist: Numbers) -> "BoundedProgram":
-        """The program of this period: without those distances of which none can hold the arm back."""
+        """Return the program of this period without distances that cannot be active."""
         near, far, free = self._near, self._far, self._free
         if free is not None and self._is_free:
             free.function.all(q, qd, twist)
@@ -158,7 +155,7 @@ class UrStreaming:
         if far is not None and self._is_far:
             far.function.all(q, qd, twist)
             if far.is_apart():
-                # From itself it was seen apart when this program's certificate was taken, and is still.
+                # The certificate of this program's self distance is still valid.
                 self._is_free = free is not None and free.certify(far, q, PLANES)
                 return far
         near.function.all(q, qd, twist)
@@ -169,7 +166,7 @@ class UrStreaming:
         return near
 
     def _conflict(self, braking: Array) -> str:
-        """Which limit the braking arm violates most, as text."""
+        """Return the limit that the braking arm violates most, as text."""
         _, _, rows, lower, upper = self._last.quadratic
         for joint in range(6):
             if lower[joint] > upper[joint]:
@@ -189,7 +186,7 @@ class UrStreaming:
         return f"{self.rows[worst]}: {seen[worst]:.6g} m/s while braking, must be at least {lower[6 + worst]:.6g} m/s"
 
     def _braking(self, qd: Numbers) -> Array:
-        """Every joint slower by as much as its acceleration limit allows; without one at rest."""
+        """Return every joint slowed by its acceleration limit; without a limit, zero."""
         try:
             before = np.array(qd, dtype=np.float64)
         except (TypeError, ValueError):
@@ -200,13 +197,13 @@ class UrStreaming:
 
 
 class BrakedPoint:
-    """A point that follows another as a tool would that brakes before planes, and that nothing else holds back.
+    """Point that follows another like a tool that brakes before planes, without further limits.
 
-    It goes to the nearest point at which every distance h to a plane is `(1 - rate T) h` at least, which is what
-    `UrStreaming` leaves of it in a period T. How far a tool is from this point, then, no plane accounts for.
+    Moves to the nearest point at which every plane distance h is at least `(1 - rate T) h`, the part that `UrStreaming`
+    leaves in a period T. A tool's distance from this point is therefore not caused by planes.
 
     Args:
-        limits: Planes, of which those of the whole arm count as those of its tool, and the rate.
+        limits: Planes and rate; planes of the whole arm count as planes of its tool.
         period_s: Time between two calls in s.
     """
 
@@ -217,15 +214,15 @@ class BrakedPoint:
         self._levels = self._offsets_m
         self._solver = QuadraticSolver()
         self.position = np.zeros(3)
-        """m."""
+        """Position in m."""
 
     def begin(self, position: Array, offset: Array) -> None:
-        """It is at a position, (3,), m; the offset and what is beyond a plane there are as in `UrStreaming.begin`."""
+        """Start at a position, (3,), m; offset and violated planes as in `UrStreaming.begin`."""
         self.position = position
         self._levels = np.minimum(self._offsets_m + self._normals @ offset, self._normals @ position)
 
     def step(self, target: Array) -> None:
-        """Goes on for a period towards a target, (3,), m."""
+        """Advance one period towards a target, (3,), m."""
         lower_levels = self._levels + self._share * (self._normals @ self.position - self._levels)
         if (self._normals @ target >= lower_levels).all():
             self.position = target
@@ -234,5 +231,5 @@ class BrakedPoint:
         upper = np.full(len(lower_levels) + 3, UNBOUNDED)
         nearest = QuadraticProgram(np.eye(3), -target, self._normals, np.concatenate((-anywhere, lower_levels)), upper)
         solution = self._solver.solve(nearest)
-        # Without a solution no plane accounts for any lag.
+        # Without a solution no plane explains a lag.
         self.position = target if solution is None else np.array(solution)

@@ -1,4 +1,4 @@
-"""CasADi, imported by the first arm that is built, and its functions on memory of ours."""
+"""CasADi, imported with the first arm, and its functions on preallocated memory."""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -14,10 +14,10 @@ Symbol: TypeAlias = Any
 
 
 def casadi_module() -> Any:  # noqa: ANN401  # its own stubs leave out that a buffer takes a memoryview
-    """The module `casadi`.
+    """Return the module `casadi`.
 
     Raises:
-        ImportError: It is not installed.
+        ImportError: CasADi is not installed.
     """
     require("kinematics of an arm", "casadi")
     return import_module("casadi")
@@ -26,62 +26,62 @@ def casadi_module() -> Any:  # noqa: ANN401  # its own stubs leave out that a bu
 class Buffered:
     """Expressions of one or more vectors, compiled to CasADi's virtual machine.
 
-    `Function.buffer()` takes addresses once; a call then costs what its instructions cost, where `Function.__call__`
-    first makes a matrix of every argument and result. Not to be shared between threads.
+    `Function.buffer()` takes addresses once, so that a call costs only its instructions. `Function.__call__` would
+    allocate a matrix per argument and result. Not thread-safe.
 
     Args:
-        name: What CasADi calls it.
+        name: Name in CasADi.
         arguments: Column vectors of symbols.
-        results: Expressions of them.
-        kept: How many of the last arguments `keep` sets, and no call.
+        results: Expressions of the arguments.
+        kept: Number of last arguments that `keep` sets, not a call.
 
     Raises:
-        ValueError: From the calls: an argument has another length, or a number that is not finite.
+        ValueError: A call has an argument of another length, or a non-finite value.
     """
 
     __slots__ = ("_arguments", "_kept", "_probe", "_run", "_settings", "memory", "numbers", "results")
 
     def __init__(self, name: str, arguments: Sequence[Symbol], results: Sequence[Symbol], *, kept: int = 0) -> None:
         casadi = casadi_module()
-        # Not finite as soon as one number is not, which a single result need not be.
+        # NaN if any argument is NaN, which a single result may not show.
         probe = sum(casadi.sum1(argument) for argument in arguments)
         dense = casadi.cse([casadi.densify(result) for result in (*results, probe)])
         function = casadi.Function(name, list(arguments), dense)
         buffer, self._run = function.buffer()
-        # That an array is a buffer, and of what, is unknown to the types of Python 3.11.
+        # The types of Python 3.11 do not know arrays as buffers.
         given: tuple[Any, ...] = tuple(np.zeros(argument.numel()) for argument in arguments)
         found: tuple[Any, ...] = tuple(np.zeros(result.numel()) for result in dense)
         for index, array in enumerate(given):
             buffer.set_arg(index, memoryview(array))
         for index, array in enumerate(found):
             buffer.set_res(index, memoryview(array))
-        # CasADi has the addresses of all these, and does not keep them alive.
+        # CasADi stores these addresses, but does not keep the arrays alive.
         self._kept = (function, buffer, given, found)
         views: tuple[Any, ...] = tuple(memoryview(array) for array in given)
         self._arguments = views[: len(views) - kept]
         self._settings = views[len(views) - kept :]
         self._probe: Any = memoryview(found[-1])
         self.memory: tuple[Array, ...] = found[:-1]
-        """The results, column after column."""
+        """Results, column-major."""
         self.numbers: tuple[Any, ...] = tuple(memoryview(array) for array in found[:-1])
-        """The same memory, to take single floats from."""
+        """Same memory, for reading single floats."""
         self.results = tuple(_view(array, result.shape) for array, result in zip(found, dense, strict=True))[:-1]
-        """The same memory as matrices that cannot be written to."""
+        """Same memory as read-only matrices."""
 
     @property
     def given(self) -> tuple[Array, ...]:
-        """A copy of the arguments of the last call."""
+        """Copy of the last call's arguments."""
         return tuple(np.array(argument) for argument in self._arguments)
 
     def keep(self, index: int, vector: Array) -> None:
-        """Sets one of the arguments that are kept, for all calls to come."""
+        """Set a kept argument for all later calls."""
         self._settings[index][:] = vector
 
     def one(self, vector: Numbers) -> None:
-        """Fills the results of a function of one vector. An array of float64 is the fast way."""
+        """Evaluate a function of one vector; a float64 array is fastest."""
         target = self._arguments[0]
         try:
-            # Copies only between the same shapes and types, so it is the check as well.
+            # Copies only between equal shapes and types, which also checks the argument.
             target[:] = vector
         except (TypeError, ValueError):
             target[:] = _converted(vector, len(target))
@@ -91,7 +91,7 @@ class Buffered:
             raise self._not_finite()
 
     def all(self, *vectors: Numbers) -> None:
-        """Fills the results of all arguments that are not kept."""
+        """Evaluate with all arguments that are not kept."""
         for target, vector in zip(self._arguments, vectors, strict=True):
             try:
                 target[:] = vector
@@ -116,7 +116,7 @@ def _converted(vector: Numbers, length: int) -> Array:
 
 
 def _view(array: Array, shape: tuple[int, int]) -> Array:
-    # CasADi writes column after column.
+    # CasADi writes column-major.
     view = array.reshape(shape, order="F")
     view.flags.writeable = False
     return view

@@ -1,1 +1,1 @@
-"""The gripper on the emulated arm, behind the server of the URCap."""
+"""Gripper on the emulated arm, behind the URCap server."""

@@ -1,7 +1,7 @@
-"""The gripper of an emulated arm: its registers, its jaws, and what is between them; a pure state machine.
+"""Gripper of an emulated arm: its registers, its jaws and the object between them; a state machine without a clock.
 
-Source: Robotiq, 2F-85 and 2F-140 instruction manual, for registers and faults. Assumed, since it is not published: that
-speed and force are linear in their counts, how long a contact takes to be noticed, how fast an activation moves.
+Source: Robotiq, 2F-85 and 2F-140 instruction manual, for registers and faults. The manual does not publish some facts.
+Assumptions: speed and force are linear in their counts; the time to detect a contact; the speed of an activation.
 """
 
 import math
@@ -11,39 +11,39 @@ from typing import Final
 from haptether.slave.robotiq.models import MAX_COUNT, RobotiqModel, Scale
 
 RESET, ACTIVATING, ACTIVE = 0, 1, 3
-"""STA."""
+"""Values of STA."""
 MOVING, CONTACT_OPENING, CONTACT_CLOSING, ARRIVED = range(4)
-"""OBJ."""
+"""Values of OBJ."""
 RELEASING, RELEASED = 11, 15
 """FLT during and after an automatic release."""
 FAULTS: Final = frozenset({0, 5, *range(7, 16)})
 UNPOWERED: Final = frozenset({7, 10})
 """Faults that reset the gripper."""
 CONTACT_S: Final = 0.03
-"""How long the jaws press on something before OBJ shows it."""
+"""Time that the jaws press on an object before OBJ shows it."""
 ACTIVATION_S: Final = 1.0
-"""For each way of the stroke: closed, then open."""
+"""Time in s for each direction of the stroke: closed, then open."""
 RELEASE_M_S: Final = 0.02
 WRITABLE: Final = {
     "ACT": 1, "GTO": 1, "ATR": 1, "ADR": 1, "ARD": 1, "FOR": MAX_COUNT, "SPE": MAX_COUNT, "POS": MAX_COUNT,
     "SID": MAX_COUNT,
 }  # fmt: skip
-"""The registers that clients write, and the largest value of each."""
+"""Registers that clients write, and the largest value of each."""
 START: Final = {"ACT": 0, "GTO": 0, "ATR": 0, "ADR": 1, "ARD": 0, "FOR": 0, "SPE": 0, "POS": 0, "SID": 9}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GrippedObject:
-    """A thing between the jaws, or around them.
+    """Object between the jaws or around them.
 
     Raises:
         ValueError: No width, or no stiffness.
     """
 
     width_m: float
-    """Between the jaws when they meet it."""
+    """Width between the jaws at first contact."""
     inside: bool = False
-    """Whether the jaws meet it from inside, when they open."""
+    """True if the jaws meet the object from inside, as they open."""
     stiffness_n_per_m: float = math.inf
 
     def __post_init__(self) -> None:
@@ -57,26 +57,26 @@ class GrippedObject:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripperSettings:
-    """The gripper, what is between its jaws, and its state at the begin.
+    """Gripper, object between its jaws, and initial state.
 
     Raises:
-        ValueError: An object that is wider than the stroke.
+        ValueError: The object is wider than the stroke.
     """
 
     model: RobotiqModel
     grips: GrippedObject | None = None
     active: bool = False
-    """Whether it begins activated, jaws open."""
+    """True if the gripper starts activated, with open jaws."""
 
     def __post_init__(self) -> None:
         check_fits(self.grips, self.model)
 
 
 def check_fits(grips: GrippedObject | None, model: RobotiqModel) -> None:
-    """Whether an object fits between the jaws.
+    """Check that an object fits between the jaws.
 
     Raises:
-        ValueError: It is wider than the stroke.
+        ValueError: The object is wider than the stroke.
     """
     if grips is not None and grips.width_m > model.stroke_m:
         message = (
@@ -86,7 +86,7 @@ def check_fits(grips: GrippedObject | None, model: RobotiqModel) -> None:
 
 
 class EmulatedGripper:
-    """Registers as the URCap's server has them; `advance` moves the jaws until a time.
+    """Registers of the URCap server; `advance` moves the jaws until a time.
 
     Args:
         settings: The gripper.
@@ -95,13 +95,13 @@ class EmulatedGripper:
     def __init__(self, settings: GripperSettings) -> None:
         self.settings = settings
         self.silent = False
-        """Whether its server answers nothing, on command."""
+        """True if the server answers nothing, on command."""
         self._scale = Scale(settings.model, settings.model.counts)
         self._now_s = 0.0
         self.reset()
 
     def reset(self) -> None:
-        """All but the time as at the begin."""
+        """Restore the initial state except for the time."""
         opened, _ = self._scale.counts
         self.grips = self.settings.grips
         self.silent = False
@@ -120,10 +120,10 @@ class EmulatedGripper:
     # ---------------------------------------------------------------------------------------------------- values
 
     def read(self, variable: str) -> int | None:
-        """A register; none where there is no such one."""
+        """Return a register; None if it does not exist."""
         shown = {
             "POS": round(self._counts),
-            # Also without GTO: clients wait for it before they set that.
+            # Also without GTO: clients wait for PRE before they set GTO.
             "PRE": self._registers["POS"],
             "STA": self._state,
             "OBJ": self._object,
@@ -132,7 +132,7 @@ class EmulatedGripper:
         return shown.get(variable, self._registers.get(variable))
 
     def write(self, values: dict[str, int]) -> None:
-        """Sets registers, each within its range, in their order."""
+        """Set registers in their order, each within its range."""
         for variable, value in values.items():
             before, self._registers[variable] = self._registers[variable], value
             match variable, before, value:
@@ -155,10 +155,10 @@ class EmulatedGripper:
                     pass
 
     def fail(self, fault: int) -> None:
-        """A fault on command, a value of FLT; 0 ends it.
+        """Cause a fault, a value of FLT, on command; 0 ends it.
 
         Raises:
-            ValueError: No value that it can have.
+            ValueError: The gripper has no such fault.
         """
         if fault not in FAULTS:
             message = f"{fault}: must be one of {' '.join(map(str, sorted(FAULTS)))}"
@@ -168,17 +168,17 @@ class EmulatedGripper:
             self._state, self._registers["ACT"] = RESET, 0
 
     def put(self, grips: GrippedObject | None) -> None:
-        """Another object, or none, from now on; one that is wider than the jaws are open now is not met.
+        """Replace the object (None for no object); the jaws do not meet one that is wider than their present opening.
 
         Raises:
-            ValueError: It is wider than the stroke.
+            ValueError: The object is wider than the stroke.
         """
         check_fits(grips, self.settings.model)
         self.grips = grips
         self._touching = False
 
     def figures(self) -> dict[str, object]:
-        """For `status`."""
+        """State for `status`."""
         return {
             "model": self.settings.model.name,
             "registers": {variable: self.read(variable) for variable in (*START, "PRE", "STA", "OBJ", "FLT")},
@@ -190,7 +190,7 @@ class EmulatedGripper:
     # ---------------------------------------------------------------------------------------------------- motion
 
     def advance(self, now_s: float) -> None:
-        """Moves the jaws until a time in s."""
+        """Move the jaws until a time in s."""
         step_s, self._now_s = now_s - self._now_s, now_s
         opened, closed = self._scale.counts
         if self._state == ACTIVATING:
@@ -220,7 +220,7 @@ class EmulatedGripper:
         self._pressed_s = 0.0
 
     def _moved(self, target: float, counts_per_s: float, step_s: float) -> int:
-        """Moves the jaws towards a target for a time; what OBJ is then."""
+        """Move the jaws towards a target for a time; return the resulting OBJ."""
         closes = target > self._counts
         stop = self._stop(closes=closes)
         blocked = stop is not None and (stop < target if closes else stop > target)
@@ -241,7 +241,7 @@ class EmulatedGripper:
         return CONTACT_CLOSING if closes else CONTACT_OPENING
 
     def _stop(self, *, closes: bool) -> float | None:
-        """The count at which the object stops the jaws; none where they do not meet it."""
+        """Return the count at which the object stops the jaws; None if they do not meet it."""
         grips = self.grips
         if grips is None or grips.inside is closes:
             return None
@@ -251,7 +251,7 @@ class EmulatedGripper:
         beyond = self._counts > stop if closes else self._counts < stop
         if not beyond:
             return stop
-        # With less force than before it stays as it is pressed.
+        # With less force than before, the object stays compressed.
         return self._counts if self._touching else None
 
     @property

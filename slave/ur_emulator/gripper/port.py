@@ -1,8 +1,8 @@
-r"""What the URCap's server on port 63352 answers: one request, one reply.
+r"""Protocol of the URCap server on port 63352: one request, one reply.
 
-A request with an end of line gets its variable back (`GET POS\n`: `POS 100`), one without gets digits alone, as many as
-the largest value has (`GET FLT`: `00`): Python clients send the first, URScript the second. That it is the end of line
-which decides is inferred from what both read.
+A request with an end of line gets its variable back (`GET POS\n`: `POS 100`). A request without one gets digits alone,
+as many as the largest value has (`GET FLT`: `00`). Python clients send the first form, URScript the second. This role
+of the end of line is inferred from the replies that both expect.
 
 Source: wuphilipp/gello_software, pyrobotiqur 0.2.2, and the preamble of the URCap's own scripts (cambel/robotiq).
 """
@@ -13,31 +13,31 @@ from typing import Final
 from haptether.slave.ur_emulator.gripper.gripper import WRITABLE, EmulatedGripper
 
 MAX_REQUEST: Final = 256
-"""Bytes without an end of line."""
+"""Longest request in bytes without an end of line."""
 SETTLED: Final = 3
-"""Control cycles after which a request without an end of line is taken to have none: 6 ms."""
+"""Control cycles after which a request counts as one without an end of line: 6 ms."""
 ACK: Final = b"ack"
 REFUSED: Final = b"?"
-"""The reply to what is no request; what a real server says is not published."""
+"""Reply to an invalid request; the reply of a real server is not published."""
 DIGITS: Final = {"FLT": 2, "PRE": 3, "POS": 3, "SPE": 3, "FOR": 3}
-"""Of a bare reply; of all others 1."""
+"""Digits of a bare reply; all others have 1."""
 TEXTS: Final = {"NCY": "0", "DST": "4", "FWV": "emulated", "VER": "emulated", "PCO": "0"}
 """Always bare; DST 4: it runs. The others are placeholders."""
 REQUEST: Final = re.compile(rb"GET [A-Z]{3}|SET(?: [A-Z]{3} [0-9]{1,3})+")
 
 
 def is_request(text: bytes) -> bool:
-    """Whether it is a whole request, without its end of line."""
+    """Return True for a whole request, without its end of line."""
     return REQUEST.fullmatch(text) is not None
 
 
 def answered(gripper: EmulatedGripper, request: bytes, *, bare: bool) -> bytes:
-    """The reply to a request.
+    """Return the reply to a request.
 
     Args:
-        gripper: Whose registers are read and set.
-        request: Without its end of line.
-        bare: Whether it had none.
+        gripper: The gripper to read and set.
+        request: The request without its end of line.
+        bare: True if it had no end of line.
     """
     if not is_request(request):
         return REFUSED
@@ -51,7 +51,7 @@ def answered(gripper: EmulatedGripper, request: bytes, *, bare: bool) -> bytes:
             return REFUSED
         return f"{value:0{DIGITS.get(variable, 1)}}".encode() if bare else f"{variable} {value}".encode()
     pairs = list(zip(words[::2], map(int, words[1::2]), strict=True))
-    # All of them or none.
+    # All pairs must be valid, or none is set.
     if not all(variable in WRITABLE and value <= WRITABLE[variable] for variable, value in pairs):
         return REFUSED
     for variable, value in pairs:

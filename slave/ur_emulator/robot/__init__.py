@@ -1,1 +1,1 @@
-"""The emulated arm: its joints and motions, its safety system, what its tool touches and its sensor measures."""
+"""Emulated arm: its joints and motions, its safety system, its force sensor and the environment of its tool."""

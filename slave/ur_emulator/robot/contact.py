@@ -1,4 +1,4 @@
-"""What the tool touches, and what the force sensor in the flange measures of it."""
+"""Environment of the tool, and the force sensor in the flange."""
 
 import math
 from collections.abc import Sequence
@@ -14,14 +14,15 @@ if TYPE_CHECKING:
     from haptether._core import SceneTouch
 
 TORQUE_SHARE: Final = 0.1
-"""Noise of a torque in N m, of that of a force in N."""
+"""Noise of a torque in N m per noise of a force in N."""
 
 
 class ToolEnvironment:
-    """What exerts a force on the tool: a scene around it, at rest until `engage`, and pushes on command.
+    """Forces on the tool: a scene around it, at rest until `engage`, and pushes on command.
 
-    The scene's coordinates run along the axes of the base; the tool's position when the scene is anchored is where the
-    scene's arm starts. Before `engage` the scene's time stands still at its begin and its pushers do not push.
+    The scene's axes are those of the base. The tool position at `anchor` is the start of the scene's arm. Before
+    `engage`
+    the scene's time stands still and its pushers do not push.
 
     Args:
         scene: The scene's environment; None for free space.
@@ -37,18 +38,18 @@ class ToolEnvironment:
 
     @property
     def engaged(self) -> bool:
-        """Whether the scene's time runs."""
+        """Return True while the scene's time runs."""
         return self._engaged_at_s <= self._now_s
 
     def engage(self) -> None:
-        """Begins the scene's time, once."""
+        """Start the scene's time, once."""
         if not self.engaged:
             self._engaged_at_s = self._now_s
             if self._scene is not None:
                 self._scene.start_pushers(0.0)
 
     def reset(self) -> None:
-        """The scene as at the begin, not engaged, anchored anew where the tool is next; no push."""
+        """Restore the initial scene without a push, not engaged; it is anchored again at the tool's next position."""
         if self._scene is not None:
             self._scene.reset()
         self._origin = None
@@ -56,16 +57,16 @@ class ToolEnvironment:
         self._push_until_s = -math.inf
 
     def anchor(self, position: Sequence[float]) -> None:
-        """Anchors the scene: its arm starts at this position in m, in the frame of the base."""
+        """Anchor the scene: its arm starts at this position in m, in the base frame."""
         start = (0.0,) * 3 if self._scene is None else self._scene.start
         self._origin = tuple(p - s for p, s in zip(position, start, strict=True))
 
     def push(self, force: Vector, duration_s: float) -> None:
-        """A further force in N on the tool from now on, for a time; it replaces the one before."""
+        """Add a force in N on the tool for a time; it replaces the previous push."""
         self._push, self._push_until_s = force, self._now_s + duration_s
 
     def force(self, time_s: float, position: Sequence[float], velocity: Sequence[float]) -> Vector:
-        """Force in N on the tool, in the frame of the base."""
+        """Return the force in N on the tool, in the base frame."""
         self._now_s = time_s
         push = self._push if time_s < self._push_until_s else (0.0, 0.0, 0.0)
         if self._scene is None:
@@ -74,7 +75,7 @@ class ToolEnvironment:
         return fx + push[0], fy + push[1], fz + push[2]
 
     def advance(self, time_s: float, step_s: float, position: Sequence[float], velocity: Sequence[float]) -> None:
-        """Moves what yields over a step."""
+        """Move the yielding parts of the scene over a step."""
         if self._scene is not None and self._engaged_at_s <= time_s:
             self._scene.advance(self._scene_time(time_s), step_s, self._in_scene(position), velocity)
 
@@ -88,15 +89,15 @@ class ToolEnvironment:
 
 
 class WrenchSensing:
-    """The force and torque sensor: bias, noise, and the offset that zero_ftsensor sets.
+    """Force and torque sensor: bias, noise, and the offset that zero_ftsensor sets.
 
     Args:
         noise_n: Standard deviation of the forces in N; torques have a tenth of it, in N m.
         bias: Three offsets in N, three in N m.
-        seed: Of the noise: the same seed yields the same.
+        seed: Seed of the noise.
 
     Raises:
-        ValueError: A number that is not finite, or a negative deviation.
+        ValueError: A number is not finite, or the deviation is negative.
     """
 
     def __init__(self, noise_n: float = 0.0, bias: Six = (0.0,) * 6, seed: int = 0) -> None:
@@ -104,12 +105,12 @@ class WrenchSensing:
         self._torque = ForceSensor(noise_n=TORQUE_SHARE * noise_n, bias_n=list(bias[3:]), seed=seed ^ 1 << 63)
         self.offset: Six = (0.0,) * 6
         self.external: Six | None = None
-        """The wrench of a client's sensor, which replaces this one; None without."""
+        """Wrench of a client's sensor, which replaces this one; None without."""
         self._last: Six = (0.0,) * 6
         self._samples = 0
 
     def sample(self, wrench: Six) -> Six:
-        """The next sample of a wrench in N and N m at the tool, in the frame of the base, less the offset."""
+        """Return the next sample of a wrench in N and N m at the tool, in the base frame, minus the offset."""
         if self.external is None:
             force = self._force.sample(wrench[:3], self._samples)
             self._last = (*force, *self._torque.sample(wrench[3:], self._samples))
@@ -119,13 +120,13 @@ class WrenchSensing:
         return tuple([w - o for w, o in zip(self._last, self.offset, strict=True)])
 
     def raw(self, flange_rotation: Array, lever: Array, weight: Array, cog: Three) -> Six:
-        """The last sample at the flange and in its frame, with the payload and without the offset: ft_raw_wrench.
+        """Return ft_raw_wrench: the last sample at the flange in its frame, with the payload and without the offset.
 
         Args:
             flange_rotation: base_from_flange, (3, 3).
-            lever: From the flange to the tool in m, in the frame of the base, (3,).
-            weight: Of the payload in N, in the frame of the base, (3,).
-            cog: The payload's centre of gravity in m, in the frame of the flange.
+            lever: Vector from the flange to the tool in m, in the base frame, (3,).
+            weight: Weight of the payload in N, in the base frame, (3,).
+            cog: The payload's centre of gravity in m, in the flange frame.
         """
         force, torque = self._last[:3], self._last[3:]
         gravity = weight @ flange_rotation
@@ -135,7 +136,7 @@ class WrenchSensing:
         return (*(force @ flange_rotation + gravity).tolist(), *(about_flange @ flange_rotation + about_cog).tolist())
 
     def zero(self) -> None:
-        """zero_ftsensor: the last sample becomes zero."""
+        """Make the last sample zero (zero_ftsensor)."""
         self.offset = self._last
 
 

@@ -22,15 +22,16 @@ MIN_SPEED: Final = 1e-4
 
 @dataclass(slots=True)
 class ForceMode:
-    """The virtual body that a compliant axis moves as.
+    """Virtual body that a compliant axis moves as.
 
-    On each compliant axis of the task frame `M v' = w + F_e - M d v`, with the wrench w that the tool is to exert, the
-    wrench F_e of the environment on the tool, `M = 50 kg / gain scaling` (2 kg m² for rotation) and
-    `d = 400 1/s damping`; |v| stays within the limit of that axis. Contact then settles at `F_e = -w`, and an axis
+    Each compliant axis of the task frame follows `M v' = w + F_e - M d v`. Here w is the wrench that the tool must
+    exert,
+    F_e the wrench of the environment on the tool, `M = 50 kg / gain scaling` (2 kg m² for rotation) and
+    `d = 400 1/s damping`. |v| stays within the limit of that axis. Contact then settles at `F_e = -w`, and an axis
     without contact drifts at `w / (M d)`. Axes that are not compliant follow the program.
 
-    The vendor publishes the meaning of damping and gain scaling, not the law: its constants are chosen such that a
-    wall of up to 10 kN/m is met without ringing at the defaults of ur_rtde (gain scaling 0.5, damping 0.025).
+    The vendor publishes the meaning of damping and gain scaling, not the law. The constants let a wall of up to 10 kN/m
+    settle without oscillation at the defaults of ur_rtde (gain scaling 0.5, damping 0.025).
 
     Source: Universal Robots, script manual, force_mode, force_mode_set_damping, force_mode_set_gain_scaling.
     """
@@ -46,10 +47,10 @@ class ForceMode:
     _velocity: Six = field(default=(0.0,) * 6)
 
     def begin(self, frame: Six, selection: tuple[bool, ...], wrench: Six, kind: int, limits: Six) -> None:
-        """force_mode: begins, or continues with other arguments.
+        """Begin force mode, or continue with other arguments (force_mode).
 
         Raises:
-            ScriptError: An unknown type.
+            ScriptError: The type is unknown.
         """
         if kind not in {1, 2, 3}:
             message = f"force_mode: type = {kind}: must be 1, 2 or 3"
@@ -60,31 +61,31 @@ class ForceMode:
         self.active = True
 
     def set_damping(self, damping: float) -> None:
-        """force_mode_set_damping, between 0 and 1."""
+        """Set the damping, clipped to between 0 and 1 (force_mode_set_damping)."""
         self.damping = min(max(damping, 0.0), 1.0)
 
     def set_gain_scaling(self, scaling: float) -> None:
-        """force_mode_set_gain_scaling, between 0 and 2."""
+        """Set the gain scaling, clipped to between 0 and 2 (force_mode_set_gain_scaling)."""
         self.gain_scaling = min(max(scaling, 0.0), 2.0)
 
     def reset(self) -> None:
-        """Ends it, with the defaults of gain scaling and damping."""
+        """End force mode and restore the defaults of gain scaling and damping."""
         self.end()
         self.gain_scaling, self.damping = 1.0, 0.025
 
     def end(self) -> None:
-        """end_force_mode."""
+        """End force mode (end_force_mode)."""
         self.active = False
         self._velocity = (0.0,) * 6
 
     def velocity(self, commanded: Array, measured: Six, tool: Array, actual: Array, step_s: float) -> Array:
-        """Tool velocity in the frame of the base, (6,).
+        """Return the tool velocity in the base frame, (6,).
 
         Args:
-            commanded: The program's tool velocity in the frame of the base.
-            measured: F_e in the frame of the base, in N and N m.
+            commanded: The program's tool velocity in the base frame.
+            measured: F_e in the base frame, in N and N m.
             tool: base_from_tool, (4, 4).
-            actual: The tool's velocity in the frame of the base.
+            actual: The tool's velocity in the base frame.
             step_s: Duration of the step in s.
         """
         base_from_task = self._base_from_task(tool, actual)
@@ -124,7 +125,7 @@ class ForceMode:
                 return frame
             x /= size
             return np.column_stack((x, y, np.cross(x, y)))
-        # x is the velocity of the tool, projected on the plane of x and y.
+        # x is the tool velocity, projected on the plane of x and y.
         z = frame[:, 2]
         x = actual[:3] - z * float(z @ actual[:3])
         if (speed := float(np.linalg.norm(x))) < MIN_SPEED:

@@ -1,4 +1,4 @@
-"""Kinematics of the arm with the tool that is set."""
+"""Kinematics of the arm with its present tool."""
 
 import math
 from typing import TYPE_CHECKING
@@ -16,21 +16,21 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 Joints = tuple[float, ...]
-"""One number a joint."""
+"""One number for each joint."""
 Six = tuple[float, ...]
 Three = tuple[float, ...]
 
 MIN_SINGULAR_VALUE = 1e-6
-"""Of the Jacobian, in m and rad per rad: below it a tool velocity has no joint velocity."""
+"""Singular value of the Jacobian, in m and rad per rad, below which a tool velocity has no joint velocity."""
 
 
 def six(values: Array) -> Six:
-    """Six numbers of Python's own."""
+    """Return six Python floats."""
     return tuple(values.tolist())
 
 
 class ArmKinematics:
-    """Poses are those of the tool in the frame of the base, as `x y z rx ry rz` in m and rad.
+    """Kinematics; poses are those of the tool in the base frame, as `x y z rx ry rz` in m and rad.
 
     Args:
         model: The arm, without calibration.
@@ -46,32 +46,32 @@ class ArmKinematics:
         self._tool_inverse: Array = np.eye(4)
 
     def set_tcp(self, offset: Six) -> None:
-        """Sets the pose of the tool in the frame of the flange."""
+        """Set the pose of the tool in the flange frame."""
         self.tcp_offset = offset
         self._tool = transform_from_pose(offset)
         self._tool_inverse = np.linalg.inv(self._tool).astype(np.float64)
 
     def flange_pose(self, q: Joints) -> Six:
-        """Pose of the flange."""
+        """Return the flange pose."""
         return six(pose_from_transform(self._forward.forward(q)))
 
     def pose(self, q: Joints, offset: Six | None = None) -> Six:
-        """Pose of the tool, or of one with another offset."""
+        """Return the pose of the tool, or of a tool with another offset."""
         tool = self._tool if offset is None else transform_from_pose(offset)
         return six(pose_from_transform(self._forward.forward(q) @ tool))
 
     def flange_rotation(self, tool: Array) -> Array:
-        """Rotation base_from_flange, (3, 3), from base_from_tool, (4, 4)."""
+        """Return base_from_flange, (3, 3), from base_from_tool, (4, 4)."""
         rotation: Array = tool[:3, :3] @ self._tool[:3, :3].T
         return rotation
 
     def lever(self, tool: Array) -> Array:
-        """From the flange to the tool in m, in the frame of the base, (3,), from base_from_tool, (4, 4)."""
+        """Return the vector from the flange to the tool in m, in the base frame, (3,), from base_from_tool, (4, 4)."""
         lever: Array = self.flange_rotation(tool) @ self._tool[:3, 3]
         return lever
 
     def elbow(self, q: Joints, qd: Joints) -> tuple[Three, Three]:
-        """Where the upper arm ends, in m, and its velocity in m/s, in the frame of the base: `p_2` of the DH chain.
+        """Return position in m and velocity in m/s of the upper arm's end in the base frame: `p_2` of the DH chain.
 
         `p = o_1 + R_1 (a_2 cos q_2, a_2 sin q_2, d_2)`, `v = qd_1 z_0 x p + qd_2 z_1 x (p - o_1)`.
 
@@ -82,7 +82,7 @@ class ArmKinematics:
         c2, s2 = math.cos(q[1] + rows.theta[1]), math.sin(q[1] + rows.theta[1])
         ca, sa = cos_sin(rows.alpha[0])
         u, v, w = rows.a[1] * c2, rows.a[1] * s2, rows.d[1]
-        # From the shoulder.
+        # Relative to the shoulder.
         x = c1 * u - s1 * ca * v + s1 * sa * w
         y = s1 * u + c1 * ca * v - c1 * sa * w
         z = sa * v + ca * w
@@ -92,7 +92,7 @@ class ArmKinematics:
         return (px, py, pz), velocity
 
     def transform_and_jacobian(self, q: Joints) -> tuple[Array, Array]:
-        """base_from_tool, (4, 4), and the Jacobian of the tool: velocity over angular velocity, (6, 6)."""
+        """Return base_from_tool, (4, 4), and the tool Jacobian, (6, 6): velocity over angular velocity."""
         flange, jacobian = self._forward.forward_and_jacobian(q)
         lever = flange[:3, :3] @ self._tool[:3, 3]
         moved = np.array(jacobian)
@@ -102,9 +102,9 @@ class ArmKinematics:
         return flange @ self._tool, moved
 
     def jacobian_rate(self, q: Joints, qd: Joints) -> Array:
-        """Time derivative of the Jacobian of the tool, (6, 6), by central differences.
+        """Return the time derivative of the tool Jacobian, (6, 6), by central differences.
 
-        The step leaves an error of some 1e-9 of the rate: of the third derivative 1e-10, of rounding 1e-11.
+        The relative error is about 1e-9: 1e-10 from the third derivative, 1e-11 from rounding.
         """
         step = 1e-5
         ahead, behind = (
@@ -114,12 +114,12 @@ class ArmKinematics:
         return (ahead - behind) / (2.0 * step)
 
     def tool_velocity(self, q: Joints, qd: Joints) -> Six:
-        """Velocity in m/s and angular velocity in rad/s of the tool, in the frame of the base."""
+        """Return velocity in m/s and angular velocity in rad/s of the tool, in the base frame."""
         _, jacobian = self.transform_and_jacobian(q)
         return six(jacobian @ np.array(qd))
 
     def joint_velocity(self, q: Joints, velocity: Six) -> Joints | None:
-        """Joint velocities in rad/s for a velocity of the tool; None at a singularity."""
+        """Return joint velocities in rad/s for a tool velocity; None at a singularity."""
         _, jacobian = self.transform_and_jacobian(q)
         try:
             rates = np.linalg.solve(jacobian, np.array(velocity))
@@ -128,13 +128,13 @@ class ArmKinematics:
         return six(rates) if float(np.abs(rates).max()) < 1.0 / MIN_SINGULAR_VALUE else None
 
     def inverse(self, pose: Six, near: Joints) -> Joints | None:
-        """Joint angles for a pose of the tool, those nearest to `near`; None where it is out of reach."""
+        """Return the joint angles nearest to `near` for a tool pose; None if it is out of reach."""
         flange = transform_from_pose(pose) @ self._tool_inverse
         found = self._inverse.nearest(flange, np.array(near))
         return None if found is None else six(found)
 
     def is_within_limits(self, q: Joints) -> bool:
-        """Whether every joint is within its position limits."""
+        """Return True if every joint is within its position limits."""
         model = self._model
         return all(
             low <= angle <= high for low, angle, high in zip(model.position_min, q, model.position_max, strict=True)

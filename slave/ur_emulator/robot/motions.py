@@ -1,4 +1,4 @@
-"""Motions of the joint target: profiles, paths, the law of servoj. A motion is stepped once a control cycle."""
+"""Motions of the joint target: profiles, paths, the law of servoj. Each control cycle advances a motion by one step."""
 
 import math
 from collections.abc import Callable
@@ -16,14 +16,14 @@ from haptether.slave.ur_emulator.robot.kinematics import ArmKinematics, Joints, 
 from haptether.slave.ur_emulator.script.program import ScriptError
 
 AT_REST = 1e-9
-"""Joint speed in rad/s of a target that rests."""
+"""Joint speed in rad/s below which a target is at rest."""
 BRAKING = 4.0
-"""rad/s² at which the joints stop before the tool begins a line of its own."""
+"""Joint deceleration in rad/s² before the tool begins a line."""
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Joint target: rad, rad/s, rad/s²."""
+    """Joint target in rad, rad/s, rad/s²."""
 
     q: Joints
     qd: Joints = (0.0,) * 6
@@ -31,25 +31,25 @@ class Target:
 
     @property
     def at_rest(self) -> bool:
-        """Whether all joint velocities are zero but for rounding."""
+        """Return True if all joint velocities are zero except for rounding."""
         return max(map(abs, self.qd)) < AT_REST
 
 
 class Motion(Protocol):
-    """What moves the joint target."""
+    """Source of the joint target."""
 
     done: bool
-    """Whether the command that began it returns."""
+    """True once the command that began the motion returns."""
 
     def step(self, target: Target, step_s: float, scaling: float) -> Target:
-        """The target after a step in s; `scaling` is the share of their speed that the controller's own moves have."""
+        """Return the target after a step in s; `scaling` is the speed share of the controller's own moves."""
 
 
 # ------------------------------------------------------------------------------------------------------ one step
 
 
 def ramped(target: Target, qd: Joints, acceleration: float, step_s: float) -> tuple[Target, bool]:
-    """Joint velocities changed at `acceleration` on the leading joint: the target after the step, and whether reached.
+    """Change joint velocities at `acceleration` on the leading joint; return the target after the step, and if reached.
 
     The position follows by the trapezoidal rule, which is exact for a constant acceleration.
     """
@@ -58,7 +58,7 @@ def ramped(target: Target, qd: Joints, acceleration: float, step_s: float) -> tu
 
 
 def approached(now: Six, wanted: Six, max_change: float, size: Callable[[Six], float]) -> tuple[Six, bool]:
-    """Numbers changed towards others, in proportion and by a change of a size at most, and whether they are reached."""
+    """Change numbers in proportion towards others, by at most `max_change`; return them, and True if reached."""
     gap = tuple(new - old for new, old in zip(wanted, now, strict=True))
     largest = size(gap)
     if largest <= max_change:
@@ -67,24 +67,24 @@ def approached(now: Six, wanted: Six, max_change: float, size: Callable[[Six], f
 
 
 def tool_speed(velocity: Six) -> float:
-    """Of a tool that moves and rotates, in m/s or rad/s: whichever number is larger."""
+    """Return the speed of a moving and rotating tool, in m/s or rad/s: the larger number."""
     return max(math.hypot(*velocity[:3]), math.hypot(*velocity[3:]))
 
 
 def predicted(target: Target, step_s: float) -> Joints:
-    """Joint angles after a step, to first order: the velocities at its end are solved for there."""
+    """Return the joint angles after a step, to first order, for solving the velocities at its end."""
     return tuple(at + rate * step_s for at, rate in zip(target.q, target.qd, strict=True))
 
 
 def integrated(target: Target, qd: Joints, step_s: float) -> Target:
-    """The target after a step over which its velocity changes linearly to qd."""
+    """Return the target after a step over which its velocity changes linearly to qd."""
     q = tuple(at + 0.5 * (old + new) * step_s for at, old, new in zip(target.q, target.qd, qd, strict=True))
     qdd = tuple((new - old) / step_s for new, old in zip(qd, target.qd, strict=True))
     return Target(q, qd, qdd)
 
 
 def differentiated(target: Target, q: Joints, step_s: float) -> Target:
-    """The target at q after a step, its velocity being the mean one."""
+    """Return the target at q after a step, with the mean velocity."""
     qd = tuple((new - old) / step_s for new, old in zip(q, target.q, strict=True))
     qdd = tuple((new - old) / step_s for new, old in zip(qd, target.qd, strict=True))
     return Target(q, qd, qdd)
@@ -95,7 +95,7 @@ def differentiated(target: Target, q: Joints, step_s: float) -> Target:
 
 @dataclass(slots=True)
 class StopJoints:
-    """Stopj: brakes the joints at a deceleration in rad/s² of the leading one, in step."""
+    """Stopj: brakes all joints together, with the deceleration in rad/s² of the leading joint."""
 
     deceleration: float
     done: bool = False
@@ -108,7 +108,7 @@ class StopJoints:
 
 @dataclass(slots=True)
 class StopTool:
-    """Stopl: brakes the tool at a deceleration in m/s² along its path; rad/s² where it only rotates."""
+    """Stopl: brakes the tool along its path, in m/s² (rad/s² if it only rotates)."""
 
     arm: ArmKinematics
     deceleration: float
@@ -125,7 +125,7 @@ class StopTool:
             qd = self.arm.joint_velocity(predicted(target, step_s), self._velocity)
             if qd is not None:
                 return integrated(target, qd, step_s)
-        # At rest, but for joint motion that the tool does not show; or at a singularity.
+        # At a singularity, or the tool is at rest although joints may move.
         self._velocity = (0.0,) * 6
         new, self.done = ramped(target, (0.0,) * 6, self.deceleration, step_s)
         return new
@@ -136,10 +136,12 @@ class StopTool:
 
 @dataclass(slots=True)
 class Servo:
-    """Servoj: follows a joint target by a second-order law, exactly under a target that is held.
+    """Servoj: follows a joint target by a second-order law, exact for a constant target.
 
-    `q'' = gain (q_target - q - lookahead q')`, so a target that moves at v is followed by `lookahead v`, at
-    `sqrt(gain)` rad/s with a damping ratio of `lookahead sqrt(gain) / 2`. A joint goes no faster than it may.
+    The law is `q'' = gain (q_target - q - lookahead q')`. The lag behind a target that moves at v is thus `lookahead
+    v`.
+    The natural frequency is `sqrt(gain)` rad/s, the damping ratio `lookahead sqrt(gain) / 2`. Joints keep their speed
+    limits.
 
     Source: second-order model of servoj with the tracking delays that are reported for it (34 ms with a lookahead of
     0.03 s and a gain of 1200 on a UR10e).
@@ -170,14 +172,14 @@ class Servo:
 
 @lru_cache(maxsize=64)
 def transition(stiffness: float, damping: float, step_s: float) -> tuple[float, float, float, float]:
-    """`e^{A h}` of `e'' = -stiffness e - damping e'`, in closed form, row by row.
+    """Return `e^{A h}` of `e'' = -stiffness e - damping e'`, in closed form, row by row.
 
     Args:
         stiffness: In 1/s² (> 0).
         damping: In 1/s (>= 0).
         step_s: h in s.
 
-    Source: any text on linear systems; the test holds it to `scipy.linalg.expm`.
+    Source: any text on linear systems; the test compares it with `scipy.linalg.expm`.
     """
     half = 0.5 * damping
     decay = math.exp(-half * step_s)
@@ -195,7 +197,7 @@ def transition(stiffness: float, damping: float, step_s: float) -> tuple[float, 
 
 @dataclass(slots=True)
 class SpeedJoints:
-    """Speedj: joint velocities in rad/s, reached at an acceleration in rad/s² and kept."""
+    """Speedj: reaches joint velocities in rad/s at an acceleration in rad/s² and keeps them."""
 
     qd: Joints
     acceleration: float
@@ -209,14 +211,14 @@ class SpeedJoints:
 
 @dataclass(slots=True)
 class SpeedTool:
-    """Speedl: velocity of the tool in m/s and rad/s, reached at an acceleration in m/s² and kept."""
+    """Speedl: reaches a tool velocity in m/s and rad/s at an acceleration in m/s² and keeps it."""
 
     arm: ArmKinematics
     velocity: Six
     acceleration: float
     done: bool = False
     now: Six | None = None
-    """The velocity that it has reached; that of the joints, when it begins."""
+    """Velocity reached so far; None takes the velocity of the joints."""
 
     def step(self, target: Target, step_s: float, scaling: float) -> Target:  # noqa: ARG002
         """See `Motion`."""
@@ -231,7 +233,7 @@ class SpeedTool:
 
 @dataclass(slots=True)
 class Torque:
-    """Direct_torque: `I q'' = tau + tau_external - b q'` on every joint, gravity being compensated."""
+    """Direct_torque: `I q'' = tau + tau_external - b q'` on every joint, with gravity compensated."""
 
     torque: Joints
     inertia: Joints
@@ -255,9 +257,9 @@ class Torque:
 
 @dataclass(frozen=True, slots=True)
 class Trapezoid:
-    """Distance along a path from rest to rest: speeds up at a, goes at v, slows down at a; in m or rad.
+    """Distance along a path from rest to rest in m or rad: speeds up at a, continues at v, slows down at a.
 
-    Where the path is shorter than `v²/a`, the top speed is `sqrt(a length)`.
+    On a path shorter than `v²/a`, the top speed is `sqrt(a length)`.
     """
 
     length: float
@@ -266,7 +268,7 @@ class Trapezoid:
 
     @property
     def top_speed(self) -> float:
-        """The largest speed that is reached."""
+        """Largest speed on the path."""
         return min(self.speed, math.sqrt(self.acceleration * self.length))
 
     @property
@@ -296,24 +298,24 @@ class Trapezoid:
 
 @dataclass(frozen=True, slots=True)
 class JointPath:
-    """A straight line from one set of joint angles to another."""
+    """Straight line from one set of joint angles to another."""
 
     start: Joints
     end: Joints
 
     @property
     def length(self) -> float:
-        """The angle of the leading joint in rad."""
+        """Angle of the leading joint in rad."""
         return max(abs(end - start) for start, end in zip(self.start, self.end, strict=True))
 
     def at(self, share: float) -> Joints:
-        """The joint angles at a share of the path, from 0 to 1."""
+        """Return the joint angles at a share of the path, from 0 to 1."""
         return tuple(start + share * (end - start) for start, end in zip(self.start, self.end, strict=True))
 
 
 @dataclass(slots=True)
 class PosePath:
-    """A straight line from one pose to another, rotating about a fixed axis of the first one's frame."""
+    """Straight line from one pose to another; it rotates about a fixed axis of the first pose's frame."""
 
     start: Six
     end: Six
@@ -326,11 +328,11 @@ class PosePath:
 
     @property
     def length(self) -> float:
-        """Its length in m, or its angle in rad where that is more."""
+        """Length in m, or angle in rad if that is more."""
         return max(math.dist(self.start[:3], self.end[:3]), math.hypot(*self._rotation))
 
     def at(self, share: float) -> Six:
-        """The pose at a share of the path, from 0 to 1."""
+        """Return the pose at a share of the path, from 0 to 1."""
         position = tuple(a + share * (b - a) for a, b in zip(self.start[:3], self.end[:3], strict=True))
         rotated = quat_product(self._first, quat_wxyz_from_rotvec([share * angle for angle in self._rotation]))
         return (*position, *rotvec_from_quat_wxyz(rotated))
@@ -341,12 +343,12 @@ class Move:
     """Movej and movel: along a straight path from rest to rest; brakes first."""
 
     goal: Six
-    """Joint angles in rad; of movel the pose of the tool."""
+    """Joint angles in rad; for movel, the tool pose."""
     speed: float
-    """In rad/s of the leading joint; of movel in m/s, or rad/s where the tool rotates by more."""
+    """Speed of the leading joint in rad/s; for movel, in m/s, or rad/s if the tool rotates by more."""
     acceleration: float
     arm: ArmKinematics | None = None
-    """Of movel alone."""
+    """For movel only."""
     done: bool = False
     _path: JointPath | PosePath | None = None
     _profile: Trapezoid = field(init=False)

@@ -1,4 +1,4 @@
-"""The arm under its controller: the joint target, the joints that follow it, and what the tool touches."""
+"""Arm under its controller: the joint target, the joints that follow it, and the tool's environment."""
 
 import math
 from collections import deque
@@ -18,21 +18,21 @@ if TYPE_CHECKING:
     from haptether.slave.ur.kinematics.models import UrModel
 
 MAX_ACCELERATION: Final = 50.0
-"""rad/s² of a joint at its largest torque: its inertia is that torque over this."""
+"""Acceleration in rad/s² of a joint at its largest torque; sets its inertia."""
 BANDWIDTH: Final = 2.0 * math.pi * 30.0
-"""Of the loops that hold the joints to their targets, in rad/s."""
+"""Bandwidth in rad/s of the loops that hold the joints to their targets."""
 IDLE_DECELERATION: Final = 10.0
-"""rad/s² at which the joint target stops once nothing commands it."""
+"""Deceleration in rad/s² of the joint target once nothing commands it."""
 FREEDRIVE_LIMITS: Final = (0.25, 0.25, 0.25, 0.5, 0.5, 0.5)
-"""m/s and rad/s of an arm that is pushed by hand."""
+"""Speeds in m/s and rad/s of an arm that is pushed by hand."""
 FRICTION_SHARE: Final = 0.05
-"""Of its largest torque, what friction takes of a joint at its largest speed."""
+"""Friction torque of a joint at its largest speed, as a share of its largest torque."""
 NO_TORQUE: Final = (0.0,) * 6
 MAX_TOOL_M: Final = 10.0
 MAX_TARGET_SPEED: Final = 3.0
-"""Of the largest speed of a joint: a faster target ends the program, a slower one is left to the safety system."""
+"""Share of a joint's largest speed: a faster target ends the program, the safety system handles a slower one."""
 HISTORY: Final = 2000
-"""Control cycles whose joint positions are kept."""
+"""Number of control cycles with stored joint positions."""
 
 
 @dataclass(slots=True)
@@ -45,24 +45,24 @@ class Measured:
     """base_from_tool, (4, 4)."""
     pose: Six
     velocity: Six
-    """Of the tool in the frame of the base, in m/s and rad/s."""
+    """Tool velocity in the base frame, in m/s and rad/s."""
     force: Six
-    """The true wrench on the tool at its point, in the frame of the base, in N and N m."""
+    """True wrench on the tool at its point, in the base frame, in N and N m."""
     sensed: Six
-    """As the sensor shows it, less its offset."""
+    """Wrench from the sensor, minus its offset."""
     torque: Joints
     """External torque on each joint in N m."""
 
 
 class Robot:
-    """A pure state machine: `step` advances it by one control cycle.
+    """State machine without a clock: `step` advances it by one control cycle.
 
     Args:
         model: The arm.
-        q: Where it starts, in rad.
-        tcp: Its tool in the frame of the flange, in m and rad.
+        q: Initial joint angles in rad.
+        tcp: Its tool in the flange frame, in m and rad.
         period_s: Duration of a control cycle in s.
-        touch: What the tool touches.
+        touch: Environment of the tool.
         sensing: Its force sensor.
     """
 
@@ -87,17 +87,17 @@ class Robot:
         )
         self.target = Target(q)
         self._plan = self.target
-        """The target that the program's motions continue from: without the velocity that force mode adds."""
+        """Target from which the program's motions continue: without the velocity that force mode adds."""
         self.force_mode = ForceMode()
         self.friction: Joints = tuple(
             FRICTION_SHARE * torque / speed for torque, speed in zip(model.max_torque, model.max_speed, strict=True)
         )
-        """Viscous friction of each joint in N m s/rad, which acts under direct torque only."""
+        """Viscous friction of each joint in N m s/rad; acts under direct torque only."""
         self._time_s = 0.0
         self.speed_scaling = 1.0
-        """Of the controller's own moves: the speed slider, and what the limit of tool speed leaves of it."""
+        """Speed share of the controller's own moves: the speed slider, and the reduction by the tool speed limit."""
         self.tool_speed = 0.0
-        """Of the target, in m/s."""
+        """Tool speed of the target, in m/s."""
         self.motion: Motion | None = None
         self._thread: Thread | None = None
         self.measured = self._measure(0.0)
@@ -106,7 +106,7 @@ class Robot:
     # ------------------------------------------------------------------------------------------------ commands
 
     def begin(self, motion: Motion, thread: Thread) -> None:
-        """Begins a motion on behalf of a thread; when that ends, the motion does.
+        """Begin a motion on behalf of a thread; the motion ends with the thread.
 
         Raises:
             ScriptError: Another thread moves the arm.
@@ -118,15 +118,15 @@ class Robot:
         self.motion, self._thread = motion, thread
 
     def release(self, thread: Thread) -> None:
-        """Ends the thread's command of the arm, which comes to rest."""
+        """End the thread's command of the arm, which comes to rest."""
         if self._thread is thread:
             self.motion, self._thread = None, None
 
     def set_tcp(self, offset: Six) -> None:
-        """Sets the tool in the frame of the flange; the contact is then at its point.
+        """Set the tool in the flange frame; contact is then at its point.
 
         Raises:
-            ScriptError: A tool of more than 10 m.
+            ScriptError: The tool is longer than 10 m.
         """
         if not max(map(abs, offset[:3])) <= MAX_TOOL_M:
             message = f"set_tcp: {list(offset)}: must be within {MAX_TOOL_M:g} m of the flange"
@@ -135,25 +135,25 @@ class Robot:
         self.measured = self._measure(self._time_s)
 
     def end_force_mode(self) -> None:
-        """Ends force mode; the arm goes on at the velocity that it has."""
+        """End force mode; the arm continues at its present velocity."""
         if self.force_mode.active:
             self.force_mode.end()
             self._plan = self.target
 
     def set_freedrive(self, *, on: bool) -> None:
-        """Whether a push moves the arm (freedrive, teach mode)."""
+        """Turn freedrive (teach mode) on or off: a push then moves the arm."""
         if on:
             self.force_mode.begin((0.0,) * 6, (True,) * 6, (0.0,) * 6, 2, FREEDRIVE_LIMITS)
         else:
             self.end_force_mode()
 
     def brake(self, deceleration: float) -> None:
-        """Stops the arm, whatever commands it."""
+        """Stop the arm, whatever commands it."""
         self.end_force_mode()
         self.motion, self._thread = StopJoints(deceleration), None
 
     def reset(self, q: Joints, tcp: Six) -> None:
-        """Puts the arm to q at once, at rest, with a tool and without any other setting."""
+        """Place the arm at q at once, at rest, with a tool and no other setting."""
         self.target = self._plan = Target(q)
         self.loop.reset()
         self.force_mode.reset()
@@ -164,16 +164,16 @@ class Robot:
 
     @property
     def is_steady(self) -> bool:
-        """Whether target and joints are at rest."""
+        """Return True if target and joints are at rest."""
         return self.target.at_rest and max(map(abs, self.loop.rate)) < 1e-4
 
     # ---------------------------------------------------------------------------------------------------- step
 
     def step(self, time_s: float) -> None:
-        """Advances by one control cycle, which ends at a time in s of the environment.
+        """Advance by one control cycle, which ends at a time in s of the environment.
 
         Raises:
-            ScriptError: The motion cannot go on.
+            ScriptError: The motion cannot continue.
         """
         try:
             self.target = self._next_target()
@@ -211,14 +211,14 @@ class Robot:
 
     def _check(self, target: Target) -> None:
         for joint, (rate, max_speed) in enumerate(zip(target.qd, self.model.max_speed, strict=True), start=1):
-            # Written such that NaN fails too.
+            # In this form NaN fails too.
             if not abs(rate) <= MAX_TARGET_SPEED * max_speed:
                 message = f"the target of joint {joint} would move at {rate:.3g} rad/s"
                 raise ScriptError(message)
 
     def _compliant(self, now: Target, new: Target) -> Target:
         _, jacobian = self.arm.transform_and_jacobian(now.q)
-        # The mean speed of the step, not that at its end: positions of program and target stay together.
+        # The mean speed of the step, not that at its end, keeps the positions of program and target together.
         mean = [(b - a) / self.period_s for a, b in zip(now.q, new.q, strict=True)]
         velocity = self.force_mode.velocity(
             jacobian @ np.array(mean),
@@ -249,11 +249,11 @@ class Robot:
 
 @dataclass(slots=True)
 class JointLoop:
-    """The joints as they follow their target: stiff, damped critically, with motors that saturate.
+    """Joints as they follow their target: stiff, critically damped, with motors that saturate.
 
-    With `delta = q - q_target` the loop is `delta'' = u - q_target'' + tau / I`, where
-    `u = q_target'' - w² delta - 2 w delta'` is what the motor does and `|I u| <= tau_max`. A joint that has enough
-    torque follows exactly and yields to an external torque by `tau / (I w²)`.
+    With `delta = q - q_target` the loop is `delta'' = u - q_target'' + tau / I`. The motor supplies
+    `u = q_target'' - w² delta - 2 w delta'` within `|I u| <= tau_max`. A joint with enough torque follows exactly and
+    yields to an external torque by `tau / (I w²)`.
 
     Args:
         inertia: I of each joint in kg m².
@@ -267,10 +267,10 @@ class JointLoop:
     deflection: Joints = (0.0,) * 6
     rate: Joints = (0.0,) * 6
     saturated: bool = False
-    """Whether a motor had too little torque in the last step."""
+    """True if a motor had too little torque in the last step."""
 
     def step(self, target_qdd: Joints, torque: Joints, step_s: float) -> None:
-        """Advances by a step in s under an external torque in N m that is held."""
+        """Advance by a step in s under a constant external torque in N m."""
         w = self.bandwidth
         a, b, c, d = transition(w * w, 2.0 * w, step_s)
         deflections, rates = [], []
@@ -292,5 +292,5 @@ class JointLoop:
         self.deflection, self.rate = tuple(deflections), tuple(rates)
 
     def reset(self) -> None:
-        """At rest on the target."""
+        """Put the joints at rest on the target."""
         self.deflection = self.rate = (0.0,) * 6

@@ -1,4 +1,4 @@
-"""The safety system: modes of the robot and what leads from one to another, and the limits that stop the arm.
+"""Safety system: robot modes, their transitions, and the limits that stop the arm.
 
 Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", tables of modes, states and status bits.
 """
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 JOINT_MODES: Final = {RobotMode.RUNNING: 253, RobotMode.IDLE: 255, RobotMode.BACKDRIVE: 238, RobotMode.BOOTING: 247}
-"""Mode of every joint by mode of the robot; power off (239) in all others."""
+"""Mode of every joint for each robot mode; all others give power off (239)."""
 JOINT_POWER_OFF: Final = 239
 POWERED_MODES: Final = frozenset({RobotMode.POWER_ON, RobotMode.IDLE, RobotMode.BACKDRIVE, RobotMode.RUNNING})
 
@@ -39,19 +39,19 @@ BRAKE_RELEASE_S: Final = 1.0
 
 
 class SafetySystem:
-    """Time is an argument, in s since the controller started.
+    """Safety modes of the arm; times are arguments, in s since the controller started.
 
     Args:
-        unlock_after_s: How long a protective stop cannot be unlocked.
-        stop: Is called when the arm must stop, with the reason.
-        log: Takes lines for the log.
+        unlock_after_s: Time during which a protective stop cannot be unlocked.
+        stop: Called with the reason when the arm must stop.
+        log: Receives lines for the log.
     """
 
     def __init__(self, unlock_after_s: float, stop: Callable[[str], None], log: Callable[[str], None]) -> None:
         self.mode = SafetyMode.NORMAL
         self.robot_mode = RobotMode.RUNNING
         self.reason = ""
-        """Of the last stop."""
+        """Reason of the last stop."""
         self._unlock_after_s = unlock_after_s
         self._stop = stop
         self._log = log
@@ -60,44 +60,44 @@ class SafetySystem:
 
     @property
     def may_move(self) -> bool:
-        """Whether the arm may move."""
+        """Return True if the arm may move."""
         return self.mode in MOVING_MODES and self.robot_mode == RobotMode.RUNNING
 
     def advance(self, now_s: float) -> None:
-        """Changes of mode that take time."""
+        """Make the changes of mode that take time."""
         if self._next_mode is not None and now_s >= self._next_mode[0]:
             self.robot_mode = self._next_mode[1]
             self._next_mode = None
 
     def protective_stop(self, reason: str, now_s: float) -> None:
-        """Stops the arm; it stays powered."""
+        """Stop the arm; it stays powered."""
         if self.mode in MOVING_MODES:
             self._enter_stop(SafetyMode.PROTECTIVE_STOP, reason, now_s)
 
     def emergency_stop(self, now_s: float) -> None:
-        """The button of the robot: stops the arm and takes its power."""
+        """Press the robot's button: stop the arm and remove its power."""
         if self.mode != SafetyMode.ROBOT_EMERGENCY_STOP:
             self._enter_stop(SafetyMode.ROBOT_EMERGENCY_STOP, "emergency stop", now_s)
             self.robot_mode = RobotMode.POWER_OFF
             self._next_mode = None
 
     def release_emergency_stop(self) -> bool:
-        """Releases the button; the arm stays without power. Whether it was pressed."""
+        """Release the button; the arm stays without power. Return True if it was pressed."""
         pressed = self.mode == SafetyMode.ROBOT_EMERGENCY_STOP
         if pressed:
             self.mode = SafetyMode.NORMAL
         return pressed
 
     def fault(self, reason: str, now_s: float) -> None:
-        """A fault of the robot, which only `restart` or `reset` clears."""
+        """Report a fault of the robot; only `restart` or `reset` clears it."""
         self._enter_stop(SafetyMode.FAULT, reason, now_s)
 
     def reset(self) -> None:
-        """Ready to move, without stops and faults."""
+        """Make the arm ready to move, without stops and faults."""
         self.mode, self.robot_mode, self.reason, self._next_mode = SafetyMode.NORMAL, RobotMode.RUNNING, "", None
 
     def unlock(self, now_s: float) -> str:
-        """Unlocks a protective stop; returns the dashboard's answer."""
+        """Unlock a protective stop; return the dashboard's answer."""
         if self.mode != SafetyMode.PROTECTIVE_STOP:
             return "Protective stop releasing"
         if now_s - self._stopped_at_s < self._unlock_after_s:
@@ -109,20 +109,20 @@ class SafetySystem:
         return "Protective stop releasing"
 
     def restart(self, now_s: float) -> None:
-        """Restarts the safety system: clears all stops, power is off."""
+        """Restart the safety system: all stops are cleared, power is off."""
         self.power_off()
         self.mode = SafetyMode.NORMAL
         self._stop("the safety system restarts")
         self._stopped_at_s = now_s
 
     def power_on(self, now_s: float) -> None:
-        """Powers the arm; its brakes stay closed."""
+        """Power the arm; its brakes stay closed."""
         if self.robot_mode == RobotMode.POWER_OFF and self.mode in MOVING_MODES:
             self.robot_mode = RobotMode.POWER_ON
             self._next_mode = (now_s + POWER_ON_S, RobotMode.IDLE)
 
     def release_brakes(self, now_s: float) -> None:
-        """Makes the arm ready to move; powers it first where it is off."""
+        """Make the arm ready to move; power it first if it is off."""
         if self.mode not in MOVING_MODES or self.robot_mode == RobotMode.RUNNING:
             return
         off = self.robot_mode in {RobotMode.POWER_OFF, RobotMode.POWER_ON}
@@ -130,7 +130,7 @@ class SafetySystem:
         self._next_mode = (now_s + BRAKE_RELEASE_S + (POWER_ON_S if off else 0.0), RobotMode.RUNNING)
 
     def power_off(self) -> None:
-        """Takes the power of the arm."""
+        """Remove the arm's power."""
         self.robot_mode = RobotMode.POWER_OFF
         self._next_mode = None
         self._stop("power off")
@@ -147,22 +147,22 @@ class SafetySystem:
 class SafetyLimits:
     """Limits of the teach pendant's safety settings, and two of the controller's own.
 
-    Beyond one of them the arm goes into a protective stop. Those of force and speed are the defaults of e-Series arms;
-    the vendor does not publish those of deviations and jumps.
+    Beyond one of them the arm enters a protective stop. Force and speed have the defaults of e-Series arms. The vendor
+    does not publish the limits of deviations and jumps.
     """
 
     tool_force_n: float = 150.0
     tool_speed: float = 1.5
-    """m/s."""
+    """Tool speed in m/s."""
     joint_speed_share: float = 1.05
-    """Of the largest speed of a joint."""
+    """Share of the largest speed of a joint."""
     deviation: float = 0.1
-    """rad between a joint and its target."""
+    """Angle in rad between a joint and its target."""
     jump: float = 0.3
-    """rad by which a servoj target may change at once."""
+    """Angle in rad by which a servoj target may change at once."""
 
     def violation(self, robot: "Robot") -> str | None:
-        """Which limit the arm exceeds, and by what; None if none."""
+        """Return the limit that the arm exceeds and the excess; None if none."""
         measured = robot.measured
         force = math.hypot(*measured.force[:3])
         if force > self.tool_force_n:
@@ -182,5 +182,5 @@ class SafetyLimits:
 
 
 def safety_status_bits(mode: SafetyMode) -> int:
-    """RTDE's `safety_status_bits` of a safety mode."""
+    """Return RTDE's `safety_status_bits` of a safety mode."""
     return STATUS_BITS[mode] | (0 if mode in MOVING_MODES else STOPPED_DUE_TO_SAFETY)

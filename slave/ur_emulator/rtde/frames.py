@@ -1,4 +1,4 @@
-"""Frames of RTDE: `uint16 size, uint8 type, payload`, the size counting all three.
+"""Frames of RTDE: `uint16 size, uint8 type, payload`; the size counts all three.
 
 Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", protocol versions 1 and 2.
 """
@@ -12,11 +12,11 @@ SETUP_OUTPUTS, SETUP_INPUTS, START, PAUSE = b"OISP"
 
 HEADER: Final = struct.Struct(">HB")
 MAX_NAME_LIST: Final = 2048
-"""Bytes of a list of names."""
+"""Longest list of names in bytes."""
 
 
 class FramingError(ValueError):
-    """The peer sent what cannot be a frame: its stream cannot be read any further."""
+    """Invalid frame; the stream cannot be read any further."""
 
 
 class FrameReader:
@@ -26,10 +26,10 @@ class FrameReader:
         self._waiting = bytearray()
 
     def frames(self, received: bytes) -> Iterator[tuple[int, bytes]]:
-        """Type and payload of each frame that is complete.
+        """Yield type and payload of each complete frame.
 
         Raises:
-            FramingError: A size below that of a header.
+            FramingError: A size is below that of a header.
         """
         waiting = self._waiting
         waiting += received
@@ -50,7 +50,7 @@ class FrameReader:
 
 
 def names_in(packed: bytes) -> tuple[str, ...]:
-    """The names of a packed list; some clients put a comma after the last one."""
+    """Return the names of a packed list; some clients put a comma after the last one."""
     text = packed.decode("ascii", "replace")
     return tuple(text.removesuffix(",").split(",")) if text else ()
 
@@ -59,16 +59,16 @@ def names_in(packed: bytes) -> tuple[str, ...]:
 
 
 def frame(kind: int, payload: bytes = b"") -> bytes:
-    """A frame of a type with its payload."""
+    """Return a frame of a type with its payload."""
     return HEADER.pack(HEADER.size + len(payload), kind) + payload
 
 
 def acceptance(kind: int, *, yes: bool) -> bytes:
-    """The answer to a request that is accepted or not."""
+    """Return the answer to an accepted or refused request."""
     return frame(kind, bytes([yes]))
 
 
 def recipe(kind: int, number: int | None, types: list[str]) -> bytes:
-    """The answer to a recipe: its number, 0 if it is refused, none for outputs in version 1, and the types."""
+    """Return the answer to a recipe: its types, after its number: 0 if refused, none for outputs in version 1."""
     head = b"" if number is None else bytes([number])
     return frame(kind, head + ",".join(types).encode("ascii"))

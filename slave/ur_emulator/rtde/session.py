@@ -18,11 +18,11 @@ from haptether.slave.ur_emulator.rtde.variables import (
 
 MAX_RECIPES: Final = 255
 MAX_INPUT_FIELDS: Final = 4096
-"""Over all input recipes of a connection; ur_rtde's have some 300."""
+"""Fields of all input recipes of a connection; ur_rtde has about 300."""
 PROTOCOLS: Final = frozenset({1, 2})
 MIN_RATE_HZ: Final = 1.0
 V1_RATE_HZ: Final = 125.0
-"""Of protocol version 1, in which a client cannot request a rate."""
+"""Rate of protocol version 1, in which a client cannot request a rate."""
 
 
 @dataclass(slots=True)
@@ -34,7 +34,7 @@ class InputRecipe:
     layout: struct.Struct
 
     def values(self, packed: bytes) -> dict[str, Value] | None:
-        """Values of a package; None if it is too short. The tail of one that is too long is ignored."""
+        """Return the values of a package; None if it is too short. The tail of a longer one is ignored."""
         if len(packed) < self.layout.size:
             return None
         numbers = self.layout.unpack_from(packed)
@@ -59,7 +59,7 @@ class OutputRecipe:
     due: float = 0.0
 
     def packed(self, outputs: Mapping[str, Value]) -> bytes:
-        """A data package with the present values."""
+        """Return a data package with the present values."""
         numbers: list[Number] = []
         for name, scalar in zip(self.names, self.scalar, strict=True):
             value = outputs[name]
@@ -70,7 +70,7 @@ class OutputRecipe:
         return self.head + self.layout.pack(*numbers)
 
     def is_due(self, cycles: int) -> bool:
-        """Whether a package is due after so many control cycles; of several only the newest is sent."""
+        """Return True if a package is due after `cycles` control cycles; only the newest of several is sent."""
         self.due += self.share * cycles
         # A share such as 1/3 must not lose a package to rounding.
         whole = math.floor(self.due + 1e-9)
@@ -80,21 +80,21 @@ class OutputRecipe:
 
 @dataclass(slots=True)
 class RtdeSession:
-    """The protocol of one connection; it owns no socket.
+    """Protocol of one connection; it owns no socket.
 
-    Call `receive` with bytes that arrived and send what it returns; call `package` once a control cycle and send that.
+    Call `receive` with received bytes and send its result; call `package` once a control cycle and send its result.
     """
 
     number: int
     rate_hz: float
-    """Of the control cycle."""
+    """Rate of the control cycle."""
     version: Callable[[], ControllerVersion]
-    """The version that clients see."""
+    """Returns the version that clients see."""
     inputs: RtdeInputs
     outputs: Mapping[str, Value]
     output_types: Mapping[str, WireType]
     log: Callable[[str], None]
-    """Takes text messages of the client."""
+    """Receives text messages of the client."""
     protocol: int = 1
     started: bool = False
     _reader: frames.FrameReader = field(default_factory=frames.FrameReader)
@@ -102,10 +102,10 @@ class RtdeSession:
     _output: OutputRecipe | None = None
 
     def receive(self, received: bytes) -> bytes:
-        """Answers to what arrived.
+        """Return the answers to received bytes.
 
         Raises:
-            FramingError: It cannot be RTDE.
+            FramingError: The bytes are not RTDE.
         """
         answer = bytearray()
         for kind, payload in self._reader.frames(received):
@@ -113,17 +113,17 @@ class RtdeSession:
         return bytes(answer)
 
     def package(self, cycles: int = 1) -> bytes | None:
-        """The data package that is due after so many control cycles, if any."""
+        """Return the data package that is due after `cycles` control cycles, if any."""
         if not self.started or self._output is None or not self._output.is_due(cycles):
             return None
         return self._output.packed(self.outputs)
 
     def close(self) -> None:
-        """Frees the inputs of the connection."""
+        """Free the inputs of the connection."""
         self.inputs.release(self.number)
 
     def _answer(self, kind: int, payload: bytes) -> bytes:  # noqa: PLR0911
-        """The answer to a frame; none to one of an unknown type or with too short a payload, as of real controllers."""
+        """Return the answer to a frame; like a real controller, none for an unknown type or a short payload."""
         match kind:
             case frames.DATA_PACKAGE if payload:
                 self._write(payload[0], payload[1:])
@@ -188,12 +188,12 @@ class RtdeSession:
         if fits and kinds is not None:
             number = len(self._recipes) + 1
             layout = struct.Struct(">" + "".join(kind.format for kind in kinds))
-            # The names of the table, not those that the client sent: one copy in memory.
+            # Use the table's names, not the client's: one copy in memory.
             self._recipes[number] = InputRecipe(self.inputs.known(names), kinds, layout)
         return frames.recipe(frames.SETUP_INPUTS, number, types)
 
     def _fits(self, names: tuple[str, ...]) -> bool:
-        """Whether a list of names is short enough; one that is not is in the log."""
+        """Return True if a list of names is short enough; a longer one is logged."""
         fits = sum(len(name) + 1 for name in names) <= frames.MAX_NAME_LIST
         if not fits:
             self.log(f"list of {len(names)} names refused: must have at most {frames.MAX_NAME_LIST} bytes")
@@ -204,11 +204,11 @@ class RtdeSession:
             return frames.acceptance(frames.START, yes=False)
         self.started = True
         self._output.due = 0.0
-        # Clients wait for the first package without a timeout, so it goes with the answer.
+        # Clients wait without a timeout for the first package, so it goes with the answer.
         return frames.acceptance(frames.START, yes=True) + self._output.packed(self.outputs)
 
     def _write(self, number: int, packed: bytes) -> None:
-        # ur_rtde writes to recipes that it has not set up yet while it reconnects: not an error.
+        # ur_rtde writes to recipes that it has not yet set up while it reconnects: not an error.
         known = self._recipes.get(number)
         if known is not None and (values := known.values(packed)) is not None:
             self.inputs.write(values)

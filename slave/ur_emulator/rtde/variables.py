@@ -1,4 +1,4 @@
-"""Variables of RTDE: their types, the versions of the controller that have them, and the values of the inputs.
+"""RTDE variables: their types, the controller versions that have them, and the values of the inputs.
 
 All types are big-endian on the wire, packed without padding.
 
@@ -16,12 +16,12 @@ from typing import Final, Self
 
 Number = float | int | bool
 Value = Number | tuple[Number, ...]
-"""A scalar, or the components of a vector."""
+"""Scalar, or the components of a vector."""
 
 
 @dataclass(frozen=True, slots=True)
 class WireType:
-    """A field type: its name in recipes, its `struct` code and how many of these it has."""
+    """Field type: its name in recipes, its `struct` code and its number of components."""
 
     name: str
     code: str
@@ -29,7 +29,7 @@ class WireType:
 
     @property
     def format(self) -> str:
-        """Its part of a `struct` format."""
+        """Part of a `struct` format for this type."""
         return self.code * self.count
 
     @property
@@ -50,9 +50,9 @@ VECTOR6D: Final = WireType("VECTOR6D", "d", 6)
 VECTOR6INT32: Final = WireType("VECTOR6INT32", "i", 6)
 
 NOT_FOUND: Final = "NOT_FOUND"
-"""In place of a type: the controller has no such variable."""
+"""Replaces the type if the controller has no such variable."""
 IN_USE: Final = "IN_USE"
-"""In place of a type: another client writes this input."""
+"""Replaces the type if another client writes this input."""
 
 
 # ------------------------------------------------------------------------------------------------------ versions
@@ -72,10 +72,10 @@ class ControllerVersion:
 
     @classmethod
     def parsed(cls, text: str) -> Self:
-        """A version from `5.11` or `5.11.10.108`.
+        """Return a version from `5.11` or `5.11.10.108`.
 
         Raises:
-            ValueError: Another form, or a series that is not emulated.
+            ValueError: The text has another form, or its series is not emulated.
         """
         found = re.fullmatch(r"(\d{1,3})\.(\d{1,3})(?:\.(\d{1,9}))?(?:\.(\d{1,9}))?", text)
         if not found:
@@ -90,7 +90,7 @@ class ControllerVersion:
 
     @property
     def is_cb3(self) -> bool:
-        """Whether it is a controller of the third generation."""
+        """True for a third-generation controller."""
         return self.major == 3
 
     @property
@@ -99,7 +99,7 @@ class ControllerVersion:
         return 125 if self.is_cb3 else 500
 
     def has(self, cb3: tuple[int, ...] | None, e_series: tuple[int, ...] | None) -> bool:
-        """Whether it is as new as the version of its series; None stands for never."""
+        """Return True if it is at least as new as the version of its series; None means never."""
         since = cb3 if self.is_cb3 else e_series
         return since is not None and (self.major, self.minor, self.bugfix) >= since
 
@@ -200,13 +200,13 @@ def _table(
 
 @cache
 def outputs_of(version: ControllerVersion) -> dict[str, WireType]:
-    """Outputs of a controller of this version, with their types."""
+    """Return the outputs of a controller of this version, with their types."""
     return _table(version, _OUTPUTS, "output", "input")
 
 
 @cache
 def inputs_of(version: ControllerVersion) -> dict[str, WireType]:
-    """Inputs of a controller of this version, with their types."""
+    """Return the inputs of a controller of this version, with their types."""
     return _table(version, _INPUTS, "input")
 
 
@@ -216,31 +216,31 @@ NO_OWNER = 0
 
 
 class RtdeInputs:
-    """Values of the inputs, and which connection may write which.
+    """Values of the inputs, and the connection that may write each.
 
-    Values persist until they are overwritten; a variable belongs to one connection, until that ends.
+    Values persist until they are overwritten. A variable belongs to one connection until that connection ends.
     """
 
     def __init__(self, types: Mapping[str, WireType]) -> None:
         self.types = types
         self.values: dict[str, Value] = {name: kind.zero for name, kind in types.items()}
         self.writes: Counter[str] = Counter()
-        """How often each has been written, whatever its value."""
+        """Number of writes of each input, changed or not."""
         self.refused = 0
-        """Packages that held a number that is not finite."""
+        """Packages with a number that is not finite."""
         self.blocked: frozenset[str] = frozenset()
-        """Inputs that no client gets, as if another one had them."""
+        """Inputs that no client gets, as if another client had them."""
         self.changed: set[str] = set()
-        """Inputs that were written since this was last emptied."""
+        """Inputs written since this was last emptied."""
         self.on_written: Callable[[Mapping[str, Value]], None] = lambda _: None
-        """Takes the values of each package, once they are set."""
+        """Receives the values of each package once they are set."""
         self._owners: dict[str, int] = {}
         self._names = {name: name for name in types}
 
     def claim(
         self, owner: int, names: tuple[str, ...], *, wanted: bool = True
     ) -> tuple[list[str], tuple[WireType, ...] | None]:
-        """Assigns variables to a connection: the answer for each, and their types, or None if it gets none of them."""
+        """Assign variables to a connection; return the answer for each, and their types (None if it gets none)."""
         answers = [self._answer(owner, name) for name in names]
         if not wanted or NOT_FOUND in answers or IN_USE in answers:
             return answers, None
@@ -249,15 +249,15 @@ class RtdeInputs:
         return answers, tuple(self.types[name] for name in names)
 
     def known(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """The same names, as the objects of the table."""
+        """Return the same names, as the objects of the table."""
         return tuple(self._names[name] for name in names)
 
     def release(self, owner: int) -> None:
-        """Frees the variables of a connection."""
+        """Free the variables of a connection."""
         self._owners = {name: other for name, other in self._owners.items() if other != owner}
 
     def write(self, values: Mapping[str, Value]) -> None:
-        """Sets values; a package with a number that is not finite is refused as a whole."""
+        """Set values; a package with a number that is not finite is refused as a whole."""
         for value in values.values():
             if not (math.isfinite(value) if isinstance(value, float | int) else all(map(math.isfinite, value))):
                 self.refused += 1
@@ -276,7 +276,7 @@ class RtdeInputs:
 
 
 DIGITAL_GROUPS = (("standard_digital_output", 0), ("configurable_digital_output", 8), ("tool_digital_output", 16))
-"""Inputs that set digital outputs, and the bit of the controller's outputs where theirs begin."""
+"""Inputs that set digital outputs, and the first bit of each in the controller's outputs."""
 
 DIGITAL_OUTPUTS = 18
 
@@ -290,7 +290,7 @@ HIGHEST_V: Final = 10.0
 class ClientSettings:
     """Digital outputs as bits, two analog outputs and the speed slider.
 
-    Clients set them by inputs. A package sets them once, when it arrives: others may change them afterwards.
+    Clients set them through inputs. A package sets them once, on arrival: others may change them afterwards.
     """
 
     def __init__(self, inputs: RtdeInputs) -> None:
@@ -299,17 +299,17 @@ class ClientSettings:
         self.reset()
 
     def reset(self) -> None:
-        """Digital outputs off, analog outputs at 4 mA, the slider at its end."""
+        """Turn digital outputs off, set analog outputs to 4 mA and the slider to its end."""
         self.bits = 0
         self.slider = 1.0
         """Share of the speed, 0 to 1."""
         self._analog = [0.0, 0.0]
-        """Share of its range of each analog output, 0 to 1."""
+        """Share of the range of each analog output, 0 to 1."""
         self._is_voltage = [False, False]
 
     @property
     def analog(self) -> list[float]:
-        """Each analog output: 4 to 20 mA in A, or 0 to 10 V in V."""
+        """Return each analog output: 4 to 20 mA in A, or 0 to 10 V in V."""
         return [
             HIGHEST_V * share if voltage else LOWEST_A + (HIGHEST_A - LOWEST_A) * share
             for share, voltage in zip(self._analog, self._is_voltage, strict=True)
@@ -317,11 +317,11 @@ class ClientSettings:
 
     @property
     def analog_types(self) -> int:
-        """RTDE's `analog_io_types`: bits 2 and 3 are set for an analog output in V."""
+        """Return RTDE's `analog_io_types`: bits 2 and 3 are set for an analog output in V."""
         return self._is_voltage[0] << 2 | self._is_voltage[1] << 3
 
     def _apply(self, written: Mapping[str, Value]) -> None:
-        """Applies what a package has written to the inputs."""
+        """Apply the written inputs of a package."""
         for name, first in DIGITAL_GROUPS:
             if name in written:
                 mask = self._integer(f"{name}_mask") << first
@@ -341,10 +341,10 @@ class ClientSettings:
         return min(max(float(self._inputs.values[name]), 0.0), 1.0)  # type: ignore[arg-type]  # DOUBLE
 
     def set(self, output: int, *, on: bool) -> None:
-        """Sets one bit: set_digital_out.
+        """Set one bit (set_digital_out).
 
         Raises:
-            ValueError: No such output.
+            ValueError: The output does not exist.
         """
         if not 0 <= output < DIGITAL_OUTPUTS:
             message = f"digital output {output}: must be between 0 and {DIGITAL_OUTPUTS - 1}"

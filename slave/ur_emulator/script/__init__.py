@@ -1,1 +1,1 @@
-"""Programs of the emulated controller: how they come in, how they run, and the control script of ur_rtde."""
+"""Programs of the emulated controller: their arrival, their execution, and the control script of ur_rtde."""

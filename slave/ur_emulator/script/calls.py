@@ -1,4 +1,4 @@
-"""Programs of calls with literal arguments, one a line, without control flow: all but the control script.
+"""Programs of calls with literal arguments, one per line, without control flow: all except the control script.
 
 Source: Universal Robots, "The URScript Programming Language".
 """
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 POSE_LITERAL: Final = re.compile(r"\bp\s*\[")
 MAX_CALLS: Final = 5000
-"""Of a program."""
+"""Calls of a program."""
 CALLS_PER_CYCLE: Final = 8
-"""That are parsed in a control cycle: some 0.3 ms of it."""
+"""Calls parsed in a control cycle; takes about 0.3 ms."""
 MAX_LINE: Final = 4096
-"""Characters of a call: its syntax tree takes 1000 times as much memory."""
+"""Characters of a call; its syntax tree takes 1000 times as much memory."""
 MAX_SHOWN: Final = 80
-"""Characters of a line or of an argument in a message."""
+"""Characters of a line or an argument in a message."""
 ARITHMETIC: Final[dict[type[ast.operator], Callable[[Any, Any], object]]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -45,7 +45,7 @@ Call = Callable[[], "Steps | None"]
 
 
 class Pose:
-    """A literal `p[...]`."""
+    """Literal `p[...]`."""
 
     def __init__(self, numbers: Six) -> None:
         self.numbers = numbers
@@ -59,11 +59,11 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """The kind of an argument: its name, and its conversion."""
+    """Kind of an argument: its name and its conversion."""
 
     name: str
     converted: Callable[[object], object]
-    """Raises `ValueError` or `TypeError` for what is not of the kind."""
+    """Raises `ValueError` or `TypeError` for a value of another kind."""
 
 
 def _number(value: object) -> float:
@@ -109,16 +109,16 @@ ANYTHING: Final = Kind("a literal", lambda value: value)
 
 @dataclass(frozen=True, slots=True)
 class Signature:
-    """Parameters of a function, in order; those with a default may be left out."""
+    """Parameters of a function, in order; those with a default may be omitted."""
 
     kinds: Mapping[str, Kind]
     optional: frozenset[str] = frozenset()
 
     def bound(self, name: str, arguments: Sequence[object], named: Mapping[str, object]) -> dict[str, Any]:
-        """The arguments by name, each converted to its kind.
+        """Return the arguments by name, each converted to its kind.
 
         Raises:
-            ScriptError: Too many, too few, unknown, given twice, or of another kind.
+            ScriptError: Arguments are too many, too few, unknown, given twice, or of another kind.
         """
         takes = ", ".join(self.kinds) or "nothing"
         if len(arguments) > len(self.kinds):
@@ -146,7 +146,7 @@ class Signature:
 
 
 def literal(node: ast.expr) -> object:
-    """The value of a literal, or of sums, differences, products and quotients of numbers.
+    """Return the value of a literal, or of sums, differences, products and quotients of numbers.
 
     Raises:
         ValueError: No literal, a number that is not finite, or a text without an encoding in UTF-8.
@@ -164,7 +164,7 @@ def literal(node: ast.expr) -> object:
         value = _operand(node.operand)
         return -value if isinstance(node.op, ast.USub) else value
     if isinstance(node, ast.BinOp) and type(node.op) in ARITHMETIC:
-        # Of numbers only: a text times a number would take any amount of memory.
+        # Numbers only: a text times a number could take any amount of memory.
         return _finite(ARITHMETIC[type(node.op)](_operand(node.left), _operand(node.right)))
     raise ValueError
 
@@ -178,7 +178,7 @@ def _operand(node: ast.expr) -> float:
 
 def _encodable(value: object) -> object:
     if isinstance(value, str):
-        # Of an escape such as `\ud800`; it raises a ValueError.
+        # An escape such as `\ud800` raises a ValueError.
         value.encode()
     return value
 
@@ -233,9 +233,9 @@ class CallProgram:
     Args:
         functions: Functions of URScript.
         registers: Registers without an offset.
-        setup: Settings by the program.
+        setup: Settings of the program.
         client_settings: The digital outputs.
-        log: Takes lines for the log.
+        log: Receives lines for the log.
     """
 
     def __init__(
@@ -275,10 +275,10 @@ class CallProgram:
         }
 
     def read(self, text: str) -> "Generator[None, None, Steps]":
-        """Parses a program, a few calls at each step; returns what runs it.
+        """Parse a program, a few calls at each step; return its steps.
 
         Raises:
-            ScriptError: A line that is none of these calls, or too many of them.
+            ScriptError: A line is not a known call, or there are too many.
         """
         calls: list[Call] = []
         for line in _statements(text):
@@ -291,10 +291,10 @@ class CallProgram:
         return self._run(calls)
 
     def steps(self, text: str) -> "Steps":
-        """The program, ready to run.
+        """Return the program, ready to run.
 
         Raises:
-            ScriptError: A line that is none of these calls, or too many of them.
+            ScriptError: A line is not a known call, or there are too many.
         """
         reading = self.read(text)
         while True:
@@ -344,17 +344,17 @@ def _statements(text: str) -> Iterator[str]:
 
 
 def _parsed(line: str) -> tuple[str, list[object], dict[str, object]]:
-    """Name, arguments and named arguments of a call.
+    """Return name, arguments and named arguments of a call.
 
     Raises:
-        ScriptError: No call, or arguments that are no literals.
+        ScriptError: The line is not a call, or its arguments are not literals.
     """
     if len(line) > MAX_LINE:
         message = f"{line[:MAX_SHOWN]!r}: line of {len(line)} characters: must have at most {MAX_LINE}"
         raise ScriptError(message)
     try:
         with warnings.catch_warnings():
-            # Python would print the client's escapes to the screen.
+            # Python would print the client's escapes on the screen.
             warnings.simplefilter("ignore")
             # `p[...]` becomes a subscript, which `literal` reads as a `Pose`.
             call = ast.parse(POSE_LITERAL.sub(f"{POSE}[", line), mode="eval").body

@@ -1,9 +1,9 @@
-"""The control script of ur_rtde: it takes commands from registers and writes its answers there.
+"""Control script of ur_rtde: reads commands from registers and writes its answers there.
 
-It is not interpreted but recognised, and this reproduces it thread by thread. Every control cycle the main loop reads a
-command from the first integer register. Commands of the real-time class are executed and answered by 1 ("ready") at
-once, and executed again for as long as the register holds them; any other is executed once and answered by 2 ("done")
-until the register is 0 again. Command 255 ends the program.
+The emulator does not interpret the script: it recognises the script and reproduces its threads. Every control cycle
+the main loop reads a command from the first integer register. Real-time commands are executed and answered by 1
+("ready") at once, and repeated as long as the register holds them. Any other command is executed once and answered
+by 2 ("done") until the register is 0 again. Command 255 ends the program.
 
 Source: control script of ur_rtde 1.6.5 (SDU Robotics, MIT licence).
 """
@@ -45,14 +45,14 @@ MARKS: Final = ("def process_cmd(", "def rtde_cmd(", "read_input_integer_reg(0)"
 """Lines that only this script has."""
 CONTROL_SCRIPT_NAME: Final = "rtde_control"
 CONTROL_SCRIPT: Final = "\n".join((f"def {CONTROL_SCRIPT_NAME}():", *(f"  {mark}" for mark in MARKS), "end"))
-"""The script on the controller's disk."""
+"""Script on the controller's disk."""
 OFFSET: Final = re.compile(r"# int register offset\s*(\d{1,2})\b")
-"""The client puts the number behind the comment that marks its place, on a line of its own."""
+"""The client puts the number after the comment that marks its place, on a line of its own."""
 OFFSETS: Final = (0, 24)
 """First register of the client."""
 PATH: Final = "def exec_move_path():"
 PATH_ENDS: Final = re.compile(r"^[ \t]*end[ \t\r]*$", re.MULTILINE)
-"""It never spans lines and is searched for once: backtracking over a text could take minutes."""
+"""One line, searched once: backtracking over a text could take minutes."""
 MAX_WAYPOINTS: Final = 5000
 MAX_MOVE: Final = 1000
 """Characters of a move in a path."""
@@ -65,7 +65,7 @@ PROGRESS: Final = re.compile(r"signal_async_progress\((\d{1,9})\)")
 
 @dataclass(frozen=True, slots=True)
 class PathMove:
-    """A move to a waypoint."""
+    """Move to a waypoint."""
 
     straight: bool
     is_pose: bool
@@ -76,14 +76,14 @@ class PathMove:
 
 @dataclass(frozen=True, slots=True)
 class Upload:
-    """The parts in which uploads of the control script differ."""
+    """Parts in which uploads of the control script differ."""
 
     offset: int
     path: tuple[PathMove | int, ...] = ()
-    """Moves of a path, and the progress that is reported between them."""
+    """Moves of a path, and the progress reports between them."""
 
     def move_path(self, functions: ScriptFunctions, progress: Callable[[int], None]) -> Steps:
-        """The injected moves, one after another; every one ends at rest, whatever its blend radius."""
+        """Run the injected moves in order; each ends at rest, whatever its blend radius."""
         for step in self.path:
             if isinstance(step, int):
                 progress(step)
@@ -98,10 +98,10 @@ class Upload:
 
 
 def recognised(text: str) -> Upload | None:
-    """The upload of the control script in a text, or None for any other program.
+    """Return the upload of the control script in a text, or None for any other program.
 
     Raises:
-        ScriptError: A path with a move that cannot be read.
+        ScriptError: A move of the path cannot be read.
     """
     if not all(mark in text for mark in MARKS):
         return None
@@ -116,7 +116,7 @@ def recognised(text: str) -> Upload | None:
 
 
 def _finite_numbers(text: str) -> tuple[float, ...]:
-    """Finite numbers between commas; none where one is not."""
+    """Return the finite numbers between commas; none if one is not finite."""
     try:
         numbers = tuple(map(float, text.split(",")))
     except ValueError:
@@ -150,10 +150,10 @@ class ControlProgram:
     """Threads and globals of the control script.
 
     Args:
-        upload: What differs in this upload.
-        functions: Functions of URScript, of the program whose threads these are.
+        upload: Parts that differ in this upload.
+        functions: URScript functions of the program with these threads.
         registers: Commands, arguments and answers.
-        setup: Settings by the program.
+        setup: Settings of the program.
     """
 
     def __init__(self, upload: Upload, functions: ScriptFunctions, registers: Registers, setup: Setup) -> None:
@@ -176,7 +176,7 @@ class ControlProgram:
         self._commands = self._table()
 
     def main(self) -> Steps:
-        """The main thread."""
+        """Run the main thread."""
         force_mode = self.functions.robot.force_mode
         if self.setup.version.has(None, (5, 0)):
             force_mode.gain_scaling = 0.5
@@ -284,7 +284,7 @@ class ControlProgram:
 
     def _stop_async_move(self) -> None:
         if self._kill("move"):
-            # The thread cannot report it any more.
+            # The thread can no longer report it.
             self.progress.end()
 
     def _move_path(self) -> Steps:
@@ -398,7 +398,7 @@ class ControlProgram:
         def contact() -> int:
             return self.functions.tool_contact(self.functions.robot.measured.velocity if follows_tool else direction)
 
-        # A contact that exists already is no new one.
+        # An existing contact does not count as a new one.
         while contact() > 0:
             yield
         while (step_back := contact()) == 0:
@@ -424,7 +424,7 @@ class ControlProgram:
         yield from self._go_back(step_back)
 
     def _go_back(self, step_back: int) -> Steps:
-        """Stops, then moves to where the arm was so many control cycles ago."""
+        """Stop, then move to the position of `step_back` control cycles ago."""
         q = self.functions.positions_before(step_back)
         yield from self.functions.stopl(CONTACT_STOP_DECELERATION)
         yield from self.functions.movel(self.functions.arm.pose(q), 1.2, 0.25)
@@ -443,12 +443,12 @@ class AsyncProgress:
         self._operation = 0
 
     def begin(self) -> None:
-        """A new operation begins."""
+        """Begin a new operation."""
         self._operation = (self._operation + 1) % COUNT_MODULUS
         self._write_low(RUNNING)
 
     def progress(self, value: int) -> None:
-        """Reports progress; as in the script, 0 begins a new operation and a negative value ends it."""
+        """Report progress; as in the script, 0 begins a new operation and a negative value ends it."""
         if value == 0:
             self.begin()
         elif value < 0:
@@ -457,7 +457,7 @@ class AsyncProgress:
             self._write_low(RUNNING + min(value, MAX_PROGRESS))
 
     def end(self) -> None:
-        """The operation has ended."""
+        """End the operation."""
         self._write_low(0)
 
     def _write_low(self, low: int) -> None:
@@ -467,7 +467,7 @@ class AsyncProgress:
 
 @dataclass(frozen=True, slots=True)
 class JogSpeed:
-    """Arguments of jogStart: speeds in the frame of the base, of the tool, or of a feature."""
+    """Arguments of jogStart: speeds in the base frame, the tool frame or a feature."""
 
     speeds: Six
     feature: int
@@ -475,7 +475,7 @@ class JogSpeed:
     frame: Six
 
     def in_base(self, tool: Array) -> Six:
-        """Velocity in the frame of the base, given base_from_tool, (4, 4)."""
+        """Return the velocity in the base frame, given base_from_tool, (4, 4)."""
         if self.feature == BASE:
             return self.speeds
         rotation = tool[:3, :3] if self.feature == TOOL else matrix_from_rotvec(self.frame[3:])
@@ -498,7 +498,7 @@ class ImmediateCommands:
         self.setup = setup
 
     def table(self) -> dict[int, Command]:
-        """Commands by number."""
+        """Return the commands by number."""
         registers, force_mode = self.registers, self.robot.force_mode
         return {
             8: self.robot.sensing.zero,
@@ -543,7 +543,7 @@ class ImmediateCommands:
         }
 
     def _since(self, e_series: tuple[int, ...], command: Command, cb3: tuple[int, ...] | None = None) -> Command:
-        """A command that older controllers take and do nothing about."""
+        """Return a command that older controllers accept and ignore."""
         return command if self.setup.version.has(cb3, e_series) else lambda: None
 
     def _answer(self, *, yes: bool) -> None:

@@ -20,19 +20,19 @@ from haptether.slave.ur_emulator.script.program import Program, ScriptError, Ste
 LOOKAHEAD_S: Final = (0.03, 0.2)
 GAIN: Final = (100.0, 2000.0)
 CONTACT_N: Final = 5.0
-"""Force in N against the direction from which tool_contact detects a contact."""
+"""Force in N against the direction at which tool_contact detects a contact."""
 CONTACT_BEGINS_N: Final = 1.0
 """Force in N at which the contact began."""
 
 
 class ScriptFunctions:
-    """Functions for the threads of a program; a generator blocks until the function returns.
+    """Functions for the threads of a program; a generator blocks until its function returns.
 
     Args:
         robot: The arm.
-        program: The program whose threads call.
-        jump: rad by which a target of servoj may change at once.
-        protective_stop: Is called with the reason where it changes by more.
+        program: The program with the calling threads.
+        jump: Angle in rad by which a target of servoj may change at once.
+        protective_stop: Called with the reason if it changes by more.
     """
 
     def __init__(self, robot: Robot, program: Program, jump: float, protective_stop: Callable[[str], None]) -> None:
@@ -45,25 +45,25 @@ class ScriptFunctions:
     # ------------------------------------------------------------------------------------------------- motions
 
     def movej(self, q: Joints, acceleration: float, speed: float) -> Steps:
-        """Moves in joint space to q in rad."""
+        """Move in joint space to q in rad."""
         self._check_joints("movej", q)
         return self._until_done(Move(q, _positive("movej", "v", speed), _positive("movej", "a", acceleration)))
 
     def movel(self, pose: Six, acceleration: float, speed: float) -> Steps:
-        """Moves the tool straight to a pose."""
+        """Move the tool straight to a pose."""
         speed, acceleration = _positive("movel", "v", speed), _positive("movel", "a", acceleration)
         return self._until_done(Move(pose, speed, acceleration, self.arm))
 
     def stopj(self, deceleration: float) -> Steps:
-        """Stops, in joint space."""
+        """Stop in joint space."""
         return self._until_done(StopJoints(_positive("stopj", "a", deceleration)))
 
     def stopl(self, deceleration: float) -> Steps:
-        """Stops, along the path of the tool."""
+        """Stop along the path of the tool."""
         return self._until_done(StopTool(self.arm, _positive("stopl", "a", deceleration)))
 
     def servoj(self, q: Joints, time_s: float, lookahead_s: float, gain: float) -> Steps:
-        """Follows a joint target for a time."""
+        """Follow a joint target for a time."""
         self._check_joints("servoj", q)
         if not LOOKAHEAD_S[0] <= lookahead_s <= LOOKAHEAD_S[1] or not GAIN[0] <= gain <= GAIN[1]:
             message = (
@@ -79,20 +79,20 @@ class ScriptFunctions:
         yield from self.sleep(time_s)
 
     def speedj(self, qd: Joints, acceleration: float, time_s: float) -> Steps:
-        """Moves at joint velocities, for a time or, if that is 0, until they are reached."""
+        """Move at joint velocities for a time; 0 means until they are reached."""
         yield from self._speeding(SpeedJoints(qd, _positive("speedj", "a", acceleration)), time_s)
 
     def speedl(self, velocity: Six, acceleration: float, time_s: float) -> Steps:
-        """Moves the tool at a velocity, for a time or, if that is 0, until it is reached."""
+        """Move the tool at a velocity for a time; 0 means until it is reached."""
         motion = SpeedTool(self.arm, velocity, _positive("speedl", "a", acceleration))
         before = self.robot.motion
         if isinstance(before, SpeedTool):
-            # Continues from the exact velocity, which the joints have only approximately.
+            # Continue from the exact velocity; the joints have it only approximately.
             motion.now = before.now
         yield from self._speeding(motion, time_s)
 
     def sleep(self, time_s: float) -> Steps:
-        """Waits for a time, at least until the next control cycle."""
+        """Wait for a time, at least until the next control cycle."""
         for _ in range(max(1, round(time_s / self.robot.period_s))):
             yield
 
@@ -114,7 +114,7 @@ class ScriptFunctions:
             self.robot.release(self.program.running)
 
     def begin(self, motion: Motion) -> None:
-        """Begins a motion on behalf of the running thread.
+        """Begin a motion on behalf of the running thread.
 
         Raises:
             ScriptError: Another thread moves the arm.
@@ -131,7 +131,7 @@ class ScriptFunctions:
     # ----------------------------------------------------------------------------------------------- queries
 
     def inverse(self, pose: Six, near: Joints | None = None) -> Joints:
-        """get_inverse_kin: joint angles in rad nearest to others, by default to those of the arm.
+        """Return joint angles in rad nearest to others, by default those of the arm (get_inverse_kin).
 
         Raises:
             ScriptError: The pose is out of reach.
@@ -143,14 +143,14 @@ class ScriptFunctions:
         return q
 
     def has_inverse(self, pose: Six, near: Joints | None = None) -> bool:
-        """get_inverse_kin_has_solution."""
+        """Return True if get_inverse_kin has a solution (get_inverse_kin_has_solution)."""
         q = self.arm.inverse(pose, near or self.robot.measured.q)
         return q is not None and self.arm.is_within_limits(q)
 
     def tool_contact(self, direction: Six) -> int:
-        """tool_contact: for how many control cycles the tool has been in contact; 0 without.
+        """Return the control cycles for which the tool has been in contact; 0 without contact (tool_contact).
 
-        The direction is that of the tool, in the frame of the base; the zero vector stands for every direction.
+        The direction is that of the tool, in the base frame; the zero vector stands for every direction.
         """
         length = math.hypot(*direction[:3])
 
@@ -170,10 +170,10 @@ class ScriptFunctions:
         return max(1, steps)
 
     def positions_before(self, steps: int) -> Joints:
-        """get_actual_joint_positions_history: joint angles so many control cycles ago.
+        """Return the joint angles of `steps` control cycles ago (get_actual_joint_positions_history).
 
         Raises:
-            ScriptError: Longer ago than the history goes.
+            ScriptError: The time is before the history.
         """
         history = self.robot.history
         if not 0 <= steps < len(history):

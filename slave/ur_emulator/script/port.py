@@ -10,14 +10,14 @@ from dataclasses import dataclass, field
 from typing import Final
 
 MAX_PROGRAM: Final = 2_000_000
-"""Bytes of a program; that of ur_rtde has some 50 kB."""
+"""Bytes of a program; that of ur_rtde has about 50 kB."""
 MAX_HELD: Final = 8_000_000
 """Bytes of all programs without an end together."""
 BEGINS: Final = re.compile(r"(def|sec)\s+(\w+)\s*\(\s*\)\s*:")
 ENDS: Final = b"end"
-"""The line that ends a program: nothing before it, nothing but space behind it."""
+"""Last line of a program: nothing before it, only space after it."""
 MAX_FIRST_LINE: Final = 200
-"""Characters of a line that are searched for the begin of a program."""
+"""Characters of a line that are searched for the start of a program."""
 
 ROBOT_MESSAGE, RUNTIME_EXCEPTION, CONTROLLER = 20, 10, -2
 HEAD: Final = struct.Struct(">iBQbbii")
@@ -27,19 +27,19 @@ MAX_TEXT: Final = 1000
 
 
 def ignored(_error: str) -> None:
-    """Reports an error to no client."""
+    """Report an error to no client."""
 
 
 @dataclass(frozen=True, slots=True)
 class Submitted:
-    """A program, or a single line without a name."""
+    """Program, or a single line without a name."""
 
     name: str
     text: str
     secondary: bool = False
-    """Whether it runs beside the program that runs (`sec`)."""
+    """True if it runs beside the running program (`sec`)."""
     failed: Callable[[str], None] = field(default=ignored, compare=False)
-    """Takes the reason why it was refused, or the error that stopped it."""
+    """Receives the reason of a refusal, or the error that stopped it."""
 
 
 class ScriptBudget:
@@ -50,10 +50,10 @@ class ScriptBudget:
         self.bytes = 0
 
     def add(self, count: int) -> None:
-        """Adds to the bytes that are held, or subtracts.
+        """Add to the bytes that are held, or subtract.
 
         Raises:
-            ValueError: More than the limit.
+            ValueError: The sum exceeds the limit.
         """
         if self.bytes + count > self.limit:
             message = f"scripts without an end hold {self.bytes + count} bytes: must be at most {self.limit} together"
@@ -62,27 +62,27 @@ class ScriptBudget:
 
 
 class ScriptReader:
-    """Splits the text of one connection, in however many pieces it arrives.
+    """Splits the text of one connection, which may arrive in any number of pieces.
 
     Args:
         held: Bytes that all connections hold together.
-        failed: Takes errors of the programs.
+        failed: Receives errors of the programs.
     """
 
     def __init__(self, held: ScriptBudget | None = None, failed: Callable[[str], None] = ignored) -> None:
         self._budget = held or ScriptBudget()
         self._failed = failed
         self._waiting = bytearray()
-        """Bytes of the program or the line that has no end yet."""
+        """Bytes of the program or line without an end."""
         self._line = 0
-        """Where its last line begins."""
+        """Start of its last line."""
         self._is_program = False
 
     def receive(self, received: bytes) -> Iterator[Submitted]:
-        """Programs and lines that are complete.
+        """Yield the complete programs and lines.
 
         Raises:
-            ValueError: A program or a line without end.
+            ValueError: A program or a line has no end.
         """
         for piece in _lines(received):
             if (size := len(self._waiting) + len(piece)) > MAX_PROGRAM:
@@ -94,12 +94,12 @@ class ScriptReader:
                 yield submitted
 
     def clear(self) -> None:
-        """Frees what the connection holds."""
+        """Free the bytes of the connection."""
         self._budget.add(-len(self._waiting))
         self._waiting, self._line, self._is_program = bytearray(), 0, False
 
     def _ended(self) -> Submitted | None:
-        """The program or single line that the end of a line completes, if any."""
+        """Return the program or single line that an end of line completes, if any."""
         line = bytes(self._waiting[self._line :]).rstrip(b"\r\n")
         if not self._is_program:
             text = line.decode("utf-8", "replace")
@@ -121,7 +121,7 @@ class ScriptReader:
 
 
 def _lines(received: bytes) -> Iterator[bytes]:
-    """Lines with their end; a carriage return alone ends none."""
+    """Yield lines with their end; a carriage return alone ends none."""
     begin = 0
     while (end := received.find(b"\n", begin)) >= 0:
         yield received[begin : end + 1]
@@ -131,8 +131,8 @@ def _lines(received: bytes) -> Iterator[bytes]:
 
 
 def runtime_exception(text: str, timestamp_s: float) -> bytes:
-    """The robot message of an error of a script, at an unknown line; at most MAX_TEXT bytes of whole characters."""
-    # What UTF-8 cannot encode is escaped.
+    """Return the robot message of a script error, at an unknown line: at most MAX_TEXT bytes of whole characters."""
+    # Characters that UTF-8 cannot encode are escaped.
     encoded = text[:MAX_TEXT].encode("utf-8", "backslashreplace")[:MAX_TEXT]
     packed = encoded.decode("utf-8", "ignore").encode()
     stamp_us = int(1e6 * timestamp_s)

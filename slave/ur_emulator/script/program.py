@@ -1,4 +1,4 @@
-"""A program of the controller: its threads, its registers, the settings that it makes."""
+"""Program of the controller: its threads, registers and settings."""
 
 import math
 from collections.abc import Callable, Generator, Mapping, MutableMapping
@@ -16,67 +16,67 @@ MAX_GRAVITY: Final = 100.0
 
 
 class ScriptError(Exception):
-    """A runtime error of URScript: the program ends, and the message goes to the log and to its sender."""
+    """URScript runtime error: the program ends, and the message goes to the log and to its sender."""
 
 
 @dataclass(slots=True, eq=False)
 class Thread:
-    """A thread of URScript, run until the end of a control cycle at each call."""
+    """URScript thread; each call runs it until the end of a control cycle."""
 
     steps: Steps
     alive: bool = True
 
     def run(self) -> None:
-        """Runs until its next `yield`.
+        """Run until the next `yield`.
 
         Raises:
-            ScriptError: An error that stops the program.
+            ScriptError: An error stops the program.
         """
         if self.alive and next(self.steps, self) is self:
             self.alive = False
 
     def kill(self) -> None:
-        """Ends the thread where it is."""
+        """End the thread at its present step."""
         self.alive = False
         self.steps.close()
 
 
 @dataclass(slots=True, eq=False)
 class Program:
-    """A main thread and others, which start and end together."""
+    """Main thread and others, which start and end together."""
 
     name: str
     main: Thread | None = None
     others: list[Thread] = field(default_factory=list)
     running: Thread | None = None
-    """The thread that is being run."""
+    """Thread that runs now."""
 
     def spawn(self, steps: Steps) -> Thread:
-        """Begins a further thread; it runs first in the next control cycle."""
+        """Begin another thread; it runs first in the next control cycle."""
         thread = Thread(steps)
         self.others.append(thread)
         return thread
 
     def cycle(self) -> bool:
-        """Runs every thread until the end of the control cycle; returns whether the program goes on.
+        """Run every thread until the end of the control cycle; return True if the program continues.
 
-        The main thread comes last: what it writes for the others reaches them in the next control cycle.
+        The main thread runs last: its values for the others reach them in the next control cycle.
 
         Raises:
-            ScriptError: An error of a thread, which stops the program.
+            ScriptError: An error of a thread stops the program.
         """
         for thread in self._threads():
             self.running = thread
             try:
                 thread.run()
             except (ValueError, ArithmeticError, TypeError) as error:
-                # Arguments outside the domain of a function, a pose of 1e300 m say.
+                # Arguments outside the domain of a function, for example a pose of 1e300 m.
                 raise ScriptError(str(error)) from None
         self.others = [thread for thread in self.others if thread.alive]
         return self.main is not None and self.main.alive
 
     def kill(self) -> None:
-        """Ends all threads."""
+        """End all threads."""
         for thread in self._threads():
             thread.kill()
         self.others = []
@@ -86,7 +86,7 @@ class Program:
 
 
 class Registers:
-    """Input and output registers from an offset on: 0, or 24 for the range of external clients.
+    """Input and output registers from an offset: 0, or 24 for the range of external clients.
 
     Args:
         inputs: Values of the inputs, by name.
@@ -108,23 +108,23 @@ class Registers:
         return self._ints[0]
 
     def integer(self, number: int) -> int:
-        """An integer input register."""
+        """Return an integer input register."""
         return self._inputs[self._ints[number]]  # type: ignore[return-value]  # the table says that it is an integer
 
     def double(self, number: int) -> float:
-        """A double input register."""
+        """Return a double input register."""
         return self._inputs[self._doubles[number]]  # type: ignore[return-value]  # the table says that it is a number
 
     def six(self, first: int) -> Six:
-        """Six double input registers."""
+        """Return six double input registers."""
         inputs = self._inputs
         return tuple([inputs[name] for name in self._doubles[first : first + 6]])  # type: ignore[misc]
 
     def write_integer(self, number: int, value: int) -> None:
-        """Writes an output register.
+        """Write an output register.
 
         Raises:
-            ScriptError: No such register, or a number that it does not hold.
+            ScriptError: The register does not exist, or cannot hold the number.
         """
         if not -(2**31) <= value < 2**31:
             message = f"output integer register {number} = {value}: must have 32 bits"
@@ -132,10 +132,10 @@ class Registers:
         self._write(f"output_int_register_{number + self._offset}", value)
 
     def write_double(self, number: int, value: float) -> None:
-        """Writes an output register.
+        """Write an output register.
 
         Raises:
-            ScriptError: No such register, or a number that is not finite.
+            ScriptError: The register does not exist, or the number is not finite.
         """
         if not math.isfinite(value):
             message = f"output double register {number} = {value}: must be finite"
@@ -149,35 +149,35 @@ class Registers:
         self._outputs[name] = value
 
     def write_six(self, first: int, values: Six) -> None:
-        """Writes six double output registers."""
+        """Write six double output registers."""
         for number, value in enumerate(values, start=first):
             self.write_double(number, value)
 
 
 @dataclass(slots=True)
 class Setup:
-    """Settings of the controller by programs; those of payload and gravity outlive the program."""
+    """Controller settings of programs; payload and gravity outlive the program."""
 
     version: ControllerVersion
     protective_stop: Callable[[str], None]
     """Requests a protective stop, with its reason."""
     engage: Callable[[], None]
-    """Is called at each servo or speed command."""
+    """Called at each servo or speed command."""
     payload_kg: float = 0.0
     payload_cog: Three = (0.0, 0.0, 0.0)
     payload_inertia: Six = (0.0,) * 6
     gravity: Three = (0.0, 0.0, 9.82)
     watchdog_hz: float | None = None
-    """Minimum rate in Hz at which the command register must be written; None without a watchdog."""
+    """Minimum rate in Hz of writes to the command register; None without a watchdog."""
     watched: str = ""
-    """The input that the watchdog monitors."""
+    """Input that the watchdog monitors."""
     watchdog_is_new: bool = False
     freedrive: bool = False
     external_sensor: bool = False
-    """Whether the input external_force_torque replaces the force sensor."""
+    """True if the input external_force_torque replaces the force sensor."""
 
     def set_payload(self, mass_kg: float, cog: Three) -> None:
-        """set_payload; a centre of gravity of zeros keeps the one before (e-Series)."""
+        """Set the payload; a centre of gravity of zeros keeps the previous one (e-Series)."""
         if not 0.0 <= mass_kg <= 100.0:
             message = f"set_payload: m = {mass_kg:g}: must be between 0 and 100 kg"
             raise ScriptError(message)
@@ -189,26 +189,26 @@ class Setup:
             self.payload_cog = cog
 
     def set_gravity(self, gravity: Three) -> None:
-        """set_gravity: the acceleration in m/s² that holds the base up."""
+        """Set the acceleration in m/s² that holds the base up."""
         if not max(map(abs, gravity)) <= MAX_GRAVITY:
             message = f"set_gravity: {list(gravity)}: must be at most {MAX_GRAVITY:g} m/s^2"
             raise ScriptError(message)
         self.gravity = gravity
 
     def set_watchdog(self, name: str, min_frequency: float) -> None:
-        """rtde_set_watchdog with action "stop"."""
+        """Set the watchdog: rtde_set_watchdog with action "stop"."""
         if not 0.0 < min_frequency <= self.version.rate_hz or not math.isfinite(min_frequency):
             message = f"rtde_set_watchdog: min_frequency = {min_frequency:g}: must be above 0, at most the control rate"
             raise ScriptError(message)
         self.watchdog_hz, self.watched, self.watchdog_is_new = min_frequency, name, True
 
     def reset(self) -> None:
-        """All settings at their defaults."""
+        """Restore the defaults of all settings."""
         fresh = Setup(self.version, self.protective_stop, self.engage)
         for setting in fields(self):
             setattr(self, setting.name, getattr(fresh, setting.name))
 
     def program_ended(self) -> None:
-        """Resets the settings that end with a program."""
+        """Reset the settings that end with a program."""
         self.watchdog_hz = None
         self.freedrive = False
