@@ -25,6 +25,9 @@ class MasterSample(NamedTuple):
     buttons: int | None = None
     """Bit n: button n is pressed; none where they are not known, which is no release. What they do is said by
     `[master.buttons]` of the scene."""
+    time_s: float | None = None
+    """Time in s of this sample on the device's own clock, at every sample or at none. It never goes back but after a
+    fault. Two reads of one sample have the same time. A counter of samples times their period will do."""
 
 
 @runtime_checkable

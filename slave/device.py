@@ -22,6 +22,9 @@ class SlaveSample(NamedTuple):
     """Of the tool in the frame of the base, in rad/s."""
     torque: Sequence[float] | None = None
     """Moment of the environment on the tool about the tool point, in the frame of the base, in N m."""
+    time_s: float | None = None
+    """Time in s of this sample on the arm's own clock, at every sample or at none. It never goes back but after a
+    fault. Two reads of one sample have the same time. A counter of samples times their period will do."""
 
 
 @runtime_checkable

@@ -61,6 +61,7 @@ __all__ = [
     "Recording",
     "RecordingColumns",
     "RecordingReport",
+    "Renewal",
     "ResearchObservation",
     "SafetyController",
     "SafetyLayer",
@@ -940,6 +941,52 @@ class SampleBounds:
         """In m (rad)."""
 
     def __eq__(self, other: object, /) -> bool: ...
+
+@final
+class Renewal:
+    """How often a device renews its samples, by all of them in turn.
+
+    A sample is new if its time differs from the last, without times if position or orientation does. A change counts if it
+    is like the one before and not equal to it, so that a coarse encoder that moves slowly is not taken for a slow device.
+
+    Source: derived here.
+    """
+
+    MIN_SHARE: ClassVar[float]
+    """Share of the ticks with a new sample below which the device is slower than its loop."""
+
+    def __new__(cls) -> Renewal: ...
+    def step(
+        self,
+        position: Sequence[float],
+        *,
+        orientation: Sequence[float] | None = None,
+        time_s: float | None = None,
+        is_late: bool = False,
+    ) -> None:
+        """Takes the sample of a tick.
+
+        Args:
+            position: x in m (rad), shape `(axes,)`, of which seven count.
+            orientation: Of a device that turns, as a unit quaternion.
+            time_s: Time of the sample in s on the device's own clock, from a device that gives it.
+            is_late: True if the tick was half a period late or more; it does not count then, nor does the next.
+        """
+
+    def interrupt(self) -> None:
+        """Takes a tick without a sample."""
+
+    @property
+    def share(self) -> float | None:
+        """Share of the ticks with a new sample over the last 128 or more that count; none before."""
+
+    @property
+    def total_share(self) -> float | None:
+        """The same over all ticks that count; none if they are fewer."""
+
+    @property
+    def unclear(self) -> int:
+        """Changes after a repeat that may be steps of one quantum, and did not count."""
 
 @final
 class SafetyLayer:
@@ -2160,6 +2207,10 @@ class LoopReport:
         """Samples that left the path of the others and were replaced by their prediction."""
 
     @property
+    def renewal(self) -> float | None:
+        """Share of the ticks with a new sample of the driver's device, as last measured over a motion; none before."""
+
+    @property
     def secure(self) -> bool:
         """Whether frames were encrypted and authenticated."""
 
@@ -2537,6 +2588,7 @@ class MasterLoop(_MasterSide, _DrivenLoop):
         orientation: Sequence[float] | None = None,
         angular_velocity: Sequence[float] | None = None,
         buttons: int | None = None,
+        time_s: float | None = None,
     ) -> tuple[Any, ...] | None:
         """One tick, at a sample of the device.
 
@@ -2552,6 +2604,7 @@ class MasterLoop(_MasterSide, _DrivenLoop):
             angular_velocity: w in rad/s in the base frame from a device that measures it, at every sample or at none.
             buttons: Bit n, button n is pressed; none where they are not known, which is no release. What they do is said
                 by `[master.buttons]` of the scene.
+            time_s: Time of the sample in s on the device's own clock, at every sample or at none; it never goes back.
 
         Returns:
             F_device in N, shape `(axes,)`, and of kind "pose" that and the torque in N m, shape `(3,)` each; none where
@@ -2560,6 +2613,7 @@ class MasterLoop(_MasterSide, _DrivenLoop):
         Raises:
             TypeError: A sample that is no number, of another number of axes, or without an orientation of kind "pose";
                 nothing was done.
+            ValueError: A `time_s` that is not finite or goes back; nothing was done.
             RuntimeError: Another thread steps it.
         """
 
@@ -2613,6 +2667,7 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
         orientation: Sequence[float] | None = None,
         angular_velocity: Sequence[float] | None = None,
         torque: Sequence[float] | None = None,
+        time_s: float | None = None,
     ) -> tuple[Any, ...] | None:
         """One tick, at a sample of the arm.
 
@@ -2628,6 +2683,7 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
             orientation: R of kind "pose", as a unit quaternion w, x, y, z; of other kinds nothing is taken of it.
             angular_velocity: w in rad/s in the base frame, of kind "pose".
             torque: Of the environment on the tool in N m, in the base frame about the tool point, of kind "pose".
+            time_s: Time of the sample in s on the arm's own clock, at every sample or at none; it never goes back.
 
         Returns:
             "wait", "move" or "stop", and where the arm is to move in m and with which velocity in m/s, shape `(axes,)`
@@ -2638,6 +2694,7 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
         Raises:
             TypeError: A sample that is no number, of another number of axes, or of kind "pose" without one of the last
                 three; nothing was done.
+            ValueError: A `time_s` that is not finite or goes back; nothing was done.
             RuntimeError: Another thread steps it.
         """
 
