@@ -27,6 +27,12 @@ class MasterSample(NamedTuple):
     """Bit n: button n is pressed; None if unknown, which is not a release. `[master.buttons]` of the scene assigns
     functions.
     """
+    time_s: float | None = None
+    """Time of this sample in s on the device's own clock, present at every sample or at none.
+
+    It never decreases, except after a fault. Two reads of one sample have the same time. A count of samples times their
+    period is valid.
+    """
 
 
 @runtime_checkable

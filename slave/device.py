@@ -23,6 +23,12 @@ class SlaveSample(NamedTuple):
     """Angular velocity of the tool in the base frame in rad/s."""
     torque: Sequence[float] | None = None
     """Moment of the environment on the tool about the tool point, in the base frame, in N m."""
+    time_s: float | None = None
+    """Time of this sample in s on the arm's own clock, present at every sample or at none.
+
+    It never decreases, except after a fault. Two reads of one sample have the same time. A count of samples times their
+    period is valid.
+    """
 
 
 @runtime_checkable

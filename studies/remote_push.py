@@ -88,6 +88,8 @@ class PushResult(msgspec.Struct, frozen=True, kw_only=True):
     final_state: str
     fault: str | None
     """Reason of the state `fault`."""
+    renewal: float | None = None
+    """Share of the ticks with a new sample of the driver's device, as last measured over a motion."""
 
 
 def _along(signal: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -132,6 +134,7 @@ def measure_push(controller: str, trace: MasterTrace, report: LoopReport, releas
         skipped_ticks=report.skipped,
         holds=report.holds,
         outliers=report.outliers,
+        renewal=report.renewal,
         dropped_records=report.dropped_records,
         unsent=report.unsent,
         force_at_release_n=(float(force[after][0]) if release_s is not None and after.any() else None),

@@ -69,12 +69,12 @@ def drive_master(
     rest = NO_WRENCH if turns else ((0.0,) * loop.axes,)
 
     def step() -> bool:
-        position, velocity, clutch, fault, trigger, orientation, angular_velocity, buttons = device.read()
+        position, velocity, clutch, fault, trigger, orientation, angular_velocity, buttons, time_s = device.read()
         if fault is not None:
             notes.fault = fault = fault_text(fault)
         force = loop.step(
             position, velocity, clutch, fault=fault, trigger=trigger,
-            orientation=orientation, angular_velocity=angular_velocity, buttons=buttons,
+            orientation=orientation, angular_velocity=angular_velocity, buttons=buttons, time_s=time_s,
         )  # fmt: skip
         if force is None:
             return False
@@ -124,7 +124,7 @@ def drive_slave(
 
     def step() -> bool:
         nonlocal before
-        position, velocity, force, fault, orientation, angular_velocity, torque = device.read()
+        position, velocity, force, fault, orientation, angular_velocity, torque, time_s = device.read()
         if jaws is None:
             measured = None
         else:
@@ -134,7 +134,7 @@ def drive_slave(
             notes.fault = fault = fault_text(fault)
         order = loop.step(
             position, velocity, force, fault=fault, gripper=measured,
-            orientation=orientation, angular_velocity=angular_velocity, torque=torque,
+            orientation=orientation, angular_velocity=angular_velocity, torque=torque, time_s=time_s,
         )  # fmt: skip
         if order is None:
             return False

@@ -2,9 +2,9 @@
 //!
 //! Each exchange is what a tick of both endpoints does, with a thread and a socket for each side:
 //! `tick, send, seal -> UDP -> open, receive, tick, send, seal -> UDP -> open, receive`. The bare one sends back as many
-//! bytes as the sealed one. Both wait in the kernel for what arrives.
+//! bytes as the sealed one. Both wait in the kernel for what arrives. Who pings runs on the CPU `NEAR`, who answers on `FAR`.
 //!
-//! `ping_pong TURNS PINGS` prints, for each kind, the round trips of each turn in ns as one line of JSON.
+//! `ping_pong TURNS PINGS NEAR FAR` prints, for each kind, the round trips of each turn in ns as one line of JSON.
 #![allow(clippy::unwrap_used)] // a bench: whatever fails ends it
 
 use std::{
@@ -27,6 +27,7 @@ use haptether_safety::{
     controller::{ControllerKind, SafetySettings},
     estimator::EstimatorKind,
 };
+use rustix::thread::{CpuSet, sched_setaffinity};
 
 const PERIOD_NS: u64 = 1_000_000;
 /// Pings of a turn before those that count.
@@ -167,8 +168,15 @@ fn bridged(secure: bool) -> [Box<dyn Side>; 2] {
         .map(|(session, endpoint)| Box::new(Bridged { session, endpoint, now_ns: 0 }) as Box<dyn Side>)
 }
 
+/// Keeps this thread on one CPU.
+fn pin(cpu: usize) {
+    let mut cpus = CpuSet::new();
+    cpus.set(cpu);
+    sched_setaffinity(None, &cpus).unwrap();
+}
+
 /// Round trips of one turn in ns.
-fn turn([mut near, mut far]: [Box<dyn Side>; 2], pings: usize) -> Vec<u64> {
+fn turn([mut near, mut far]: [Box<dyn Side>; 2], pings: usize, answers_on: usize) -> Vec<u64> {
     let [here, there] = [(); 2].map(|()| UdpSocket::bind("127.0.0.1:0").unwrap());
     here.connect(there.local_addr().unwrap()).unwrap();
     there.connect(here.local_addr().unwrap()).unwrap();
@@ -176,6 +184,7 @@ fn turn([mut near, mut far]: [Box<dyn Side>; 2], pings: usize) -> Vec<u64> {
         socket.set_read_timeout(Some(PATIENCE)).unwrap();
     }
     let answering = thread::spawn(move || {
+        pin(answers_on);
         let (mut arrived, mut buffer) = ([0; MAX_DATAGRAM + 1], [0; MAX_DATAGRAM]);
         for _ in 0..pings + WARM_UP {
             let length = there.recv(&mut arrived).unwrap();
@@ -200,6 +209,8 @@ fn turn([mut near, mut far]: [Box<dyn Side>; 2], pings: usize) -> Vec<u64> {
 fn main() {
     let mut arguments = std::env::args().skip(1).map(|text| text.parse::<usize>().unwrap());
     let (turns, pings) = (arguments.next().unwrap_or(4), arguments.next().unwrap_or(5000));
+    let (near, far) = (arguments.next().unwrap_or(0), arguments.next().unwrap_or(1));
+    pin(near);
     let mut all: [Vec<Vec<u64>>; 3] = Default::default();
     for number in 0..turns {
         // Who goes first changes, so that a load that rises or falls favours nobody.
@@ -210,7 +221,7 @@ fn main() {
                 1 => bridged(false),
                 _ => bridged(true),
             };
-            all[kind].push(turn(sides, pings));
+            all[kind].push(turn(sides, pings, far));
         }
     }
     let text = |turns: &[Vec<u64>]| {

@@ -59,6 +59,7 @@ __all__ = [
     "Recording",
     "RecordingColumns",
     "RecordingReport",
+    "Renewal",
     "ResearchObservation",
     "SafetyController",
     "SafetyLayer",
@@ -936,6 +937,52 @@ class SampleBounds:
         """Position resolution in m (rad)."""
 
     def __eq__(self, other: object, /) -> bool: ...
+
+@final
+class Renewal:
+    """How often a device renews its samples, by all of them in turn.
+
+    A sample is new if its time differs from the last, without times if position or orientation does. A change counts if it
+    is like the one before and not equal to it, so that a coarse encoder that moves slowly is not taken for a slow device.
+
+    Source: derived here.
+    """
+
+    MIN_SHARE: ClassVar[float]
+    """Share of the ticks with a new sample below which the device is slower than its loop."""
+
+    def __new__(cls) -> Renewal: ...
+    def step(
+        self,
+        position: Sequence[float],
+        *,
+        orientation: Sequence[float] | None = None,
+        time_s: float | None = None,
+        is_late: bool = False,
+    ) -> None:
+        """Takes the sample of a tick.
+
+        Args:
+            position: x in m (rad), shape `(axes,)`, of which seven count.
+            orientation: Of a device that turns, as a unit quaternion.
+            time_s: Time of the sample in s on the device's own clock, from a device that gives it.
+            is_late: True if the tick was half a period late or more; it does not count then, nor does the next.
+        """
+
+    def interrupt(self) -> None:
+        """Takes a tick without a sample."""
+
+    @property
+    def share(self) -> float | None:
+        """Share of the ticks with a new sample over the last 128 or more that count; none before."""
+
+    @property
+    def total_share(self) -> float | None:
+        """The same over all ticks that count; none if they are fewer."""
+
+    @property
+    def unclear(self) -> int:
+        """Changes after a repeat that may be steps of one quantum, and did not count."""
 
 @final
 class SafetyLayer:
@@ -2161,6 +2208,10 @@ class LoopReport:
         """Samples off the path, each replaced by its prediction."""
 
     @property
+    def renewal(self) -> float | None:
+        """Share of the ticks with a new sample of the driver's device, as last measured over a motion; none before."""
+
+    @property
     def secure(self) -> bool:
         """True if frames were encrypted and authenticated."""
 
@@ -2542,6 +2593,7 @@ class MasterLoop(_MasterSide, _DrivenLoop):
         orientation: Sequence[float] | None = None,
         angular_velocity: Sequence[float] | None = None,
         buttons: int | None = None,
+        time_s: float | None = None,
     ) -> tuple[Any, ...] | None:
         """Run one tick at a sample of the device.
 
@@ -2557,6 +2609,7 @@ class MasterLoop(_MasterSide, _DrivenLoop):
             angular_velocity: w in rad/s in the base frame from a device that measures it, at every sample or at none.
             buttons: Bit n: button n is pressed; None if unknown, which is no release. The scene's `[master.buttons]`
                 sets their functions.
+            time_s: Time of the sample in s on the device's own clock, present at every sample or at none. It never decreases.
 
         Returns:
             F_device in N, shape `(axes,)`, for kind "pose" also the torque in N m, shape `(3,)` each; None if the run
@@ -2565,6 +2618,7 @@ class MasterLoop(_MasterSide, _DrivenLoop):
         Raises:
             TypeError: A sample is no number, has a wrong number of axes, or lacks an orientation of kind "pose"; the
                 tick did not run.
+            ValueError: `time_s` is not finite or decreases; the tick did not run.
             RuntimeError: Another thread steps it.
         """
 
@@ -2618,6 +2672,7 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
         orientation: Sequence[float] | None = None,
         angular_velocity: Sequence[float] | None = None,
         torque: Sequence[float] | None = None,
+        time_s: float | None = None,
     ) -> tuple[Any, ...] | None:
         """Run one tick at a sample of the arm.
 
@@ -2633,6 +2688,7 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
             orientation: R of kind "pose", as a unit quaternion w, x, y, z; ignored for other kinds.
             angular_velocity: w in rad/s in the base frame, for kind "pose".
             torque: Environment torque on the tool in N m, in the base frame about the tool point, for kind "pose".
+            time_s: Time of the sample in s on the arm's own clock, present at every sample or at none. It never decreases.
 
         Returns:
             "wait", "move" or "stop", and the commanded position in m and velocity in m/s, shape `(axes,)` each, both
@@ -2643,6 +2699,7 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
         Raises:
             TypeError: A sample is no number, has a wrong number of axes, or for kind "pose" lacks one of the last
                 three; the tick did not run.
+            ValueError: `time_s` is not finite or decreases; the tick did not run.
             RuntimeError: Another thread steps it.
         """
 

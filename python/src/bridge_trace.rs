@@ -217,6 +217,7 @@ pub(crate) struct PyLoopReport {
     holds: u64,
     limited: u64,
     outliers: u64,
+    renewal: Option<f64>,
     secure: bool,
     rejections: BTreeMap<String, u64>,
     engaged_s: f64,
@@ -241,6 +242,7 @@ impl From<LoopReport> for PyLoopReport {
             holds: of.holds,
             limited: of.limited,
             outliers: of.outliers,
+            renewal: of.renewal,
             secure: of.secure,
             rejections: of
                 .rejections

@@ -210,6 +210,37 @@ macro_rules! loop_methods {
     };
 }
 
+/// Clock of a device, from sample to sample.
+#[derive(Clone, Copy, Default)]
+struct DeviceClock {
+    /// True if the samples have a time; none before the first.
+    is_given: Option<bool>,
+    last_s: f64,
+}
+
+impl DeviceClock {
+    /// Refuses a time that is not finite, that goes back, or that other samples lack.
+    fn take(&mut self, time_s: Option<f64>) -> PyResult<()> {
+        steadily("time_s", self.is_given, time_s.is_some())?;
+        if let Some(time_s) = time_s {
+            if !time_s.is_finite() {
+                return Err(PyValueError::new_err(format!("time_s = {time_s}: must be finite, or None")));
+            }
+            if self.is_given.is_some() && time_s < self.last_s {
+                let text = format!(
+                    "time_s = {time_s} s: is before the last sample's, {} s: must not go back; report a fault where the \
+                     device was restarted",
+                    self.last_s
+                );
+                return Err(PyValueError::new_err(text));
+            }
+            self.last_s = time_s;
+        }
+        self.is_given = Some(time_s.is_some());
+        Ok(())
+    }
+}
+
 /// What a master's loop keeps from one tick for the next.
 #[derive(Clone, Copy, Default)]
 struct LastTick {
@@ -218,6 +249,7 @@ struct LastTick {
     /// Whether the device measures them; none before the first sample.
     has_velocity: Option<bool>,
     has_angular_velocity: Option<bool>,
+    clock: DeviceClock,
 }
 
 /// Refuses a sample that has what the others have not, or lacks it: an estimate in between would jump.
@@ -268,7 +300,7 @@ constructor!(MasterLoop, peer,
 #[pymethods]
 impl MasterLoop {
     #[pyo3(signature = (position, velocity=None, clutch=None, *, fault=None, trigger=None, orientation=None,
-        angular_velocity=None, buttons=None))]
+        angular_velocity=None, buttons=None, time_s=None))]
     #[allow(clippy::too_many_arguments)] // those of a sample, by name
     fn step<'py>(
         &self,
@@ -281,8 +313,10 @@ impl MasterLoop {
         orientation: Option<&Bound<'py, PyAny>>,
         angular_velocity: Option<&Bound<'py, PyAny>>,
         buttons: Option<&Bound<'py, PyAny>>,
+        time_s: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
         let fault: Option<PyBackedStr> = read_optional("fault", fault, TEXT)?;
+        let time_s: Option<f64> = read_optional("time_s", time_s, NUMBER)?;
         let mut trigger_force = {
             let mut last = locked(&self.last);
             // What a step that fails leaves is no force.
@@ -290,6 +324,10 @@ impl MasterLoop {
             if fault.is_none() {
                 steadily("velocity", last.has_velocity, velocity.is_some())?;
                 steadily("angular_velocity", last.has_angular_velocity, angular_velocity.is_some())?;
+                last.clock.take(time_s)?;
+            } else {
+                // A device that was restarted has another clock.
+                last.clock = DeviceClock::default();
             }
             last.trigger_force
         };
@@ -309,6 +347,7 @@ impl MasterLoop {
                 None
             },
             buttons: read_optional("buttons", buttons, WORD)?,
+            time_s,
         };
         let output = self.driven.own(py)?.step(&input);
         self.driven.calls.enter(DriverCall::Write);
@@ -343,6 +382,7 @@ pub(crate) struct SlaveLoop {
     driven: Driven<dyn SlaveDriverLoop>,
     /// After the last tick.
     beside: Mutex<Beside>,
+    clock: Mutex<DeviceClock>,
     pub(crate) watched: Watched,
     kind: SideKind,
     axes: usize,
@@ -356,13 +396,14 @@ constructor!(SlaveLoop, listen, [], |py, scene, outline, run_id, how| {
         PyResult::Ok((paced, Watched::new(watch, records, control, true)?))
     })?;
     let beside = Mutex::new(Beside::NOTHING);
-    Ok(Self { driven: Driven::new(paced), beside, watched, kind: outline.kind, axes: outline.axes })
+    let clock = Mutex::default();
+    Ok(Self { driven: Driven::new(paced), beside, clock, watched, kind: outline.kind, axes: outline.axes })
 });
 
 #[pymethods]
 impl SlaveLoop {
     #[pyo3(signature = (position, velocity, force, *, fault=None, gripper=None, orientation=None,
-        angular_velocity=None, torque=None))]
+        angular_velocity=None, torque=None, time_s=None))]
     #[allow(clippy::too_many_arguments)] // those of a sample, by name
     fn step<'py>(
         &self,
@@ -375,6 +416,7 @@ impl SlaveLoop {
         orientation: Option<&Bound<'py, PyAny>>,
         angular_velocity: Option<&Bound<'py, PyAny>>,
         torque: Option<&Bound<'py, PyAny>>,
+        time_s: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
         let gripper = gripper.map(|(position, velocity, force_n, holds_object)| GripperSample {
             position,
@@ -388,6 +430,12 @@ impl SlaveLoop {
         let orientation: Option<[f64; 4]> = read_optional("orientation", orientation, QUATERNION)?;
         let rate: Option<[f64; 3]> = read_optional("angular_velocity", angular_velocity, VECTOR)?;
         let torque: Option<[f64; 3]> = read_optional("torque", torque, VECTOR)?;
+        let time_s: Option<f64> = read_optional("time_s", time_s, NUMBER)?;
+        if fault.is_none() {
+            locked(&self.clock).take(time_s)?;
+        } else {
+            *locked(&self.clock) = DeviceClock::default();
+        }
         let input = SlaveInput {
             position: read_vector(self.axes, "position", position)?,
             velocity: read_vector(self.axes, "velocity", velocity)?,
@@ -403,6 +451,7 @@ impl SlaveLoop {
             } else {
                 None
             },
+            time_s,
         };
         let output = self.driven.own(py)?.step(&input);
         self.driven.calls.enter(DriverCall::Write);

@@ -6,6 +6,7 @@ mod estimator;
 mod layer;
 mod limiter;
 mod observer;
+mod renewal;
 mod samples;
 
 use haptether_safety::{
@@ -38,6 +39,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyLimiterSettings>()?;
     module.add_class::<limiter::PyLimiter>()?;
     module.add_class::<samples::PySampleBounds>()?;
+    module.add_class::<renewal::PyRenewal>()?;
     module.add_class::<layer::PySafetyLayer>()?;
     module.add_class::<layer::PySafetyTick>()?;
     module.add_class::<layer::PySafetyTicks>()?;

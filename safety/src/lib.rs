@@ -16,6 +16,7 @@ mod limiter;
 pub mod observer;
 mod parameter;
 mod plausible;
+mod renewal;
 mod rotation;
 mod wrench;
 
@@ -27,6 +28,7 @@ pub use limiter::{Acted, Limited, Limiter, LimiterSettings, SaturatedForce};
 pub use observer::Observation;
 pub use parameter::ParameterError;
 pub use plausible::{Excess, Guard, Sample, SampleBounds, Track, Turned};
+pub use renewal::{MIN_RENEWAL, Renewal, Stamped};
 pub use rotation::{RotationLayer, RotationModel, RotationSettings};
 pub use wrench::{PoseSample, WrenchLayer, WrenchSettings, WrenchTick};
 

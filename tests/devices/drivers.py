@@ -216,6 +216,13 @@ class Millimetres(Stylus):
         return MasterSample([1e3 * value for value in x], [1e3 * value for value in v])
 
 
+class Slow(Stylus):
+    """Samples every 4 ms."""
+
+    def at(self, time_s: float) -> tuple[list[float], list[float]]:
+        return super().at(4e-3 * math.floor(time_s / 4e-3))
+
+
 class MillimetresPerSecond(Stylus):
     """Its velocity is in mm/s."""
 

@@ -5,7 +5,9 @@ import math
 import re
 import time
 from collections.abc import Callable
+from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,6 +17,7 @@ from tests.ur.stalls import anew_after_stalls
 from haptether.bridge.devices.check.form import Reading, SampleForm, check_kinds
 from haptether.bridge.devices.check.push import GAP_S, MAX_PUSH, MAX_SPEED, MAX_TRAVEL, Push, profile
 from haptether.bridge.devices.check.report import DeviceCheck, SecondRun
+from haptether.bridge.devices.check.series import check_renewal
 from haptether.bridge.devices.standalone import wait_until
 from haptether.master import MasterSample
 from haptether.slave import SlaveSample
@@ -63,6 +66,7 @@ WRONG = {
     "WrongPeriod": ("period", r"period_s = 0.001: must be"),
     "DoesNotWait": ("period", r"read\(\) does not wait for a sample"),
     "TextKinds": ("kinds", "must be a tuple"),
+    "Slow": ("renewal", r"a new sample at 2\d %.*must be one each 1 ms.*period_s = 0.004"),
     "NotUnit": ("orientation", "its norm is 1.001"),
     "OwnFrame": ("angular velocity", "in the device's own frame"),
 }  # fmt: skip
@@ -246,10 +250,10 @@ NUMBERS = st.one_of(
 
 
 @given(
-    parts=st.lists(NUMBERS, min_size=8, max_size=8),
+    parts=st.lists(NUMBERS, min_size=9, max_size=9),
     side=st.sampled_from(["master", "slave"]),
     kind=st.sampled_from(["linear", "joints", "pose"]),
-    count=st.integers(0, 9),
+    count=st.integers(0, 10),
 )
 def test_no_sample_whatever_it_holds_ends_the_check_and_what_passes_is_finite(
     parts: list[object], side: str, kind: str, count: int
@@ -257,12 +261,13 @@ def test_no_sample_whatever_it_holds_ends_the_check_and_what_passes_is_finite(
     form = SampleForm(side, kind)  # type: ignore[arg-type]  # one of each
     for sample in (tuple(parts), tuple(parts)[:count], parts[0], MasterSample(*parts)):  # type: ignore[arg-type]  # any
         reading = form.take(sample)
-        assert len(form.findings()) == 6
+        assert len(form.findings()) == 7
         if reading is None:
             continue
         assert form.axes == len(reading.position)
         for numbers in reading[:5]:
             assert numbers is None or all(map(math.isfinite, numbers))
+        assert reading.time_s is None or math.isfinite(reading.time_s)
         if side == "slave":
             assert reading.velocity is not None
             assert reading.force is not None
@@ -279,6 +284,9 @@ def test_no_sample_whatever_it_holds_ends_the_check_and_what_passes_is_finite(
         ("position", "0", "shapes", "position = '0': must be a number"),
         ("position", [0.0] * 4, "shapes", 'position has 4 axes: a side of kind "linear" has 1, 2, 3'),
         ("velocity", [math.inf], "finite numbers", "velocity = [inf]: must be finite"),
+        ("time_s", math.nan, "time_s", "time_s = nan: must be a finite number of seconds, or none"),
+        ("time_s", [0.0], "time_s", "time_s = [0.0]: must be a finite number"),
+        ("time_s", True, "time_s", "time_s = True: must be a finite number"),
     ],
 )
 def test_what_is_wrong_with_a_field_is_said(field: str, value: object, check: str, said: str) -> None:
@@ -287,6 +295,87 @@ def test_what_is_wrong_with_a_field_is_said(field: str, value: object, check: st
     found = {finding.check: finding for finding in form.findings()}
     assert found[check].verdict == "mend"
     assert said in found[check].text
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        ([0.0, 0.0, 0.001], None),
+        ([1, 2, 3], None),
+        ([0.002, 0.001], "time_s = 0.001: is before the last sample's, 0.002: must not go back"),
+        ([0.0, None], "time_s is there at some samples and missing at others"),
+        ([None, 0.0], "time_s is there at some samples and missing at others"),
+        # A device that was restarted has another clock.
+        ([5.0, "restarted", 0.0], None),
+    ],
+)
+def test_the_times_of_a_device_never_go_back_but_after_a_fault(
+    times: list[float | str | None], said: str | None
+) -> None:
+    form = SampleForm("master", "linear")
+    for time_s in times:
+        if isinstance(time_s, str):
+            form.take(MasterSample(0.0, fault=time_s))
+        else:
+            form.take(MasterSample(0.0, time_s=time_s))
+    text = form.problems["time_s"].text if "time_s" in form.problems else None
+    assert text is None if said is None else text is not None and said in text
+
+
+def renewed(
+    every: float, *, quantum: float = 0.0, speed: float = 0.2, loop_s: float = 1e-3, stamped: bool = False
+) -> tuple[str, str]:
+    """Verdict and text on a device that a hand moves for 4 s, and that has a new sample every few ticks."""
+    ticks = np.arange(round(4.0 / loop_s))
+    sampled = np.floor(ticks / every + 0.3) * every * loop_s
+    x = speed * (np.sin(9.0 * sampled) / 9.0 + 0.3 * np.sin(23.0 * sampled) / 23.0)
+    if quantum:
+        x = np.round(x / quantum) * quantum
+    readings = [
+        Reading((float(at),), None, None, None, None, None, float(time_s) if stamped else None)
+        for at, time_s in zip(x, sampled, strict=True)
+    ]
+    time_s = np.asarray(ticks * loop_s, dtype=np.float64)
+    found = check_renewal(time_s, readings, loop_s, "[run] period_s")
+    return found.verdict, found.text
+
+
+@pytest.mark.parametrize(
+    ("about", "verdict", "said"),
+    [
+        ({"every": 1.0}, "pass", "at 100 % of the reads, one each 1 ms"),
+        ({"every": 0.3}, "pass", "at 100 %"),
+        ({"every": 1.25}, "mend", r"at 80 %.*one each 1\.25 ms: must be one each 1 ms.*period_s = 0\.001[23],"),
+        ({"every": 1.5}, "mend", "at 67 %"),
+        ({"every": 2.0}, "mend", r"at 50 %.*one each 2 ms: must be one each 1 ms.*set \[run\] period_s = 0\.002,"),
+        ({"every": 8.0}, "mend", r"at 1[23] %.*set \[run\] period_s = 0\.008,"),
+        ({"every": 2.0, "loop_s": 2e-3}, "mend", r"one each 4 ms: must be one each 2 ms"),
+        ({"every": 20.0}, "mend", r"period_s = 0\.02,"),
+        # A coarse encoder is not slow, whatever its speed.
+        *(({"every": 1.0, "quantum": 1e-4, "speed": speed}, "pass", "100 %") for speed in (0.2, 0.6)),
+        *(({"every": 1.0, "quantum": 1e-4, "speed": speed}, "unseen", "move it faster") for speed in (0.002, 0.02)),
+        ({"every": 4.0, "quantum": 2e-5}, "mend", "at 25 %"),
+        ({"every": 4.0, "quantum": 1e-4, "speed": 0.02}, "unseen", "move it faster"),
+        ({"every": 1.0, "speed": 0.0}, "unseen", "it did not move: move it along every axis"),
+        # By its own times also at rest, and whatever its encoder.
+        ({"every": 1.0, "speed": 0.0, "stamped": True}, "pass", "100 %"),
+        ({"every": 4.0, "quantum": 1e-4, "speed": 0.02, "stamped": True}, "mend", "at 25 %"),
+        ({"every": 2.0, "speed": 0.0, "stamped": True}, "mend", "at 50 %"),
+    ],
+)
+def test_a_device_that_is_slower_than_the_loop_is_told_from_one_that_moves_slowly(
+    about: dict[str, Any], verdict: str, said: str
+) -> None:
+    found = renewed(**about)
+    assert found[0] == verdict, found
+    assert re.search(said, found[1]), found
+
+
+def test_reads_that_are_late_say_nothing_of_the_renewal() -> None:
+    time_s = np.cumsum(np.tile([1e-4, 1.9e-3], 1000))
+    readings = [Reading((float(at),), None, None, None, None, None) for at in 0.02 * np.sin(9.0 * time_s)]
+    found = check_renewal(time_s, readings, 1e-3, "[run] period_s")
+    assert (found.verdict, "late" in found.text) == ("unseen", True), found
 
 
 def test_a_slave_of_pose_must_have_all_parts() -> None:

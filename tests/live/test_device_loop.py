@@ -5,6 +5,7 @@ import itertools
 import json
 import math
 import os
+import re
 import secrets
 import signal
 import subprocess
@@ -35,6 +36,7 @@ from haptether.bridge import (
     load_master,
     load_scene,
     load_slave,
+    read_recording,
     scene_json,
 )
 from haptether.master import MasterDevice, MasterSample
@@ -246,6 +248,104 @@ def test_a_velocity_is_in_every_sample_or_in_none(first: float | None, then: flo
         loop.step(0.0, then)
     loop.stop()
     loop.finish()
+
+
+@pytest.mark.parametrize(
+    ("times", "kind", "said"),
+    [
+        ([0.0, None], TypeError, "time_s is missing, and was not so far: must be in every sample or in none"),
+        ([None, 0.0], TypeError, "time_s is given, and was not so far"),
+        ([math.nan], ValueError, "time_s = NaN: must be finite, or None"),
+        ([0.5, 0.25], ValueError, r"time_s = 0.25 s: is before the last sample's, 0.5 s: must not go back"),
+        (["soon"], TypeError, "time_s = soon: must be a number, or None"),
+    ],
+)
+def test_a_time_of_a_sample_is_checked_where_it_enters(times: list[Any], kind: type[Exception], said: str) -> None:
+    master = MasterLoop(ONE, peer="127.0.0.1:9", **how(realtime="off"))
+    slave = SlaveLoop(ONE, listen="127.0.0.1:0", **how(realtime="off"))
+    for loop, sample in ((master, (0.0,)), (slave, (0.0, 0.0, 0.0))):
+        loop.begin()
+        *before, last = times
+        for time_s in before:
+            assert loop.step(*sample, time_s=time_s) is not None
+        with pytest.raises(kind, match=said):
+            loop.step(*sample, time_s=last)
+        # A device that was restarted has another clock.
+        assert loop.step(*sample, fault="restarted", time_s=-1.0) is not None
+        assert loop.step(*sample, time_s=-1.0) is not None
+        loop.stop()
+        loop.finish()
+
+
+class Renewing:
+    """A hand or an arm that moves along a path, and has a new sample every few ms."""
+
+    paces = False
+
+    def __init__(self, every: int, *, stamped: bool) -> None:
+        self.every, self.stamped, self.reads = every, stamped, 0
+
+    def sampled_s(self) -> float:
+        """Time of the newest sample: by the reads, since the loop is not on time beside other tests."""
+        self.reads += 1
+        return 1e-3 * self.every * (self.reads // self.every)
+
+    def open(self) -> None:
+        pass
+
+    def stop(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def write(self, *command: object) -> None:
+        pass
+
+
+class RenewingHand(Renewing):
+    """A hand."""
+
+    def read(self) -> MasterSample:
+        time_s = self.sampled_s()
+        return MasterSample(0.02 * math.sin(9.0 * time_s), time_s=time_s if self.stamped else None)
+
+
+class RenewingArm(Renewing):
+    """An arm."""
+
+    def read(self) -> SlaveSample:
+        time_s = self.sampled_s()
+        return SlaveSample(0.02 * math.sin(9.0 * time_s), 0.0, 0.0, time_s=time_s if self.stamped else None)
+
+
+@pytest.mark.parametrize(("every", "stamped"), [(1, False), (2, False), (8, False), (4, True)])
+@anew_after_stalls
+def test_a_device_that_is_slower_than_its_loop_is_warned_of_and_recorded(
+    every: int, *, stamped: bool, tmp_path: Path
+) -> None:
+    master_loop = MasterLoop(ONE, peer="127.0.0.1:9", record=tmp_path / "hand.mcap", **how(realtime="off"))
+    slave_loop = SlaveLoop(ONE, listen="127.0.0.1:0", record=tmp_path / "arm.mcap", **how(realtime="off"))
+    runs: list[MasterRun | SlaveRun] = [
+        MasterRun(RenewingHand(every, stamped=stamped), master_loop),
+        SlaveRun(RenewingArm(every, stamped=stamped), slave_loop),
+    ]
+    for run, key in zip(runs, ("[run]", "[slave]"), strict=True):
+        until(lambda run=run: run.ticks > 600)  # type: ignore[misc]  # bound at once
+        said = [event for event in run.security_events() if event.startswith("slow: ")]
+        _, report = run.finish()
+        assert run.error is None
+        assert report.renewal == pytest.approx(1.0 / every, abs=0.02)
+        # Once.
+        assert len(said) == (every > 1), said
+        for text in said:
+            named = re.search(rf"must be one each tick of 1 ms; .*; set \{key} period_s to (0\.0\d+),", text)
+            assert named is not None, text
+            assert float(named[1]) == pytest.approx(1e-3 * every, rel=0.15)
+    for name in ("hand", "arm"):
+        seen = read_recording(tmp_path / f"{name}.mcap").signals["renewal"]
+        assert np.isnan(seen[0])
+        assert seen[-1] == pytest.approx(1.0 / every, abs=0.02)
 
 
 def test_a_burst_of_samples_is_held_back_to_the_period() -> None:

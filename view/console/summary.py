@@ -110,6 +110,9 @@ def _times(state: SideState) -> list[dict[str, Any]]:
         found.append({"label": "frames lost [%]", "values": [loss * 100.0], "digits": 1, "peak": None})
     if outliers := state.last("outliers"):
         found.append({"label": "samples replaced", "values": [outliers], "digits": 0, "peak": None})
+    if (renewal := state.last("renewal")) is not None:
+        label = "ticks with a new sample [%]"
+        found.append({"label": label, "values": [100.0 * renewal], "digits": 0, "peak": None})
     return found
 
 

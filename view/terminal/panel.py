@@ -136,6 +136,8 @@ def _values(state: SideState) -> Table:
         table.add_row(Text(f"{label} [{unit}]"), _vector(state, name, 2), "" if peak is None else f"1 s: {peak:.2f}")
     if outliers := state.last("outliers"):
         table.add_row(Text("samples replaced"), f"{outliers}", "")
+    if (renewal := state.last("renewal")) is not None:
+        table.add_row(Text("ticks with a new sample [%]"), f"{100.0 * renewal:.0f}", "")
     for name, label in (("trigger", "trigger"), ("gripper", "gripper"), ("gripper_force", "gripper force [N]")):
         value = state.last(name)
         if value is not None:

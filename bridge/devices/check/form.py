@@ -22,11 +22,12 @@ CHECKS = (
     "shapes",
     "finite numbers",
     "velocity at every sample or none",
+    "time_s",
     "orientation",
     "buttons and trigger",
 )
 """Names of the form checks."""
-FIELDS, SHAPES, FINITE, ALWAYS, ORIENTATION, BUTTONS = CHECKS
+FIELDS, SHAPES, FINITE, ALWAYS, TIME, ORIENTATION, BUTTONS = CHECKS
 
 
 class Reading(NamedTuple):
@@ -38,6 +39,7 @@ class Reading(NamedTuple):
     orientation: tuple[float, ...] | None
     angular_velocity: tuple[float, ...] | None
     fault: str | None
+    time_s: float | None = None
 
 
 @dataclass
@@ -67,6 +69,8 @@ class SampleForm:
     """Smallest and largest trigger value."""
     has: dict[str, bool] = field(default_factory=dict)
     """Presence of each optional field in the first sample."""
+    last_s: float | None = None
+    """Time of the last sample on the device's own clock."""
 
     def take(self, sample: object) -> Reading | None:
         """Return the numbers of a sample, or None if the bridge would reject it."""
@@ -86,6 +90,7 @@ class SampleForm:
         self._check_norm(read.get("orientation"))
         self._check_buttons(values)
         fault = self._fault(values["fault"])
+        time_s = self._time(values["time_s"], is_fault=fault is not None)
         if sum(problem.count for problem in self.problems.values()) > before:
             return None
         return Reading(
@@ -95,7 +100,31 @@ class SampleForm:
             read.get("orientation"),
             read.get("angular_velocity"),
             fault,
+            time_s,
         )
+
+    def _time(self, value: object, *, is_fault: bool) -> float | None:
+        """Time of a sample; a device that reports a fault may have been restarted."""
+        last_s, self.last_s = self.last_s, None
+        if is_fault:
+            self.has.pop("time_s", None)
+            return None
+        is_there = value is not None
+        if self.has.setdefault("time_s", is_there) != is_there:
+            self._report(TIME, "time_s is there at some samples and missing at others: must be at all or none")
+        if not is_there:
+            return None
+        try:
+            time_s = _number(value)
+        except TypeError:
+            time_s = math.nan
+        if not math.isfinite(time_s):
+            self._report(TIME, f"time_s = {_abridged(value)}: must be a finite number of seconds, or none")
+            return None
+        if last_s is not None and time_s < last_s:
+            self._report(TIME, f"time_s = {time_s:g}: is before the last sample's, {last_s:g}: must not go back")
+        self.last_s = time_s
+        return time_s
 
     def _position(self, value: object) -> tuple[float, ...] | None:
         position = self._numbers("position", value, None)
@@ -158,6 +187,8 @@ class SampleForm:
             return f", {self.axes} {'axis' if self.axes == 1 else 'axes'}"
         if check == ALWAYS and not self.has.get("velocity"):
             return ", no velocity: it is estimated from the position"
+        if check == TIME and not self.has.get("time_s"):
+            return ", none: new samples are told by their positions"
         if check == BUTTONS and self.trigger is not None:
             return f", trigger from {self.trigger[0]:.2f} to {self.trigger[1]:.2f}"
         return ""

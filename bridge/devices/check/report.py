@@ -17,6 +17,7 @@ from haptether.bridge.devices.check.series import (
     check_motion,
     check_period,
     check_positions,
+    check_renewal,
     check_velocity,
     readings_of,
     timing,
@@ -123,6 +124,16 @@ class DeviceCheck:
             found.append(self._pushed(self.lead.push))
         return found
 
+    @property
+    def _seen_period_s(self) -> float:
+        """Period of the loop in s; of a device that paces, the one that is seen."""
+        times = self.timing()
+        return times.period_p50_s if self.run.watched.paces and times is not None else self.loop_period_s
+
+    @property
+    def _period_key(self) -> str:
+        return "[run] period_s" if self.form.side == "master" else "[slave] period_s"
+
     def _axes(self) -> list[Finding]:
         axes = getattr(self._device, "axes", None)
         if axes is None or self.form.axes is None:
@@ -140,6 +151,7 @@ class DeviceCheck:
         found = [
             *check_positions(time_s, position, self.kind, speed_bound),
             check_motion(position, self.kind),
+            check_renewal(time_s, readings, self._seen_period_s, self._period_key),
         ]
         for name, check in (("velocity", check_velocity), ("force", None)):
             values = [getattr(reading, name) for reading in readings]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from haptether.bridge.devices.check.finding import Finding
 from haptether.bridge.devices.check.form import Kind, Reading
 from haptether.bridge.devices.standalone import Tick
-from haptether.safety import SampleBounds
+from haptether.safety import Renewal, SampleBounds
 
 Array = NDArray[np.float64]
 
@@ -194,6 +194,51 @@ def check_motion(position: Array, kind: Kind) -> Finding:
     if still or not len(spans):
         return Finding("motion", "unseen", f"{text}: axis {', '.join(still) or '-'} did not move")
     return Finding("motion", "pass", text)
+
+
+def check_renewal(time_s: Array, readings: Sequence[Reading], loop_s: float, key: str) -> Finding:
+    """Check that the device has a new sample at each tick, over what it moves.
+
+    Args:
+        time_s: When the samples were read, shape `(n,)`.
+        readings: Their numbers.
+        loop_s: Period of the loop in s.
+        key: Of a scene, that has this period.
+    """
+    renewal = Renewal()
+    late = np.abs(np.diff(time_s, prepend=time_s[0] - 2.0 * loop_s) - loop_s) >= 0.5 * loop_s
+    for reading, is_late in zip(readings, late, strict=True):
+        if reading.fault is not None:
+            renewal.interrupt()
+            continue
+        renewal.step(
+            reading.position, orientation=reading.orientation, time_s=reading.time_s, is_late=bool(is_late)
+        )  # fmt: skip
+    share = renewal.total_share
+    if share is None:
+        return Finding("renewal", "unseen", _unmeasured(readings, late, renewal.unclear))
+    seen = f"a new sample at {100.0 * share:.0f} % of the reads, one each {1e3 * loop_s / share:.3g} ms"
+    if share >= renewal.MIN_SHARE:
+        return Finding("renewal", "pass", seen)
+    text = (
+        f"{seen}: must be one each {1e3 * loop_s:.3g} ms, the period of the loop; set {key} = {loop_s / share:.2g},"
+        " raise the rate of the driver, or have read() wait for each sample"
+    )
+    return Finding("renewal", "mend", text)
+
+
+def _unmeasured(readings: Sequence[Reading], late: NDArray[np.bool_], unclear: int) -> str:
+    """Why the renewal is not known, and what to do."""
+    first = readings[0]
+    if all(each.position == first.position and each.orientation == first.orientation for each in readings):
+        return "it did not move: move it along every axis"
+    if unclear:
+        return (
+            "it moved by a few of its smallest steps per sample, as a coarse encoder does: move it faster, and unevenly"
+        )
+    if 2 * int(np.sum(late)) > len(late):
+        return "more than half of the reads were late: run it with real time, or on a machine that is less busy"
+    return "it moved too briefly: move it for longer"
 
 
 def check_velocity(time_s: Array, position: Array, velocity: Array, kind: Kind) -> Finding:

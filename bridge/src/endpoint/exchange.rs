@@ -72,6 +72,8 @@ pub struct Exchange {
     pub(super) limited_ticks: u64,
     /// Samples that the guard rejected as implausible and replaced by predictions.
     pub(crate) outliers: u64,
+    /// Share of the ticks with a new sample of the device; none before it is measured, and of a simulated device.
+    pub(crate) renewal: Option<f64>,
     pub(super) events: TickEvents,
     /// Code of this side's fault (0 without one), and the driver's text on it.
     fault: u8,
@@ -117,6 +119,7 @@ impl Exchange {
             flight: Flight::Active(Box::new(FlightRecorder::new(role.name()))),
             limited_ticks: 0,
             outliers: 0,
+            renewal: None,
             events: TickEvents::default(),
             fault: 0,
             spoken: SpokenText::default(),

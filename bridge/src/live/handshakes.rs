@@ -12,7 +12,7 @@ use std::{
 
 use haptether_netsim::Asker;
 
-use super::{own_thread::OwnThread, strangers::StrangerReport, system};
+use super::{own_thread::OwnThread, slow_device::SlowDevice, strangers::StrangerReport, system};
 use crate::{
     coupling::CouplingError,
     ring::ring,
@@ -267,6 +267,8 @@ pub enum SecurityEvent {
     Found(SocketAddr),
     /// Datagrams that are not from the peer.
     Strangers(StrangerReport),
+    /// The device is slower than its loop.
+    SlowDevice(SlowDevice),
 }
 
 impl std::fmt::Display for SecurityEvent {
@@ -309,6 +311,7 @@ impl std::fmt::Display for SecurityEvent {
             ),
             Self::Found(address) => write!(formatter, "the peer answers at {address}"),
             Self::Strangers(report) => report.fmt(formatter),
+            Self::SlowDevice(report) => report.fmt(formatter),
             Self::Refused(error) => write!(formatter, "not changed: {error}"),
             Self::StillHeard(still) => {
                 write!(formatter, "no other master yet: this one was heard {:.1} s ago, must be silent for {:.0} s",

@@ -6,6 +6,7 @@ use super::{
     channel::{LiveChannel, RELEASES},
     handle::{Ineffective, LoopChannels, MAX_COMMANDS, RecordSinks, Shared},
     handshakes::SecurityEvent,
+    slow_device::{SlowDevice, SlowWatch},
     socket::PeerSocket,
     system::{self, RealtimeReport, RealtimeSettings},
 };
@@ -61,6 +62,8 @@ pub struct LoopReport {
     pub limited: u64,
     /// Outlier samples that were replaced.
     pub outliers: u64,
+    /// Share of the ticks with a new sample of the device, as last measured; none of a simulated device.
+    pub renewal: Option<f64>,
     /// True if frames were encrypted and authenticated.
     pub secure: bool,
     /// Datagrams rejected by the session, by cause; included in `link`.
@@ -228,6 +231,7 @@ pub(super) struct LiveLoop {
     has_announced_end: bool,
     /// End of the last stall in ns.
     stalled_ns: Option<u64>,
+    slow: SlowWatch,
     buffer: [u8; MAX_DATAGRAM],
 }
 
@@ -254,6 +258,7 @@ impl LiveLoop {
             diagnosis: DiagnosisReport::new(start_ns),
             has_announced_end: false,
             stalled_ns: None,
+            slow: SlowWatch::default(),
             buffer: [0; MAX_DATAGRAM],
         }
     }
@@ -357,6 +362,10 @@ impl LiveLoop {
         report.dropped_records += u64::from(!plant.record());
         let exchange = plant.side().exchange();
         let (state, is_open) = (exchange.state(), exchange.is_open());
+        if let Some(share) = self.slow.poll(exchange.renewal) {
+            let LiveSettings { role, period_ns, .. } = self.settings;
+            let _ = channels.events.push(SecurityEvent::SlowDevice(SlowDevice { role, period_ns, share }));
+        }
         if state.is_coupled() && report.engaged_ns == u64::MAX {
             report.engaged_ns = elapsed_ns;
         }
@@ -417,6 +426,7 @@ impl LiveLoop {
         self.announce_end(plant, shared);
         let exchange = plant.side().exchange();
         let (counts, flight) = (exchange.counts(), Box::new(*exchange.flight()));
+        self.report.renewal = exchange.renewal;
         self.report.path = exchange.link().path().report(self.now_ns);
         let Self { socket, mut channel, mut channels, mut report, now_ns, start_ns, .. } = self;
         let mut diagnosis = self.diagnosis;

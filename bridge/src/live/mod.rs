@@ -9,6 +9,7 @@ mod live_loop;
 mod newest;
 mod own_thread;
 mod run;
+mod slow_device;
 mod socket;
 mod strangers;
 mod system;

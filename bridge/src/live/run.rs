@@ -8,6 +8,8 @@ use std::{
     sync::{Arc, atomic::Ordering, mpsc},
 };
 
+use haptether_safety::{Renewal, Stamped};
+
 use super::{
     channel::{LiveChannel, Security},
     handle::{LiveHandle, LiveWatch, LoopChannels, RecordOutputs, RecordReader, Shared, channels},
@@ -175,6 +177,7 @@ enum Stage {
 /// A driver that does not wait for its device calls `wait` after each tick.
 pub struct PacedLoop<S> {
     paced: Pacing,
+    renewal: Renewal,
     side: PhantomData<S>,
 }
 
@@ -212,14 +215,28 @@ pub fn paced_by_device<S: Side + Send + 'static>(
         realtime: RealtimeReport::default(),
         kept: None,
     };
-    Ok((PacedLoop { paced, side: PhantomData }, watch, records))
+    Ok((PacedLoop { paced, renewal: Renewal::default(), side: PhantomData }, watch, records))
 }
 
 impl<S: Side + 'static> PacedLoop<S> {
     /// Does one tick: `before` sets the sample, `after` takes the decision. `None` once the run is over.
     pub fn step<T>(&mut self, before: impl FnOnce(&mut S), after: impl FnOnce(&mut S) -> T) -> Option<T> {
+        self.step_on(None, before, after)
+    }
+
+    /// The same, and measures how often the device renews its samples; `sample` is none if the device has failed.
+    pub fn step_on<T>(
+        &mut self,
+        sample: Option<Stamped<'_>>,
+        before: impl FnOnce(&mut S),
+        after: impl FnOnce(&mut S) -> T,
+    ) -> Option<T> {
         let wake = self.paced.wake()?;
-        before(self.side()?);
+        self.renewal.step(sample, 2 * wake.overshoot_ns >= self.paced.settings.period_ns);
+        let share = self.renewal.share();
+        let side = self.side()?;
+        side.exchange_mut().renewal = share;
+        before(side);
         self.paced.tick(wake).is_continue().then(|| self.side().map(after))?
     }
 

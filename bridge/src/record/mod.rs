@@ -20,13 +20,14 @@ use crate::{
 };
 
 /// Ladder fields of both sides' records.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct LadderSnapshot {
     reason: u8,
     peer: [u8; 3],
     clutch: bool,
     round_trip_ns: u64,
     outliers: u64,
+    renewal: f32,
 }
 
 /// Codes of a peer that has not been heard.
@@ -42,7 +43,9 @@ impl LadderSnapshot {
         };
         let peer = exchange.peer_codes().unwrap_or(NO_PEER);
         let outliers = exchange.outliers;
-        Self { reason, peer, clutch: exchange.clutch(), round_trip_ns, outliers }
+        #[allow(clippy::cast_possible_truncation)] // it is shown, and nothing is computed from it
+        let renewal = exchange.renewal.map_or(f32::NAN, |share| share as f32);
+        Self { reason, peer, clutch: exchange.clutch(), round_trip_ns, outliers, renewal }
     }
 }
 
@@ -105,6 +108,8 @@ pub struct MasterRecord<const N: usize, R = ()> {
     pub overshoot_ns: u64,
     /// Outliers replaced so far.
     pub outliers: u64,
+    /// Share of the ticks with a new sample of the device; NaN before it is measured, and of a simulated device.
+    pub renewal: f32,
     /// Fault code, 0 without.
     pub fault: u8,
     /// Rotation; empty for a point.
@@ -144,6 +149,7 @@ impl<const N: usize, R: MasterTurn> Default for MasterRecord<N, R> {
             round_trip_ns: u64::MAX,
             overshoot_ns: 0,
             outliers: 0,
+            renewal: f32::NAN,
             fault: 0,
             rotation: R::empty(),
         }
@@ -196,6 +202,7 @@ impl<const N: usize, R: MasterTurn> MasterRecord<N, R> {
             round_trip_ns: snapshot.round_trip_ns,
             overshoot_ns: time.overshoot_ns,
             outliers: snapshot.outliers,
+            renewal: snapshot.renewal,
             fault: tick.safety.fault.map_or(0, Fault::code),
             rotation,
         }
@@ -241,6 +248,8 @@ pub struct SlaveRecord<const N: usize, R = ()> {
     pub overshoot_ns: u64,
     /// Outliers replaced so far.
     pub outliers: u64,
+    /// Share of the ticks with a new sample of the device; NaN before it is measured, and of a simulated device.
+    pub renewal: f32,
     /// Fault code, 0 without.
     pub fault: u8,
     /// Rotation; empty for a point.
@@ -270,6 +279,7 @@ impl<const N: usize, R: SlaveTurn> Default for SlaveRecord<N, R> {
             round_trip_ns: u64::MAX,
             overshoot_ns: 0,
             outliers: 0,
+            renewal: f32::NAN,
             fault: 0,
             rotation: R::empty(),
         }
@@ -308,6 +318,7 @@ impl<const N: usize, R: SlaveTurn> SlaveRecord<N, R> {
             round_trip_ns: snapshot.round_trip_ns,
             overshoot_ns: time.overshoot_ns,
             outliers: snapshot.outliers,
+            renewal: snapshot.renewal,
             fault: tick.fault.map_or(0, Fault::code),
             rotation: R::of(reading.rotation.as_ref(), tick),
         }

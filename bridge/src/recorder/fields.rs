@@ -135,6 +135,7 @@ const PAST: &str =
 const GIVEN_FAULT: &str = "code of a fault that device or trigger gave the safety layer, 0 without";
 const OUTLIERS: &str =
     "samples so far that left the path of the others and were replaced by their prediction";
+const RENEWAL: &str = "share of the ticks with a new sample of the device; null before it is measured, and of a simulated device";
 const FAULT: &str = "code of the fault, 0 without";
 
 impl<const N: usize, R: MasterTurn> Recorded for MasterRecord<N, R> {
@@ -183,6 +184,7 @@ impl<const N: usize, R: MasterTurn> Recorded for MasterRecord<N, R> {
             ("round_trip_s", ROUND_TRIP, seconds(self.round_trip_ns)),
             ("overshoot_s", OVERSHOOT, seconds(self.overshoot_ns)),
             ("outliers", OUTLIERS, Value::Count(self.outliers)),
+            ("renewal", RENEWAL, Value::Number(self.renewal.into())),
             ("fault", FAULT, Value::Count(self.fault.into())),
             ("gain", "the ladder's share of the requested force, 0 to 1", Value::Number(self.gain)),
             ("missed", "ticks that were left out since the last", Value::Count(self.missed)),
@@ -234,6 +236,7 @@ impl<const N: usize, R: SlaveTurn> Recorded for SlaveRecord<N, R> {
             ("round_trip_s", ROUND_TRIP, seconds(self.round_trip_ns)),
             ("overshoot_s", OVERSHOOT, seconds(self.overshoot_ns)),
             ("outliers", OUTLIERS, Value::Count(self.outliers)),
+            ("renewal", RENEWAL, Value::Number(self.renewal.into())),
             ("fault", FAULT, Value::Count(self.fault.into())),
         ] {
             take(field);

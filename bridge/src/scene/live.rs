@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use haptether_master::RotationSample;
-use haptether_safety::Axes;
+use haptether_safety::{Axes, Stamped};
 use haptether_slave::GripperSample;
 
 use super::{
@@ -20,7 +20,7 @@ use super::{
 use crate::{
     ButtonWord, DrivenSlave, FaultText, GripperOrder, MasterPlant as _, MasterSide, MasterTurn, Side,
     SlaveOrder, SlaveSide, SlaveTurn, Trace, Trigger,
-    coupling::RotationState,
+    coupling::{RotationState, quat_wxyz},
     live::{
         DriverLoop, LiveRun, LiveSettings, LiveWatch, Newest, PacedLoop, PeerSocket, RecordOutputs,
         RecordReader, Security, StartError, paced_by_device, run_live,
@@ -191,6 +191,8 @@ pub struct MasterInput<'a> {
     pub rotation: Option<RotationSample>,
     /// Buttons, one bit each.
     pub buttons: Option<u32>,
+    /// Time of the sample in s on the device's own clock.
+    pub time_s: Option<f64>,
 }
 
 /// The forces that a haptic device is to exert.
@@ -225,6 +227,8 @@ pub struct SlaveInput<'a> {
     pub gripper: Option<GripperSample>,
     /// Orientation, angular velocity and torque, of an arm that turns.
     pub rotation: Option<RotationState>,
+    /// Time of the sample in s on the arm's own clock.
+    pub time_s: Option<f64>,
 }
 
 /// What an arm is to do.
@@ -244,6 +248,16 @@ pub trait SlaveDriverLoop: DriverLoop + Send {
     fn step(&mut self, input: &SlaveInput<'_>) -> Option<SlaveOutput>;
 }
 
+/// The part of a sample that shows whether it is new; none of a device that reports a fault.
+fn stamped<'a, const N: usize>(
+    position: &'a Padded,
+    orientation: Option<&'a [f64; 4]>,
+    time_s: Option<f64>,
+    fault: Option<&str>,
+) -> Option<Stamped<'a>> {
+    fault.is_none().then(|| Stamped { position: &position.as_slice()[..N], orientation, time_s })
+}
+
 /// A fault that the device reports with its sample, with its own text.
 fn report_fault(side: &mut impl Side, fault: Option<&str>) {
     if let Some(text) = fault {
@@ -253,8 +267,10 @@ fn report_fault(side: &mut impl Side, fault: Option<&str>) {
 
 impl<R: MasterTurn, const N: usize> MasterDriverLoop for PacedLoop<Timed<MasterSide<LiveDevice<N>, N, R>>> {
     fn step(&mut self, input: &MasterInput<'_>) -> Option<MasterOutput> {
-        PacedLoop::step(
+        let turned = input.rotation.filter(|_| R::TURNS).map(|rotation| quat_wxyz(&rotation.orientation));
+        PacedLoop::step_on(
             self,
+            stamped::<N>(&input.position, turned.as_ref(), input.time_s, input.fault),
             |side| {
                 report_fault(side, input.fault);
                 let Some(plant) = side.side.plant.driven() else { return };
@@ -282,8 +298,10 @@ impl<R: MasterTurn, const N: usize> MasterDriverLoop for PacedLoop<Timed<MasterS
 
 impl<R: SlaveTurn, const N: usize> SlaveDriverLoop for PacedLoop<Timed<SlaveSide<DrivenSlave<N>, N, R>>> {
     fn step(&mut self, input: &SlaveInput<'_>) -> Option<SlaveOutput> {
-        PacedLoop::step(
+        let turned = input.rotation.filter(|_| R::TURNS).map(|rotation| quat_wxyz(&rotation.orientation));
+        PacedLoop::step_on(
             self,
+            stamped::<N>(&input.position, turned.as_ref(), input.time_s, input.fault),
             |side| {
                 report_fault(side, input.fault);
                 let plant = &mut side.side.plant;

@@ -217,6 +217,9 @@ def print_push(console: "Screen", results: "Sequence[PushResult]", *, joints: bo
     table = Rows("controller", *(Column(result.controller, numbers=True) for result in results))
     for name, show in ROWS.items():
         table.add(_of_joints(name) if joints else name, *(show(result) for result in results))
+    if any(result.renewal is not None for result in results):
+        # A simulated device has none.
+        table.add("ticks with a new sample [%]", *(_figure(result.renewal, 0, 1e2) for result in results))
     console.print(table)
     for result in results:
         if result.fault is not None:

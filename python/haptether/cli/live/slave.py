@@ -128,6 +128,7 @@ class Slave(LiveOptions):
             "holds": report.holds,
             "limited_commands": report.limited,
             "outliers": report.outliers,
+            "renewal": report.renewal,
             "peak_environment_force_n": float(np.abs(trace.environment_force).max()) if engaged else None,
             "sent": report.link.sent,
             "lost": report.link.missing,
@@ -140,9 +141,10 @@ class Slave(LiveOptions):
             "link": link,
         }
         console = screen(self.json)
+        renewed = "" if report.renewal is None else f", new ones at {100.0 * report.renewal:.0f} % of the ticks"
         console.print(
             f"slave {state}: {report.ticks} ticks, {report.holds} holds, {report.limited} commands clamped, "
-            f"{report.outliers} samples replaced, "
+            f"{report.outliers} samples replaced{renewed}, "
             f"sent {report.link.sent}, lost {report.link.missing}, late {report.link.late}",
             highlight=False,
         )
