@@ -218,7 +218,7 @@ fn pushes_and_torques_begin_and_end_by_the_closed_form() {
             };
             let (torques, pushers) = (vec![one(V::z() * 0.1)], vec![one(V::y() * 0.3)]);
             let (arm, settings) = free([0.02; 3], vec![[0.0; 3]]);
-            let world = ToolWorldSettings { torques, pushers, ..nothing() };
+            let world = ToolWorldSettings { pushers, torques, ..nothing() };
             let mut tool = SimulatedTool::new(&arm, &settings, &world, 0).unwrap();
             tool.start(started_ns);
             // Angle and rate for an acceleration of 1.
