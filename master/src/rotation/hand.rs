@@ -1,5 +1,7 @@
 //! A hand on a handle: a torsion spring and damper towards an orientation that moves, held by a finite grip.
 
+use std::f64::consts::FRAC_PI_2;
+
 use nalgebra::{Quaternion, UnitQuaternion};
 
 use crate::{
@@ -8,6 +10,8 @@ use crate::{
     path::MIN_LEG_S,
     require,
 };
+
+use super::CLEAR;
 
 /// How far the norm of a quaternion may lie from 1.
 const MAX_NORM_ERROR: f64 = 1e-9;
@@ -47,7 +51,7 @@ impl TorsionSpring {
 
     /// tau in N m on a body at orientation R with angular velocity w in rad/s, both of these in its frame.
     pub fn torque(&self, orientation: &UnitQuaternion<f64>, angular_velocity: &Axes<3>) -> Axes<3> {
-        wish(&self.rest, self.stiffness, self.damping, orientation, angular_velocity)
+        (self.rest.inverse() * orientation).scaled_axis() * -self.stiffness - angular_velocity * self.damping
     }
 
     /// `K |phi|² / 2` in J.
@@ -58,17 +62,6 @@ impl TorsionSpring {
     pub(super) fn gains(&self) -> [f64; 2] {
         [self.stiffness, self.damping]
     }
-}
-
-/// `-K log(R_target^T R) - B w`.
-fn wish(
-    target: &UnitQuaternion<f64>,
-    stiffness: f64,
-    damping: f64,
-    orientation: &UnitQuaternion<f64>,
-    angular_velocity: &Axes<3>,
-) -> Axes<3> {
-    (target.inverse() * orientation).scaled_axis() * -stiffness - angular_velocity * damping
 }
 
 /// One leg: from where the last one ended to `end_wxyz` about a fixed axis, the shorter way, within `duration_s`.
@@ -115,6 +108,28 @@ pub struct RotationHand {
     start: UnitQuaternion<f64>,
     legs: Vec<Leg>,
     release: Option<Release>,
+}
+
+/// Torque of a hand, and which law holds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Pull {
+    /// In N m, in the frame of the body.
+    pub(super) torque: Axes<3>,
+    /// Wished torque over grip strength: above 1 the grip slips.
+    strain: f64,
+    /// `log(R_target^T R)` in rad.
+    turn: Axes<3>,
+}
+
+impl Pull {
+    /// Whether the grip has begun or ceased to slip since `before`, slips to the other side, or the spring has changed side
+    /// at pi.
+    pub(super) fn differs(&self, before: &Self) -> bool {
+        let (slips, holds) = (self.strain > 1.0 + CLEAR, self.strain < 1.0 - CLEAR);
+        let grip = if before.strain > 1.0 { holds || self.torque.dot(&before.torque) < 0.0 } else { slips };
+        // Within pi/2 of the target the spring changes side through zero, without a jump.
+        grip || (self.turn.dot(&before.turn) < 0.0 && self.turn.norm() > FRAC_PI_2)
+    }
 }
 
 /// A leg with its beginning.
@@ -218,32 +233,39 @@ impl RotationHand {
 
     /// `tau_h` in N m on a handle at orientation R with angular velocity w in rad/s, both of these in its frame.
     pub fn torque(&self, t: f64, orientation: &UnitQuaternion<f64>, angular_velocity: &Axes<3>) -> Axes<3> {
-        self.torque_since(t, t, orientation, angular_velocity)
+        self.pull(t, t, orientation, angular_velocity).torque
     }
 
     /// As [`torque`](Self::torque) at t, with the grip on the line that it is on from `since` to its next kink: a step
     /// that ends where the hand lets go has it to its end.
-    pub(super) fn torque_since(
+    pub(super) fn pull(
         &self,
         since: f64,
         t: f64,
         orientation: &UnitQuaternion<f64>,
         angular_velocity: &Axes<3>,
-    ) -> Axes<3> {
+    ) -> Pull {
         let rate = self.grip_rate(since);
         let grip = if rate == 0.0 { self.grip_at(since) } else { self.grip_at(since) + rate * (t - since) };
         let (gain, strength) = match self.release.map(|release| release.kind) {
             Some(ReleaseKind::Gain) => (grip, self.strength_n_m),
-            Some(ReleaseKind::Strength) => (1.0, grip * self.strength_n_m),
+            Some(ReleaseKind::Strength) => (1.0, (grip * self.strength_n_m).max(0.0)),
             None => (1.0, self.strength_n_m),
         };
         let [stiffness, damping] = self.gains().map(|of| of * gain);
         if stiffness == 0.0 && damping == 0.0 {
-            return Axes::zeros();
+            return Pull { torque: Axes::zeros(), strain: 0.0, turn: Axes::zeros() };
         }
-        let wish = wish(&self.target_at(t), stiffness, damping, orientation, angular_velocity);
+        let turn = (self.target_at(t).inverse() * orientation).scaled_axis();
+        let wish = turn * -stiffness - angular_velocity * damping;
         let norm = wish.norm();
-        if norm <= strength { wish } else { wish * (strength / norm) }
+        let torque = if norm <= strength { wish } else { wish * (strength / norm) };
+        Pull { torque, strain: if strength > 0.0 { norm / strength } else { f64::INFINITY }, turn }
+    }
+
+    /// Whether target and grip are constant from t to the next kink.
+    pub(super) fn is_still(&self, t: f64) -> bool {
+        self.grip_rate(t) == 0.0 && !self.legs.iter().any(|leg| (leg.begin_s..leg.end_s).contains(&t))
     }
 
     pub(super) fn gains(&self) -> [f64; 2] {
@@ -263,7 +285,7 @@ impl RotationHand {
 
 #[cfg(test)]
 mod tests {
-    use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
+    use std::f64::consts::FRAC_1_SQRT_2;
 
     use super::*;
 

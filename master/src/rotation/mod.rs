@@ -9,6 +9,7 @@ pub use hand::{RotationHand, RotationHandParameters, RotationLeg, TorsionSpring}
 use nalgebra::UnitQuaternion;
 
 use crate::{Axes, ModelError, device::exerted, require};
+use hand::Pull;
 
 /// Mechanics and motors of the rotation of a device.
 ///
@@ -86,18 +87,31 @@ enum Friction {
     None,
     /// The motion, or this where the motion no longer has it.
     Along(Axes<3>),
-    /// This.
-    Fixed(Axes<3>),
+    /// The push, or this where the push no longer has it.
+    AlongPush(Axes<3>),
 }
 
-/// Share of a sub-step that is taken at least up to a halt, so that it always ends.
+/// Least share of a sub-step that is taken up to an event, so that it always ends, and by which halving locates one.
 const MIN_SHARE: f64 = 1e-6;
+
+/// Share of a strength or of friction that a change of its side exceeds: rounding is no event.
+const CLEAR: f64 = 1e-12;
 
 /// Orientation, and angular momentum in N m s in the base frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct State {
     orientation: UnitQuaternion<f64>,
     momentum: Axes<3>,
+}
+
+/// What a sub-step leads to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Step {
+    state: State,
+    /// Whether the law of the hand differs between its stages.
+    changes: bool,
+    /// Whether a stage moves against the direction that the step has of friction.
+    reverses: bool,
 }
 
 /// A rigid handle, the hand on it, torsion springs that act on it by themselves, and a torque held over a tick.
@@ -117,6 +131,10 @@ struct State {
 /// **Friction** at rest withstands c. In a sub-step in which the motion along its first direction ends, it ends at that
 /// instant, found by secants; the body sets off again where friction cannot hold it. What it has of speed across that
 /// direction by then is dropped, at most `|tau| / I` times the shortest sub-step, a 4096th of a tick.
+///
+/// **Events.** A sub-step ends where the path or the release of the hand has a kink, where its grip begins or ceases to
+/// slip, where its spring changes side at pi, and where friction no longer holds the body. Halving locates the last
+/// three to 1e-6 of the sub-step.
 ///
 /// Source: Munthe-Kaas 1998, section 4; Hairer, Lubich and Wanner 2006, IV.8 and XI.3 (drift of reversible systems).
 #[derive(Clone, Debug, PartialEq)]
@@ -314,7 +332,7 @@ impl SimulatedRotation {
         if self.device.coulomb > 0.0 && turning > 0.0 {
             // Of a slow body a push across the motion changes its direction, and with it that of friction.
             let direction = self.body_angular_velocity() / turning;
-            let push = self.smooth_torque(self.time, &self.state);
+            let (push, _) = self.smooth_torque(self.time, &self.state);
             let across = (push - direction * push.dot(&direction)).norm();
             rate = rate.max(across / (lightest * turning * STEP_SWERVE));
             if push.dot(&direction) > 0.0 && across > ALIGNED * push.norm() {
@@ -328,21 +346,30 @@ impl SimulatedRotation {
     fn sub_step(&mut self, duration: f64) -> f64 {
         let coulomb = self.device.coulomb;
         if coulomb == 0.0 {
-            self.state = self.stepped(duration, Friction::None);
-            return duration;
+            let (taken, step) = self.until_change(duration, Friction::None);
+            self.state = step.state;
+            return taken;
         }
         let w = self.body_angular_velocity();
         let speed = w.norm();
-        let push = self.smooth_torque(self.time, &self.state);
+        let (push, _) = self.smooth_torque(self.time, &self.state);
         if speed == 0.0 && push.norm() <= coulomb {
             self.state.momentum = Axes::zeros();
-            return duration;
+            return if self.waits || self.hand.is_still(self.time) {
+                duration
+            } else {
+                first_change(duration, |t| {
+                    self.smooth_torque(self.time + t, &self.state).0.norm() > coulomb * (1.0 + CLEAR)
+                })
+                .map_or(duration, |(_, after)| after)
+            };
         }
-        // A push in the direction of a slow motion soon has it in its own: sooner than a sub-step can follow.
+        // A push in the direction of a slow motion soon has it in its own: sooner than a sub-step can follow. From rest, at once.
         let stiffness = push.norm() * duration / (self.device.inertia_kg_m2.min() * speed);
         let is_aligned = push.cross(&w).norm() <= ALIGNED * push.norm() * speed;
-        let follows = push.dot(&w) > 0.0 && (stiffness > 2.0 || (stiffness > 1.0 && is_aligned));
-        let direction = if speed == 0.0 || follows { push / push.norm() } else { w / speed };
+        let follows =
+            speed == 0.0 || (push.dot(&w) > 0.0 && (stiffness > 2.0 || (stiffness > 1.0 && is_aligned)));
+        let direction = if follows { push / push.norm() } else { w / speed };
         if follows {
             let turned = direction * speed;
             self.state.momentum = self.state.orientation * self.device.inertia_kg_m2.component_mul(&turned);
@@ -355,18 +382,36 @@ impl SimulatedRotation {
                 .component_div(&inertia)
                 .dot(&direction)
         };
-        let friction = if follows { Friction::Fixed(direction) } else { Friction::Along(direction) };
-        let full = self.stepped(duration, friction);
-        if speed == 0.0 || along(&full) > 0.0 {
-            self.state = full;
+        let friction = if follows { Friction::AlongPush(direction) } else { Friction::Along(direction) };
+        let (mut duration, mut full) = self.until_change(duration, friction);
+        let halts = |step: &Step| step.reverses || along(&step.state) <= 0.0;
+        if speed == 0.0 {
+            // It sets off and halts within one sub-step: the next begins before the halt, and ends there.
+            let least = MIN_SHARE * duration;
+            while halts(&full) && duration > least {
+                duration *= 0.5;
+                full = self.stepped(duration, friction);
+            }
+        }
+        if speed == 0.0 || !halts(&full) {
+            self.state = full.state;
             return duration;
         }
+        let mut at = (duration, full.state);
+        if along(&full.state) > 0.0 {
+            // It halts and sets off again.
+            if let Some((_, t)) = first_change(duration, |t| along(&self.stepped(t, friction).state) <= 0.0) {
+                at = (t, self.stepped(t, friction).state);
+            } else {
+                self.state = full.state;
+                return duration;
+            }
+        }
         // Secants with the sign kept on both sides (Illinois; Dowell and Jarratt 1971).
-        let (mut low, mut high) = ((0.0, speed), (duration, along(&full)));
-        let mut at = (duration, full);
+        let (mut low, mut high) = ((0.0, speed), (at.0, along(&at.1)));
         for _ in 0..16 {
             let t = (low.0 * high.1 - high.0 * low.1) / (high.1 - low.1);
-            let state = self.stepped(t, friction);
+            let state = self.stepped(t, friction).state;
             let v = along(&state);
             at = (t, state);
             if v.abs() <= 1e-15 * speed {
@@ -387,31 +432,51 @@ impl SimulatedRotation {
         taken.max(duration * MIN_SHARE)
     }
 
-    /// Torque in N m in the frame of the body, without Coulomb friction.
-    fn smooth_torque(&self, t: f64, state: &State) -> Axes<3> {
-        let State { orientation, .. } = state;
-        let w = self.body_velocity(state);
-        let hand = self.hand.torque_since(self.hand_time(self.time), self.hand_time(t), orientation, &w);
-        let springs: Axes<3> = self.springs.iter().map(|spring| spring.torque(orientation, &w)).sum();
-        orientation.inverse_transform_vector(&self.held_torque) + hand + springs - w * self.device.viscous
+    /// How far in s it goes within `duration` before the law of the hand changes, and the state there.
+    fn until_change(&self, duration: f64, friction: Friction) -> (f64, Step) {
+        let full = self.stepped(duration, friction);
+        if !full.changes {
+            return (duration, full);
+        }
+        let pull = |t: f64, state: &State| self.smooth_torque(self.time + t, state).1;
+        let begun = pull(0.0, &self.state);
+        let changed = |t: f64| pull(t, &self.stepped(t, friction).state).differs(&begun);
+        match first_change(duration, changed) {
+            // First to just before it, so that no stage sees the law that follows; the next sub-step crosses it.
+            Some((before, after)) => {
+                let taken = if before > 0.0 { before } else { after };
+                (taken, self.stepped(taken, friction))
+            }
+            None => (duration, full),
+        }
     }
 
-    /// The state after `duration` in s.
-    fn stepped(&self, duration: f64, friction: Friction) -> State {
+    /// Torque in N m in the frame of the body, without Coulomb friction; and what of it is the hand's.
+    fn smooth_torque(&self, t: f64, state: &State) -> (Axes<3>, Pull) {
+        let State { orientation, .. } = state;
+        let w = self.body_velocity(state);
+        let pull = self.hand.pull(self.hand_time(self.time), self.hand_time(t), orientation, &w);
+        let springs: Axes<3> = self.springs.iter().map(|spring| spring.torque(orientation, &w)).sum();
+        let held = orientation.inverse_transform_vector(&self.held_torque);
+        (held + pull.torque + springs - w * self.device.viscous, pull)
+    }
+
+    /// A step of `duration` in s.
+    fn stepped(&self, duration: f64, friction: Friction) -> Step {
         let State { orientation, momentum } = self.state;
-        let slope = |share: f64, turn: &Axes<3>, momentum: Axes<3>| {
+        let (mut begun, mut changes, mut reverses) = (None, false, false);
+        let mut slope = |share: f64, turn: &Axes<3>, momentum: Axes<3>| {
             let turned = orientation * UnitQuaternion::from_scaled_axis(*turn);
             let state = State { orientation: turned, momentum };
             let w = self.body_velocity(&state);
-            let mut torque = self.smooth_torque(self.time + share * duration, &state);
-            match friction {
-                Friction::None => {}
-                Friction::Along(direction) if w.dot(&direction) > 0.0 => {
-                    torque -= w * (self.device.coulomb / w.norm());
-                }
-                Friction::Along(direction) | Friction::Fixed(direction) => {
-                    torque -= direction * self.device.coulomb;
-                }
+            let (mut torque, pull) = self.smooth_torque(self.time + share * duration, &state);
+            changes |= pull.differs(begun.get_or_insert(pull));
+            if let Friction::Along(direction) | Friction::AlongPush(direction) = friction {
+                reverses |= w.dot(&direction) < 0.0;
+                let of = if let Friction::Along(_) = friction { w } else { torque };
+                let coulomb = self.device.coulomb;
+                torque -=
+                    if of.dot(&direction) > 0.0 { of * (coulomb / of.norm()) } else { direction * coulomb };
             }
             let twist = turn.cross(&w);
             (w + twist / 2.0 + turn.cross(&twist) / 12.0, turned * torque)
@@ -424,6 +489,20 @@ impl SimulatedRotation {
         let turn = (turn_1 + turn_4 + (turn_2 + turn_3) * 2.0) * (duration / 6.0);
         let gain = (gain_1 + gain_4 + (gain_2 + gain_3) * 2.0) * (duration / 6.0);
         let turned = orientation * UnitQuaternion::from_scaled_axis(turn);
-        State { orientation: UnitQuaternion::new_normalize(turned.into_inner()), momentum: momentum + gain }
+        let orientation = UnitQuaternion::new_normalize(turned.into_inner());
+        Step { state: State { orientation, momentum: momentum + gain }, changes, reverses }
     }
+}
+
+/// Times in s just before and just after the first change within `duration`, at most [`MIN_SHARE`] of it apart. Quarters
+/// of it find the change, halves locate it.
+fn first_change(duration: f64, changed: impl Fn(f64) -> bool) -> Option<(f64, f64)> {
+    let quarter = 0.25 * duration;
+    let mut after = [quarter, 2.0 * quarter, 3.0 * quarter, duration].into_iter().find(|&t| changed(t))?;
+    let mut before = after - quarter;
+    while after - before > MIN_SHARE * duration {
+        let middle = 0.5 * (before + after);
+        if changed(middle) { after = middle } else { before = middle }
+    }
+    Some((before, after))
 }

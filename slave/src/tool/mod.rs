@@ -30,6 +30,8 @@ const MAX_RATE: f64 = 1e5;
 const ALLOWED_RATE: &str = "at most 1e5 rad/s of the stiffest part, sqrt(stiffness / mass_kg) or \
                             sqrt(rotational_stiffness / inertia_kg_m2): make [slave.tool] or its contacts softer, or \
                             what moves heavier";
+/// Shortest piece in s: a kink that is nearer to a piece's begin or to the tick's end is taken to be there.
+const SHORTEST: f64 = 1e-12;
 /// Longest time in s between two writes that is made up for at once: that of the slowest loop.
 const MAX_UNWRITTEN_S: f64 = 0.02;
 /// How far the jaws may be from what they hold and still hold it, of their way.
@@ -79,7 +81,8 @@ struct Scratch {
 /// across their closing direction, the tool's x axis, exceeds `2 mu F`, or the moment `2 mu F r`, until it is out of them.
 ///
 /// **Integrator.** Runge, Kutta and Munthe-Kaas of order 4 in sub-steps of which the stiffest part needs at least 25 for
-/// a swing; R stays a rotation. Friction at a surface is regularised as in [`Contact`](crate::Contact), so that the equations are
+/// a swing; R stays a rotation. A sub-step ends where a torque, a push or the motion of an object jumps or bends. Contacts are
+/// not located. Friction at a surface is regularised as in [`Contact`](crate::Contact), so that the equations are
 /// continuous; what slips between jaws does so after each sub-step.
 ///
 /// Source: Euler's equations, Goldstein, Poole and Safko 2002, Eq. 5.39; Munthe-Kaas 1998; Hogan 1985 (impedance).
@@ -159,6 +162,7 @@ impl SimulatedTool {
             bodies,
             held: None,
             grip: None,
+            push_from: f64::INFINITY,
         };
         let rate = world.rate();
         require("rate of tool and world", rate, rate <= MAX_RATE, ALLOWED_RATE)?;
@@ -425,15 +429,23 @@ impl SimulatedTool {
         let from = self.time_s(self.now_ns);
         let span = now_ns.saturating_sub(self.now_ns) as f64 * 1e-9;
         self.now_ns = self.now_ns.max(now_ns);
-        let steps = (span * self.rate / STEP_PHASE).ceil().max(1.0);
-        let step = span / steps;
-        let mut done = 0.0;
-        while span > 0.0 && done < steps {
-            self.step(from + done * step, step);
-            done += 1.0;
+        self.world.push_from = self.started_ns.map_or(f64::INFINITY, |started_ns| self.time_s(started_ns));
+        let mut begun = 0.0;
+        while begun < span {
+            let kink = (self.world.next_kink(from + begun) - from).max(begun + SHORTEST);
+            let end = if span - kink < SHORTEST { span } else { kink };
+            let piece = from + 0.5 * (begun + end);
+            let steps = ((end - begun) * self.rate / STEP_PHASE).ceil().max(1.0);
+            let step = (end - begun) / steps;
+            let mut done = 0.0;
+            while done < steps {
+                self.step(piece, from + begun + done * step, step);
+                done += 1.0;
+            }
+            begun = end;
         }
         let t = from + span;
-        self.world.loads(&self.motion, &self.set, t, self.pushed_s(t), &mut self.scratch.loads);
+        self.world.loads(&self.motion, &self.set, t, t, &mut self.scratch.loads);
         let (tool, load) = (&self.motion.tool, &self.scratch.loads.environment);
         self.touches = self.scratch.loads.touches;
         self.sample = ToolSample {
@@ -447,15 +459,10 @@ impl SimulatedTool {
         self.sample
     }
 
-    /// Time of the pushers in s at t.
-    fn pushed_s(&self, t: f64) -> f64 {
-        self.started_ns.map_or(f64::NEG_INFINITY, |started_ns| t - self.time_s(started_ns))
-    }
-
-    fn step(&mut self, t: f64, step: f64) {
+    /// A step in s from t on, within the smooth piece that holds at time `piece`.
+    fn step(&mut self, piece: f64, t: f64, step: f64) {
         for stage in 0..4 {
             let share = [0.0, 0.5, 0.5, 1.0][stage] * step;
-            let pushed_s = self.pushed_s(t + share);
             let Scratch { motion, loads, tool, bodies, handles } = &mut self.scratch;
             let mut turn = Axes::zeros();
             if stage == 0 {
@@ -479,7 +486,7 @@ impl SimulatedTool {
                     motion.bodies[index] = self.motion.bodies[index].after(&rates[stage - 1], share).0;
                 }
             }
-            self.world.loads(motion, &self.set, t + share, pushed_s, loads);
+            self.world.loads(motion, &self.set, piece, t + share, loads);
             tool[stage] = motion.tool.rate(&self.world.inertia, &loads.tool, &turn);
             for (index, rates) in bodies.iter_mut().enumerate() {
                 let turn = if stage == 0 {

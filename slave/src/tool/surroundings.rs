@@ -90,11 +90,17 @@ impl Surroundings {
             .fold((0.0, 0.0), |(k, b), (stiffness, damping)| (stiffness.max(k), damping.max(b)))
     }
 
-    /// Force in N on a point in m that moves with a velocity in m/s, at t in s; and whether it is inside of something.
-    pub(super) fn force(&self, point: &Axes<3>, velocity: &Axes<3>, t: f64) -> (Axes<3>, bool) {
+    /// First time in s after t at which the motion of an object jumps.
+    pub(super) fn next_kink(&self, t: f64) -> f64 {
+        self.objects.iter().map(|object| object.next_kink(t)).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Force in N on a point in m that moves with a velocity in m/s, at t in s, on the smooth piece of the objects' motion
+    /// that holds at time `piece`; and whether it is inside of something.
+    pub(super) fn force(&self, point: &Axes<3>, velocity: &Axes<3>, piece: f64, t: f64) -> (Axes<3>, bool) {
         let (mut force, mut touches) = (Axes::zeros(), false);
         for object in &self.objects {
-            let (moved, speed) = object.place(t, t);
+            let (moved, speed) = object.place(piece, t);
             if object.shape().is_spring() {
                 let (stiffness, damping) = object.contact().linear();
                 force +=

@@ -3,7 +3,10 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::{ContactLawKind, ContactSettings, ObjectSettings, PushKind, ShapeSettings};
+use crate::{
+    ContactLawKind, ContactSettings, ObjectMotionSettings, ObjectSettings, PushKind, SeriesSettings,
+    ShapeSettings,
+};
 
 const MS: u64 = 1_000_000;
 const UPRIGHT: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
@@ -188,6 +191,86 @@ fn the_set_pose_keeps_within_its_speeds() {
     assert_eq!(tool.stop(), (rest, turned));
     let sample = tool.read(3000 * MS);
     assert!((sample.position - rest).norm() < 1e-9 && sample.orientation.angle_to(&turned) < 1e-7);
+}
+
+/// `I phi'' = tau(t)` and `m x'' = f(t)` of a tool that nothing else moves, wherever in a tick the push begins, has risen
+/// and ends: both are cubic in time between these, which order 4 integrates to rounding.
+#[test]
+fn pushes_and_torques_begin_and_end_by_the_closed_form() {
+    for (at_s, rise_s, duration_s, started_ns) in [
+        (0.01, 0.0, 0.02, 0),
+        (0.0104, 0.0, 0.02, 0),
+        (0.0003, 0.0, 0.0004, 300_001),
+        (0.0, 0.0, 0.0173, 3_700_000),
+        (0.002, 0.004, 0.02, 0),
+        (0.0021, 0.0045, 0.0052, 1_234_567),
+        (0.0102, 0.0003, 0.0005, 0),
+    ] {
+        for shape in [PushKind::Ramp, PushKind::Recorded] {
+            // A recorded push is the same ramp.
+            let (time_s, rows) = (vec![0.0, rise_s], |most: V| vec![V::zeros(), most]);
+            if shape == PushKind::Recorded && rise_s == 0.0 {
+                continue;
+            }
+            let one = |most: V| {
+                let recorded = Some(SeriesSettings { time_s: time_s.clone(), values: rows(most) });
+                PusherSettings { shape, at_s, duration_s, rise_s, recorded, force_n: most, ..push([0.0; 3]) }
+            };
+            let (torques, pushers) = (vec![one(V::z() * 0.1)], vec![one(V::y() * 0.3)]);
+            let (arm, settings) = free([0.02; 3], vec![[0.0; 3]]);
+            let world = ToolWorldSettings { pushers, torques, ..nothing() };
+            let mut tool = SimulatedTool::new(&arm, &settings, &world, 0).unwrap();
+            tool.start(started_ns);
+            // Angle and rate for an acceleration of 1.
+            let rising = |s: f64| [s.powi(3) / (6.0 * rise_s), s * s / (2.0 * rise_s)];
+            let goes_on = |[angle, rate]: [f64; 2], s: f64, push: f64| {
+                [angle + rate * s + 0.5 * push * s * s, rate + push * s]
+            };
+            for tick in 1..=60 {
+                let sample = tool.read(tick * MS);
+                let since = ((tick * MS) as f64 * 1e-9 - started_ns as f64 * 1e-9 - at_s).max(0.0);
+                let lasting = since.min(duration_s);
+                let risen = if rise_s == 0.0 { [0.0; 2] } else { rising(lasting.min(rise_s)) };
+                let [share, _] =
+                    goes_on(goes_on(risen, (lasting - rise_s).max(0.0), 1.0), since - lasting, 0.0);
+                let angle = sample.orientation.scaled_axis().z - 5.0 * share;
+                let place = sample.position.y - 0.6 * share;
+                assert!(
+                    angle.abs() < 1e-15 && place.abs() < 1e-15,
+                    "{at_s} {rise_s} {tick}: {angle:e} {place:e}"
+                );
+            }
+        }
+    }
+}
+
+/// A spring whose other end sets off at a velocity u: `x = u (s - sin(o s) / o)` after s, wherever in a tick it sets off.
+#[test]
+fn a_spring_sets_off_by_the_closed_form() {
+    let (rate, speed) = (50.0, 0.1);
+    for from_s in [0.01, 0.0104, 0.00099] {
+        let motion = ObjectMotionSettings {
+            velocity: V::x() * speed,
+            from_s,
+            until_s: 1.0,
+            amplitude: V::zeros(),
+            frequency_hz: 0.0,
+        };
+        let object = ObjectSettings {
+            shape: ShapeSettings::Spring { anchor: V::zeros() },
+            contact: contact(0.5 * rate * rate, 0.0, 0.0),
+            motion: Some(motion),
+            body: None,
+        };
+        let world = ToolWorldSettings { objects: vec![object], ..nothing() };
+        let mut tool = tool(&free([1e-3; 3], vec![[0.0; 3]]), &world);
+        for tick in 1..=100 {
+            let (sample, since) = (tool.read(tick * MS), (tick as f64 * 1e-3 - from_s).max(0.0));
+            let off = sample.position.x - speed * (since - (rate * since).sin() / rate);
+            // Order 4 with z = 0.05: z^4 / 120 of the swing for each rad of phase.
+            assert!(off.abs() < 5.2e-8 * speed / rate * (rate * since + 0.05), "{from_s} {tick}: {off:e}");
+        }
+    }
 }
 
 /// `theta = (theta_0 -+ c/k) cos(w t) +- c/k` between turns: each half swing loses `2 c / k`, until `k |theta| <= c`.

@@ -83,6 +83,8 @@ pub(super) struct World {
     pub(super) held: Option<Held>,
     /// Of the jaws, where there are any.
     pub(super) grip: Option<Grip>,
+    /// When the time of pushers and torques begins, in s; infinity before they start.
+    pub(super) push_from: f64,
 }
 
 impl World {
@@ -151,26 +153,34 @@ impl World {
         Frame { position, velocity, orientation, angular_velocity }
     }
 
-    /// All that acts at t in s; pushers `pushed_s` after they began.
-    pub(super) fn loads(&self, motion: &Motion, set: &SetPose, t: f64, pushed_s: f64, loads: &mut Loads) {
+    /// First time in s after t at which a push, a torque or the motion of an object jumps or bends.
+    pub(super) fn next_kink(&self, t: f64) -> f64 {
+        let pushers = self.pushers.iter().chain(&self.torques);
+        let pushed = pushers.map(|pusher| pusher.next_kink(t - self.push_from) + self.push_from);
+        pushed.fold(self.surroundings.next_kink(t), f64::min)
+    }
+
+    /// All that acts at t in s, on the smooth piece that holds at time `piece`.
+    pub(super) fn loads(&self, motion: &Motion, set: &SetPose, piece: f64, t: f64, loads: &mut Loads) {
         let tool = self.tool_frame(motion);
         let Loads { environment, bodies, handles, touches, .. } = loads;
         (*environment, *touches) = (Load::default(), false);
         for point in &self.points {
             let lever = tool.orientation * point;
             let velocity = tool.velocity + tool.angular_velocity.cross(&lever);
-            let (force, inside) = self.surroundings.force(&(tool.position + lever), &velocity, t);
+            let (force, inside) = self.surroundings.force(&(tool.position + lever), &velocity, piece, t);
             environment.add(&force, &lever);
             *touches |= inside;
         }
+        let (on, pushed_s) = (piece - self.push_from, t - self.push_from);
         for pusher in &self.pushers {
-            environment.force += pusher.force(pushed_s);
+            environment.force += pusher.on(on, pushed_s);
         }
         for torque in &self.torques {
-            environment.torque += torque.force(pushed_s);
+            environment.torque += torque.on(on, pushed_s);
         }
         for (index, (body, load)) in self.bodies.iter().zip(bodies.iter_mut()).enumerate() {
-            *load = self.lying(body, &self.body_frame(motion, index), t);
+            *load = self.lying(body, &self.body_frame(motion, index), piece, t);
         }
         for ((handle, state), torque) in self.handles.iter().zip(&motion.handles).zip(handles.iter_mut()) {
             *torque = handle.own_torque(*state);
@@ -209,7 +219,7 @@ impl World {
     }
 
     /// Gravity, and what a box lies on with its corners.
-    pub(super) fn lying(&self, body: &Body, frame: &Frame, t: f64) -> Load {
+    pub(super) fn lying(&self, body: &Body, frame: &Frame, piece: f64, t: f64) -> Load {
         let mut load = Load::default();
         load.force[2] = -body.inertia.mass_kg * body.gravity;
         for corner in 0..8_u8 {
@@ -217,7 +227,7 @@ impl World {
             let signs = Axes::<3>::new(sign(0), sign(1), sign(2));
             let lever = frame.orientation * signs.component_mul(&body.half_extents);
             let velocity = frame.velocity + frame.angular_velocity.cross(&lever);
-            let (force, _) = self.surroundings.force(&(frame.position + lever), &velocity, t);
+            let (force, _) = self.surroundings.force(&(frame.position + lever), &velocity, piece, t);
             load.add(&force, &lever);
         }
         load
