@@ -1,8 +1,8 @@
-"""What shows a run: telemetry, recordings and scenes in; panels, pictures, films and pages out. No loop imports it.
+"""Displays of runs: telemetry, recordings and scenes in; panels, pictures, films and pages out.
 
-`describe` computes what is where, without any library that draws, and `LiveDescription` that of a run that goes on;
-`Picture` draws it with PyVista, `write_page` makes a page of it that needs nothing else. The extra `view` brings the
-libraries. A name is loaded when it is asked for: who draws a figure in the style of the project loads no scenes.
+No loop imports this package. `describe` computes the poses of all bodies without a drawing library; `LiveDescription`
+does so for a live run. `Picture` draws with PyVista; `write_page` makes a self-contained page. The extra `view`
+installs the libraries. Names load lazily: drawing a figure does not load scenes.
 """
 
 from typing import TYPE_CHECKING
@@ -28,7 +28,7 @@ __all__ = [
     "panel",
 ]
 
-if not TYPE_CHECKING:  # else any name would do
+if not TYPE_CHECKING:  # otherwise type checkers accept any name
     __getattr__, __dir__ = lazy_names(
         __name__,
         {

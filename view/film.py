@@ -1,4 +1,4 @@
-"""Pictures in a row as a file: GIF by Pillow, MP4 by the user's own ffmpeg."""
+"""Films: GIF by Pillow, MP4 by the user's ffmpeg."""
 
 import shutil
 import subprocess
@@ -16,26 +16,26 @@ from haptether.view.scene3d import colours
 Pixels = npt.NDArray[np.uint8]
 
 COLOURS = 96
-"""Of a GIF that are taken from its frames; those of signs are added, which few pixels have."""
+"""Colours of a GIF taken from its frames; rare sign colours are added."""
 SHADES = (1.0, 0.8, 0.6)
-"""In which signs are seen."""
+"""Shades of the sign colours."""
 PALETTE_FRAMES = 8
-"""From which the colours are taken."""
+"""Frames from which the colours are taken."""
 LAST_S = 1.0
-"""How long the last frame of a GIF stays, for it begins anew."""
+"""Time for which the last frame of a looping GIF stays."""
 
 
 def frame_times(begin_s: float, end_s: float, fps: float, speed: float) -> list[float]:
-    """Times of a film in s, both ends included where they fall on a frame."""
+    """Return the times of frames in s, from `begin_s` to `end_s` if that falls on a frame."""
     count = int(np.floor((end_s - begin_s) * fps / speed + 1e-9)) + 1
     return [begin_s + n * speed / fps for n in range(max(1, count))]
 
 
 def write_picture(path: Path, pixels: Pixels) -> None:
-    """Writes a PNG for its owner alone.
+    """Write a PNG with mode 0600.
 
     Raises:
-        OSError: It cannot be written; a symbolic link.
+        OSError: The file cannot be written, or is a symbolic link.
     """
     from PIL import Image
 
@@ -45,10 +45,10 @@ def write_picture(path: Path, pixels: Pixels) -> None:
 
 
 def require_film(path: Path) -> None:
-    """Refuses a film that cannot be made.
+    """Check that a film can be made.
 
     Raises:
-        ValueError: Neither .gif nor .mp4, or no ffmpeg for the latter.
+        ValueError: The ending is neither .gif nor .mp4, or ffmpeg is missing for .mp4.
     """
     if path.suffix not in {".gif", ".mp4"}:
         message = f"{path}: must end in .gif or .mp4"
@@ -61,19 +61,19 @@ def require_film(path: Path) -> None:
 def write_film(
     path: Path, image: Callable[[float], Pixels], times_s: Sequence[float], fps: float, progress: Callable[[int], None]
 ) -> None:
-    """Writes a film for its owner alone.
+    """Write a film with mode 0600.
 
     Args:
-        path: Ending in .gif or .mp4.
-        image: The picture of a time, (height, width, 3).
-        times_s: Of its frames.
-        fps: Frames a second.
-        progress: Called with the number of frames that are done.
+        path: Path that ends in .gif or .mp4.
+        image: Picture at a time in s, (height, width, 3).
+        times_s: Times of the frames.
+        fps: Frames per second.
+        progress: Called with the number of finished frames.
 
     Raises:
-        OSError: It cannot be written; a symbolic link.
-        RuntimeError: ffmpeg refuses.
-        ValueError: Another ending, or no ffmpeg.
+        OSError: The file cannot be written, or is a symbolic link.
+        RuntimeError: ffmpeg fails.
+        ValueError: The ending is invalid, or ffmpeg is missing.
     """
     require_film(path)
     refuse_link(path)
@@ -94,14 +94,14 @@ def _write_gif(
 ) -> None:
     from PIL import Image
 
-    # One palette for all, without dithering: what stands still is then the same from frame to frame, and costs nothing.
+    # A common palette without dithering keeps static areas identical between frames, so that they cost no space.
     some = [image(times_s[n]) for n in np.unique(np.linspace(0, len(times_s) - 1, PALETTE_FRAMES).astype(int))]
     frequent = Image.fromarray(np.concatenate(some)).quantize(COLOURS, method=Image.Quantize.MEDIANCUT)
     rgb = [int(colour[at : at + 2], 16) for colour in colours.SIGNS for at in (1, 3, 5)]
     signs = [round(shade * level) for shade in SHADES for level in rgb]
     palette = Image.new("P", (1, 1))
     palette.putpalette([*(frequent.getpalette() or [])[: 3 * COLOURS], *signs])
-    # One after the other: of a frame only what differs from the one before is kept.
+    # Pass frames one by one: the file stores only differences between frames.
     flat = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
     each_ms = round(1000.0 / fps)
     durations = [each_ms] * (len(times_s) - 1) + [each_ms + round(1000.0 * LAST_S)]
@@ -126,7 +126,7 @@ def _write_mp4(path: Path, frames: Iterator[Pixels], fps: float) -> None:
             for frame in chain([first], frames):
                 encoder.stdin.write(np.ascontiguousarray(frame).tobytes())
         except BrokenPipeError:
-            # It says below why it has ended.
+            # ffmpeg's error text is raised below.
             pass
         finally:
             _, said = encoder.communicate()

@@ -1,4 +1,4 @@
-"""Reads the telemetry of one side or both, as it comes, for who draws it in another thread."""
+"""Reader of live telemetry of one or both sides, for drawing in another thread."""
 
 import time
 from collections.abc import Sequence
@@ -12,26 +12,26 @@ from haptether.bridge import TelemetryMessage, TelemetryReader
 from haptether.view.scene3d.live import LiveDescription
 
 WAITING = 512
-"""Messages that wait to be drawn; where there are more, the run counts what is lost to this reader."""
+"""Capacity of the message queue; a full queue shows up as lost ticks of this reader."""
 STEP_S = 0.005
 QUIT_S = 0.2
 
 
 class Following:
-    """A `LiveDescription` that is fed by sockets; it only reads, and the loops do not notice.
+    """A `LiveDescription` fed by sockets; read-only, so that the loops are not affected.
 
     Args:
-        readers: Of one side, or of both.
-        live: As for `LiveDescription`: title, arm, leader, history_s.
+        readers: Readers of one side or both.
+        live: Arguments of `LiveDescription`: title, arm, leader, history_s.
 
     Raises:
-        ValueError: Two of the same side, or no such arm.
+        ValueError: Two readers are of the same side, or there is no such arm.
     """
 
     def __init__(self, readers: Sequence[tuple[Path, TelemetryReader]], **live: Any) -> None:  # noqa: ANN401
         self.live = LiveDescription(*(reader.hello for _, reader in readers), **live)
         self.is_over = False
-        """Whether nothing more comes."""
+        """True once no more messages come."""
         self._readers = tuple(readers)
         self._messages: Queue[tuple[str, TelemetryMessage | None, float]] = Queue(WAITING)
         self._errors: dict[str, Exception] = {}
@@ -42,7 +42,7 @@ class Following:
             thread.start()
 
     def take(self) -> None:
-        """Takes all that has come."""
+        """Process all queued messages."""
         while True:
             try:
                 side, message, received_s = self._messages.get_nowait()
@@ -55,24 +55,24 @@ class Following:
                 self.live.take(message, side, received_s=received_s)
 
     def until(self, time_s: float) -> None:
-        """Follows until the run has come to a time in s, or is over."""
+        """Follow the run until `time_s` in s, or until it is over."""
         while self.live.time_s < time_s and not self.is_over:
             time.sleep(STEP_S)
             self.take()
 
     def begin(self) -> float:
-        """Follows until there is a first sample of each side, or the run is over; returns its time in s."""
+        """Follow until each side has sent a sample, or the run is over; return its time in s."""
         while not self.live.has_begun and not self.is_over:
             time.sleep(STEP_S)
             self.take()
         return self.live.time_s
 
     def check(self) -> None:
-        """Says that the run did not end in good order.
+        """Check that the run ended in good order.
 
         Raises:
             ConnectionError: A side has failed or was killed.
-            Exception: What was sent is no telemetry.
+            Exception: The telemetry is invalid.
         """
         for path, reader in self._readers:
             side = reader.hello.side
@@ -85,7 +85,7 @@ class Following:
                 raise ConnectionError(message)
 
     def close(self) -> None:
-        """Reads no more."""
+        """Stop reading."""
         self._is_closed.set()
         for _, reader in self._readers:
             reader.close()

@@ -1,4 +1,4 @@
-"""Reads back what `Run.save` wrote."""
+"""Reader of files that `Run.save` wrote."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,13 +12,13 @@ from haptether.input_file import read_npz
 
 
 def saved_run(path: Path) -> Run:
-    """The run whose signals `Run.save` or `export --npz` wrote; its scene and figures are not in such a file.
+    """Read a run from a file of `Run.save` or `export --npz`, which has no scene and no metrics.
 
-    Events are those that the signals show: steps of the ladder, trips, grips.
+    Events are those visible in the signals: ladder transitions, trips, grips.
 
     Raises:
-        OSError: It cannot be read.
-        ValueError: It is no such file.
+        OSError: The file cannot be read.
+        ValueError: The file has another format.
     """
     try:
         arrays = read_npz(path)
@@ -53,7 +53,7 @@ def _events(signals: Signals) -> Iterator[Event]:
 
 
 def _changes(signals: Signals, name: str) -> Iterator[tuple[float, int, int]]:
-    """Times in s with the value before and that from then on."""
+    """Yield the time in s of each change, with the values before and after."""
     if name not in signals:
         return
     values: npt.NDArray[Any] = np.nan_to_num(signals[name]).astype(np.int64)

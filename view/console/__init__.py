@@ -1,1 +1,1 @@
-"""Live sides in a browser: a page served to this machine alone, what it shows, and what a person does with it."""
+"""Live sides in a browser: a local page that shows them and sends the operator's commands."""

@@ -1,4 +1,4 @@
-"""Both ends in three dimensions for the pages: one description for all of them, made on a thread of its own."""
+"""Both ends in 3D for the pages: one description for all pages, computed on its own thread."""
 
 import json
 import threading
@@ -15,49 +15,49 @@ from haptether.view.scene3d.description import Description
 from haptether.view.scene3d.live import LiveDescription
 
 FRAME_S = 1.0 / 20
-"""Between two frames: a browser without a graphics card draws no more."""
+"""Frame period; a browser without a graphics card draws no faster."""
 HISTORY_S = 2.0
-"""How long a trail is."""
+"""Length of a trail."""
 CLOSE_S = 0.2
-"""The longest wait for the thread at the end."""
+"""Longest wait for the thread on close."""
 WAITING = 1024
-"""Messages that wait for the thread; what comes beyond them is not drawn."""
+"""Capacity of the message queue; messages beyond it are not drawn."""
 
 
 class Bodies:
-    """What the pages draw of the sides: bodies once, then where each is, at most 20 times a second.
+    """Drawing of the sides for the pages: bodies once, then their poses at most 20 times a second.
 
-    Whoever reads telemetry or serves pages waits for none of it: messages go into a bounded queue, and what was made
-    last is taken as it is.
+    Telemetry readers and page servers never wait for it: messages enter a bounded queue, and pages take the latest
+    result.
     """
 
     def __init__(self) -> None:
         self.geometry = b"{}"
         """JSON of bodies, trails, views, legend and notes, with their `generation`."""
         self.frame: dict[str, Any] | None = None
-        """Where they are: `generation`, `time_s`, `poses` and `trails`; none before there is a sample."""
+        """Poses: `generation`, `time_s`, `poses` and `trails`; None before the first sample."""
         self.is_watched = False
-        """Whether a page is open: else nothing is computed but what there is."""
+        """True while a page is open; otherwise no frames are computed."""
         self._queue: Queue[tuple[TelemetryHello, TelemetryMessage | None, float]] = Queue(WAITING)
         self._hellos: dict[str, TelemetryHello] = {}
         self._live: LiveDescription | None = None
         self._generation = 0
-        """Of all runs that were shown."""
+        """Counter over all runs shown."""
         self._shown: tuple[LiveDescription, int, float] | None = None
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="console-bodies", daemon=True)
 
     def start(self) -> None:
-        """Begins."""
+        """Start the thread."""
         self._thread.start()
 
     def close(self) -> None:
-        """Ends it."""
+        """Stop the thread."""
         self._closed.set()
         self._thread.join(CLOSE_S)
 
     def take(self, hello: TelemetryHello, message: TelemetryMessage | None = None) -> None:
-        """Takes a message of the run that began with `hello`, or that it begins; never waits."""
+        """Queue a message of the run `hello`; without a message, begin that run. Never waits."""
         try:
             self._queue.put_nowait((hello, message, time.monotonic()))
         except Full:
@@ -71,7 +71,7 @@ class Bodies:
                 live = self._live
                 if self.is_watched and live is not None and live.has_begun and self._shown != _state(live):
                     self._show(live)
-            except Exception as error:  # a picture that fails must leave the page the rest
+            except Exception as error:  # a drawing that fails must not stop the page
                 self._live = self._shown = None
                 self._generation += 1
                 self.geometry = self._text(None, str(error))
@@ -86,7 +86,7 @@ class Bodies:
             except Empty:
                 return
             if message is None:
-                # Of the other side the next sample says where it is.
+                # The other side's pose comes with its next sample.
                 self._hellos[hello.side] = hello
                 self._live = LiveDescription(*self._hellos.values(), history_s=HISTORY_S)
             elif self._live is not None and self._hellos.get(hello.side) is hello:
@@ -126,5 +126,5 @@ class Bodies:
 
 
 def _state(live: LiveDescription) -> tuple[LiveDescription, int, float]:
-    """What a frame depends on."""
+    """State on which a frame depends."""
     return live, live.generation, live.time_s

@@ -1,33 +1,33 @@
-"""Connections of the console: few at a time, and little time for one without the token."""
+"""Connections of the console: limited in number, and limited in time without the token."""
 
 import math
 from typing import Any, Protocol
 
 MAX_UNKNOWN = 64
-"""Connections without the token; a further one closes the oldest."""
+"""Connections without the token; one more closes the oldest."""
 MAX_KNOWN = 32
-"""Connections that have shown the token, pages among them; a further one closes that whose time is up first."""
+"""Connections that have shown the token, pages included; one more closes the one with the earliest deadline."""
 TOKEN_S = 2.0
-"""From a connection to the end of its first request, with the token."""
+"""Time from a connection to the end of its first request, token included."""
 REQUEST_S = 10.0
-"""From a request with the token to the next; a page that is open has no such limit."""
+"""Time from a request with the token to the next; an open page has no limit."""
 
 
 class Connection(Protocol):
-    """As much of a transport of `asyncio` as counts here."""
+    """The part of an `asyncio` transport used here."""
 
     def abort(self) -> None:
-        """Closes it, whatever its peer does."""
+        """Close at once, whatever the peer does."""
 
-    def get_extra_info(self, name: str) -> Any:  # noqa: ANN401  # as there
-        """Its `socket` above all."""
+    def get_extra_info(self, name: str) -> Any:  # noqa: ANN401  # same signature as asyncio
+        """Return transport information, here the `socket`."""
 
 
 class Connections:
-    """The open connections, each with the time at which it is closed.
+    """The open connections, each with its deadline.
 
-    Nobody without the token keeps a page out: where there are too many, the oldest without it is closed. Times are in
-    s, on any clock that does not go back.
+    Clients without the token cannot keep a page out: above the limit, the oldest of them is closed. Times are in s, on
+    any monotonic clock.
     """
 
     def __init__(self) -> None:
@@ -35,29 +35,29 @@ class Connections:
         self._known: dict[Connection, float] = {}
 
     def add(self, connection: Connection, now_s: float) -> None:
-        """Takes a new one, which has not shown the token."""
+        """Add a new connection, which has not shown the token."""
         self._close_first(self._unknown, MAX_UNKNOWN)
         self._unknown[connection] = now_s + TOKEN_S
 
     def admit(self, connection: Connection, now_s: float) -> None:
-        """Takes note of a request with the token, or that the page at it has ended."""
+        """Note a request with the token, or the end of the page on this connection."""
         self._unknown.pop(connection, None)
         if connection not in self._known:
             self._close_first(self._known, MAX_KNOWN)
         self._known[connection] = now_s + REQUEST_S
 
     def keep(self, connection: Connection) -> None:
-        """Takes note that a page is open at it."""
+        """Note that a page is open on this connection."""
         self._known[connection] = math.inf
 
     def close_late(self, now_s: float) -> None:
-        """Closes those whose time is up; `math.inf` closes all."""
+        """Close connections past their deadline; `math.inf` closes all."""
         for connections in (self._unknown, self._known):
             for connection in [one for one, until_s in connections.items() if until_s <= now_s]:
                 _end(connections, connection)
 
     def _close_first(self, connections: dict[Connection, float], most: int) -> None:
-        """Makes room for another."""
+        """Make room for one more."""
         if len(connections) < most:
             return
         for connection in [one for one in connections if not _is_open(one)]:
@@ -68,10 +68,10 @@ class Connections:
 
 def _end(connections: dict[Connection, float], connection: Connection) -> None:
     del connections[connection]
-    # It does not wait for a peer that does not read.
+    # Abort does not wait for a peer that does not read.
     connection.abort()
 
 
 def _is_open(connection: Connection) -> bool:
-    """True while it holds a descriptor: until its peer has taken all that was sent."""
+    """True while it holds a descriptor, that is until the peer has taken all data."""
     return bool(connection.get_extra_info("socket").fileno() >= 0)

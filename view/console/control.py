@@ -1,4 +1,4 @@
-"""Requests of a page at the control sockets of live sides."""
+"""Requests of a page to the control sockets of live sides."""
 
 import asyncio
 import contextlib
@@ -10,21 +10,21 @@ from typing import Any, Literal
 import msgspec
 
 ANSWER_S = 1.0
-"""The thread that answers waits for nothing but a stop, and for that 0.3 s."""
+"""Timeout of an answer; the answering thread waits only for a stop, 0.3 s."""
 MAX_ANSWER = 1 << 13
 RETRY_S = 0.01
-"""Between a request that met no answer and its repetition."""
+"""Delay before an unanswered request is repeated."""
 MAX_TRIES = 100
-"""Attempts of a stop; the timeout ends them before."""
+"""Attempts of a stop; the timeout comes first."""
 KEEP_S = 0.5
-"""Between two requests for the status at a connection that is kept for a stop."""
+"""Interval of status requests on a connection kept for stops."""
 
 
 class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a page asks for."""
+    """Request of a page."""
 
     id: int
-    """Its own, which the answer bears."""
+    """Chosen by the page; the answer carries it."""
     side: Literal["master", "slave"]
     do: Literal[
         "status", "hold", "let_go", "release", "acknowledge",
@@ -35,16 +35,16 @@ class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     scale: float | None = None
 
     def request(self) -> dict[str, Any]:
-        """As the control socket reads it."""
+        """The request as the control socket reads it."""
         given = {"held_ms": self.held_ms, "token": self.token, "scale": self.scale}
         return {"do": self.do} | {name: value for name, value in given.items() if value is not None}
 
 
 class ControlConnection:
-    """One page at one control socket: a hold belongs to its connection, and ends with it.
+    """Connection of one page to one control socket; closing it ends its hold.
 
     Args:
-        path: Of `--control`.
+        path: The socket given with `--control`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -52,10 +52,10 @@ class ControlConnection:
         self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
 
     async def ask(self, request: dict[str, Any]) -> dict[str, Any]:
-        """The answer to a request; without one it says why, and closes the connection.
+        """Return the answer to a request; on failure, return the reason and close the connection.
 
-        A side closes the idlest of too many connections. A request that meets that is repeated at a new one, a stop
-        for up to a second: no request does more when it is carried out twice.
+        A side closes the most idle of too many connections. A request that meets this is repeated on a new connection,
+        a stop for up to a second. Requests are idempotent.
         """
         text = "no answer within a second: the side hangs"
         try:
@@ -89,7 +89,7 @@ class ControlConnection:
         return msgspec.json.decode(await reader.readline(), type=dict[str, Any])
 
     def close(self) -> None:
-        """Ends a hold, too."""
+        """Close the connection; also ends a hold."""
         if self._streams is not None:
             with contextlib.suppress(OSError):
                 self._streams[1].close()
@@ -97,20 +97,20 @@ class ControlConnection:
 
 
 class StopConnections:
-    """A connection to every control socket, open before it is needed: a stop finds it whatever else the console serves.
+    """A connection to every control socket, opened in advance so that a stop never waits for the console.
 
     Args:
-        paths: Of `--control`.
+        paths: The sockets given with `--control`.
     """
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self._paths = list(dict.fromkeys(paths))
         self._kept: dict[Path, ControlConnection] = {}
         self.sides: dict[str, Path] = {}
-        """Control sockets by the side that answers there."""
+        """Control socket of each side that answers."""
 
     async def keep(self) -> None:
-        """Asks each side for its status: a side that begins later is connected, and the connection is not idle."""
+        """Ask each side for its status: connects sides that start later and keeps connections from being idle."""
         await asyncio.gather(*map(self._keep, self._paths))
 
     async def _keep(self, path: Path) -> None:
@@ -123,11 +123,11 @@ class StopConnections:
             self.sides[str(answer.get("side"))] = path
 
     def _take(self, path: Path) -> ControlConnection:
-        """The connection, for one request at a time; another one while it is in use."""
+        """Take the connection for one request; a new one while it is in use."""
         return self._kept.pop(path, None) or ControlConnection(path)
 
     async def stop_all(self) -> dict[str, dict[str, Any]]:
-        """Stops every side at once."""
+        """Stop every side at once."""
         answers = await asyncio.gather(*map(self._stop, self._paths))
         return {str(path): answer for path, answer in zip(self._paths, answers, strict=True)}
 
@@ -138,6 +138,6 @@ class StopConnections:
         return answer
 
     def close(self) -> None:
-        """Closes them."""
+        """Close all connections."""
         for connection in self._kept.values():
             connection.close()

@@ -1,4 +1,4 @@
-"""A live side as the console has it: its telemetry, read on a thread of its own, and the newest rows of its charts."""
+"""Telemetry of a live side for the console, read on its own thread, with the newest chart row."""
 
 import threading
 from pathlib import Path
@@ -10,9 +10,9 @@ from haptether.view.console.summary import summary
 from haptether.view.terminal.state import SideState
 
 RETRY_S = 0.5
-"""Between two attempts to connect."""
+"""Delay between two attempts to connect."""
 CLOSE_S = 0.2
-"""The longest wait for the thread at the end."""
+"""Longest wait for the thread on close."""
 PLACES = ("position", "command")
 VECTORS = (
     "rendered_force",
@@ -21,16 +21,16 @@ VECTORS = (
     "grasp_force",
     "environment_force",
 )
-"""Of the charts, where a side has them."""
+"""Signals of the charts, where a side has them."""
 
 
 class SideFeed:
-    """Reads the telemetry at `path` until it is closed, and again where another run begins there.
+    """Reader of the telemetry at `path` until closed; follows the next run that begins there.
 
     Args:
-        path: Of `--telemetry`.
-        name: What the side is called until it has said it.
-        bodies: Which are drawn of it.
+        path: The socket given with `--telemetry`.
+        name: Name of the side until its hello arrives.
+        bodies: Receives its messages for drawing.
     """
 
     def __init__(self, path: Path, name: str, bodies: Bodies) -> None:
@@ -40,7 +40,7 @@ class SideFeed:
         self._state: SideState | None = None
         self._trouble = "not connected yet"
         self._is_over = False
-        """Whether the run whose state is shown sends nothing any more."""
+        """True once the shown run sends nothing any more."""
         self._row: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._reader: TelemetryReader | None = None
@@ -48,11 +48,11 @@ class SideFeed:
         self._thread = threading.Thread(target=self._run, name=f"console-{name}", daemon=True)
 
     def start(self) -> None:
-        """Begins to read."""
+        """Start to read."""
         self._thread.start()
 
     def close(self) -> None:
-        """Ends it; the loop does not notice."""
+        """Stop reading; the side's loop is not affected."""
         self._closed.set()
         reader = self._reader
         if reader is not None:
@@ -66,15 +66,15 @@ class SideFeed:
         return self._name if state is None else state.side
 
     def summary(self) -> dict[str, Any]:
-        """What the page shows beside the charts."""
+        """Return the words and numbers beside the charts."""
         with self._lock:
             try:
                 return summary(self._state, self._trouble, str(self.path))
-            except Exception as error:  # of one side: the page is to go on with the other
+            except Exception as error:  # the page keeps showing the other side
                 return summary(None, f"cannot be shown: {type(error).__name__}: {error}", str(self.path))
 
     def take_row(self) -> dict[str, Any]:
-        """Of each signal of the charts what was furthest from zero since the last row, in SI units; or nothing."""
+        """Return each chart signal's value furthest from zero since the last row, in SI units; may be empty."""
         with self._lock:
             row, self._row = self._row, {}
         return row
@@ -85,10 +85,10 @@ class SideFeed:
                 with TelemetryReader(self.path) as reader:
                     self._reader = reader
                     self._read(reader)
-            except Exception as error:  # a thread that ends would leave the last sample standing
+            except Exception as error:  # without a retry the last sample would stay on screen
                 nobody = isinstance(error, FileNotFoundError | ConnectionRefusedError)
                 with self._lock:
-                    # How the last run ended says more than that nobody has come since.
+                    # The end of the last run says more than a missing socket.
                     if not (nobody and self._is_over):
                         self._trouble = "nobody sends there" if nobody else str(error) or type(error).__name__
                         self._is_over = self._state is not None
@@ -133,7 +133,7 @@ class SideFeed:
 
 
 def _furthest(low: float | None, high: float | None) -> float | None:
-    """The one further from zero, so that a spike of one tick is seen."""
+    """Return the value further from zero, so that a spike of one tick is visible."""
     if low is None or high is None:
         return high if low is None else low
     return low if -low > high else high

@@ -1,4 +1,4 @@
-"""Who may reach the console: its own page with the token of the address, and nobody else."""
+"""Access control of the console: only its own page, with the token of the address."""
 
 import hmac
 from typing import TYPE_CHECKING
@@ -19,16 +19,16 @@ HEADERS = {
 
 
 class Guard:
-    """Refuses requests under another name of this machine, of another origin, and without the token.
+    """Refuses requests under another host name, from another origin, or without the token.
 
-    A page of another site that the browser shows as well can neither read nor command: its `Origin` is another; with
-    its name pointed at this machine the `Host` is; and it does not know the token, the first part of every path.
+    A page of another site in the same browser can neither read nor command. Its `Origin` differs; if its name resolves
+    to this machine, the `Host` differs. It does not know the token, which is the first part of every path.
 
     Args:
-        inner: What answers the rest; it sees the path without the token.
-        port: Where the console listens.
-        token: Of the address.
-        admit: Takes the scope of each request that has the token.
+        inner: Application behind the guard; it sees the path without the token.
+        port: Port on which the console listens.
+        token: Token of the address.
+        admit: Called with the scope of each request that has the token.
     """
 
     def __init__(self, inner: "ASGIApp", port: int, token: str, admit: "Callable[[Scope], None]") -> None:
@@ -45,7 +45,7 @@ class Guard:
         self._headers.append((b"content-security-policy", policy.encode()))
 
     async def __call__(self, scope: "Scope", receive: "Receive", send: "Send") -> None:
-        """Hands on what is the page's own."""
+        """Pass accepted requests on; answer others with 403."""
         if scope["type"] not in {"http", "websocket"}:
             return
         refused = self._refused(scope)
@@ -55,23 +55,23 @@ class Guard:
             scope = {**scope, "path": path, "raw_path": path.encode("ascii", "replace")}
             await self._inner(scope, receive, self._with_headers(send))
         elif scope["type"] == "websocket":
-            # Before it is accepted: the browser is answered 403.
+            # Closing before accepting makes the browser receive 403.
             await send({"type": "websocket.close", "code": 1008, "reason": refused})
         else:
-            # Closed, whatever is still sent: nobody without the token keeps a connection.
+            # Close regardless of further data: no client without the token keeps a connection.
             headers = [*self._headers, (b"content-type", b"text/plain; charset=utf-8"), (b"connection", b"close")]
             await send({"type": "http.response.start", "status": 403, "headers": headers})
             await send({"type": "http.response.body", "body": f"{refused}\n".encode()})
 
     def _refused(self, scope: "Scope") -> str | None:
-        """Why a request is not answered; none of the page's own."""
+        """Return the reason for a refusal; None for a request of the page itself."""
         headers: dict[bytes, list[str]] = {}
         for name, value in scope["headers"]:
             headers.setdefault(bytes(name).lower(), []).append(bytes(value).decode("latin-1"))
         hosts, origins = headers.get(b"host", []), headers.get(b"origin", [])
         if len(hosts) != 1 or hosts[0] not in self._hosts:
             return "another name than that of the address"
-        # Where there may be none, the browser opens the page, or it reads a file of it.
+        # A missing origin is valid only for opening the page or reading one of its files.
         needs_origin = scope["type"] == "websocket" or scope["method"] not in {"GET", "HEAD"}
         if len(origins) != 1 if needs_origin else len(origins) > 1:
             return "no origin"

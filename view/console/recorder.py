@@ -1,4 +1,4 @@
-"""What a flight recorder wrote of a side that held or stopped, as a page shows it."""
+"""Flight recording of a side that held or stopped, prepared for a page."""
 
 import stat
 from pathlib import Path
@@ -10,26 +10,26 @@ from haptether.bridge.flight import Flight, read_flight
 
 MAX_BYTES = 1 << 20
 TICKS = 10
-"""Before the fault, of the 50 that are kept."""
+"""Ticks shown before the fault, out of the 50 recorded."""
 STEPS = 5
-"""Of the ladder, the newest."""
+"""Newest transitions of the ladder that are shown."""
 
 
 class FlightWatch:
-    """Reads a file of `--flight` again whenever it was written.
+    """Reader of a `--flight` file; reads it again after each write.
 
     Args:
-        path: The file, which need not be there yet.
+        path: The file, which need not exist yet.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._seen: tuple[int, int] | None = None
         self.content: dict[str, Any] | None = None
-        """What the page shows; none before anything was written."""
+        """Content for the page; None before the first write."""
 
     def read(self) -> bool:
-        """Whether there is something new."""
+        """Read the file if it has changed; return True if there is new content."""
         try:
             found = self._path.stat()
             seen = found.st_mtime_ns, found.st_size
@@ -48,7 +48,7 @@ class FlightWatch:
 
 
 def _content(flight: Flight) -> dict[str, Any]:
-    """Cause and remedy, what led to it, and the ticks before it: until the last hold, or else until the end."""
+    """Return cause, remedy, events and ticks up to the last hold, or else up to the end."""
     ticks = flight.at_hold or flight.latest
     cause = flight.causes[-1] if flight.causes else None
     return {

@@ -1,14 +1,14 @@
-"""The newest rows of the charts, which pages take at their own speed."""
+"""The newest rows of the charts, read by each page at its own speed."""
 
 import collections
 from typing import Any
 
 
 class Rows:
-    """A bounded queue of rows that each reader goes along by itself; one that is slow loses the oldest, counted.
+    """Bounded queue of rows with independent readers; a slow reader loses the oldest rows, and the loss is counted.
 
     Args:
-        kept: How many wait for the slowest.
+        kept: Rows kept for the slowest reader.
     """
 
     def __init__(self, kept: int) -> None:
@@ -17,12 +17,12 @@ class Rows:
         """Number of the newest row; the first is 1."""
 
     def add(self, row: dict[str, Any]) -> None:
-        """Adds the next row."""
+        """Append a row."""
         self._rows.append(row)
         self.newest += 1
 
     def since(self, number: int) -> tuple[list[dict[str, Any]], int]:
-        """The rows after number `number` that are kept, and how many are lost."""
+        """Return the kept rows after row `number`, and the number of lost rows."""
         missing = self.newest - number
         kept = min(missing, len(self._rows))
         return list(self._rows)[len(self._rows) - kept :], missing - kept

@@ -1,4 +1,4 @@
-"""The console's server: its files, what it sends to each page, and what pages request."""
+"""Server of the console: its files, its messages to each page, and requests of pages."""
 
 import asyncio
 import contextlib
@@ -41,38 +41,39 @@ FILES = {
     "uplot.css": ("vendor/uPlot.min.css", "text/css; charset=utf-8"),
 }
 ROW_S = 1.0 / 30
-"""Between two rows of the charts, and two messages to a page."""
+"""Period of chart rows and of messages to a page."""
 RECORDERS_S = 0.5
-"""Between two looks at the files of flight recorders."""
+"""Period at which flight recorder files are checked."""
 ROWS = 150
-"""That wait for a page; one that is slower loses the oldest, counted."""
+"""Rows kept for a page; a slower page loses the oldest, and the loss is counted."""
 WORDS_EVERY = 3
-"""Words and numbers beside the charts come with every third message."""
+"""Every third message carries the words and numbers beside the charts."""
 SEND_BUFFER = 1 << 16
-"""Bytes that the system holds for a page."""
+"""Bytes that the system buffers for a page."""
 MAX_PAGES = 8
 MAX_ASKED = 32
-"""Requests of a page that wait; a page with more is closed."""
+"""Pending requests of a page; one more closes the page."""
 MAX_MESSAGE = 4096
 BACKLOG = 4
-"""Connections that one round of the event loop accepts; a request is read within a few rounds."""
+"""Connections accepted per round of the event loop; a request is read within a few rounds."""
 WAITING = 512
-"""Connections that wait to be accepted."""
+"""Connections in the system's accept queue."""
 DESCRIPTORS = MAX_UNKNOWN + MAX_KNOWN + 4 * BACKLOG + 64
-"""The most that the console holds: connections, those of a moment that are still to be closed, and its own: two control
-sockets for each page and for stops, telemetry, files."""
+"""Most descriptors in use: connections, those still closing, two control sockets for each page and for stops,
+telemetry, files.
+"""
 END_S = 0.3
-"""How long pages may take to be told the end."""
+"""Time to tell the pages of the end."""
 
 
 class Console:
-    """Sides that run, shown to pages of this machine.
+    """Live sides, shown to pages of this machine.
 
     Args:
         telemetry: Sockets of `--telemetry`.
-        control: Sockets of `--control`, of sides that tell which they are.
+        control: Sockets of `--control`; each side says which it is.
         flight: Files of `--flight`.
-        port: Where it listens on 127.0.0.1; 0 lets the system choose.
+        port: Port on 127.0.0.1; 0 lets the system choose.
 
     Raises:
         OSError: The port is taken, or there are too few descriptors.
@@ -82,7 +83,7 @@ class Console:
                  port: int = 0) -> None:  # fmt: skip
         _check_descriptors()
         self._socket = socket.create_server(("127.0.0.1", port), backlog=BACKLOG)
-        # Of each page: what it does not take waits here and no longer in the system.
+        # Small send buffer: rows for a slow page wait in `Rows`, not in the system.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         self.port: int = self._socket.getsockname()[1]
         self._token = secrets.token_urlsafe(24)
@@ -93,43 +94,43 @@ class Console:
         self._files: dict[str, tuple[bytes, str]] = {}
         self._recorders = [FlightWatch(path) for path in flight]
         self.flights: list[dict[str, Any]] = []
-        """What was recorded at the last hold or end of each side; another list whenever one was written."""
+        """Recording of each side at its last hold or end; a new list after each write."""
         self.rows = Rows(ROWS)
         self._words: list[dict[str, Any]] = []
         self._pages = 0
         self._stopping: asyncio.Task[dict[str, dict[str, Any]]] | None = None
-        """The newest stop; no page that closes ends it."""
+        """The newest stop; it continues when its page closes."""
         self._begun_s = time.monotonic()
         self._ended = threading.Event()
 
     @property
     def address(self) -> str:
-        """What a browser opens."""
+        """Address for the browser."""
         return f"http://127.0.0.1:{self.port}/{self._token}/"
 
     def serve(self, stopped: Callable[[], bool]) -> None:
-        """Serves until `stopped` says so; the loops of the sides do not notice."""
+        """Serve until `stopped` returns True; the loops of the sides are not affected."""
         import uvicorn
         from uvicorn.protocols.http.h11_impl import H11Protocol
 
         class Server(uvicorn.Server):
             @contextlib.contextmanager
             def capture_signals(self) -> Iterator[None]:
-                # Whoever runs it says when it ends.
+                # Signals are the caller's: `stopped` ends the server.
                 yield
 
             async def startup(self, sockets: list[socket.socket] | None = None) -> None:
                 await super().startup(sockets)
-                # `asyncio` accepts as many at once as it lets wait. More may wait: they hold no descriptor here.
+                # `asyncio` accepts as many per round as `backlog`. A longer system queue holds no descriptors here.
                 for listening in sockets or ():
                     listening.listen(WAITING)
 
         connections = self._connections
 
         class Counted(H11Protocol):
-            def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as there
+            def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in uvicorn
                 super().connection_made(transport)
-                # Each request has it in its scope, also as a WebSocket.
+                # The scope of each request, WebSockets included, carries it.
                 self.app_state = {"connection": transport}
                 connections.add(transport, time.monotonic())
 
@@ -144,7 +145,7 @@ class Console:
             ws_max_size=MAX_MESSAGE,
             ws_per_message_deflate=False,
             lifespan="off",
-            # The path holds the token.
+            # No access log: the path holds the token.
             access_log=False,
             log_level="error",
             server_header=False,
@@ -153,7 +154,7 @@ class Console:
         server = Server(config)
 
         async def run() -> None:
-            # Before anything is served: no request can take what a stop needs.
+            # Connect the stops before serving, so that no request can take their descriptors.
             await self._controls.keep()
             works = (self._sample(), self._end(server, stopped), self._keep_controls())
             tasks = [asyncio.create_task(work) for work in works]
@@ -164,7 +165,7 @@ class Console:
                     task.cancel()
                 await asyncio.gather(*tasks, return_exceptions=True)
                 self._controls.close()
-                # They close in the next round of the event loop.
+                # The connections close in the next round of the event loop.
                 await asyncio.sleep(0)
 
         self._files = _files()
@@ -181,13 +182,13 @@ class Console:
             self.bodies.close()
             self._socket.close()
 
-    async def _end(self, server: Any, stopped: Callable[[], bool]) -> None:  # noqa: ANN401  # of a library of an extra
+    async def _end(self, server: Any, stopped: Callable[[], bool]) -> None:  # noqa: ANN401  # type of an optional library
         while not stopped():
             self._connections.close_late(time.monotonic())
             await asyncio.sleep(0.05)
         server.should_exit = True
         await asyncio.sleep(END_S)
-        # A page that reads nothing is not waited for.
+        # Do not wait for a page that reads nothing.
         self._connections.close_late(math.inf)
 
     async def _keep_controls(self) -> None:
@@ -220,13 +221,13 @@ class Console:
         return Response(self.bodies.geometry, media_type="application/json")
 
     async def _stop(self, _: "Request") -> "Response":
-        """The stop of a page whose connection does not answer."""
+        """Stop by HTTP, for a page whose WebSocket does not answer."""
         from starlette.responses import Response
 
         return Response(json.dumps(await self.stop()), media_type="application/json")
 
     async def _sample(self) -> None:
-        """A row of all sides, 30 times a second."""
+        """Add a row of all sides 30 times a second."""
         due = time.monotonic()
         while True:
             if self.rows.newest % WORDS_EVERY == 0:
@@ -240,7 +241,7 @@ class Console:
             await asyncio.sleep(max(0.0, due - time.monotonic()))
 
     def _read_recorders(self) -> None:
-        """On a thread that nobody waits for: a disk that hangs keeps no stop waiting, nor the end."""
+        """Run on a thread that nothing waits for: a hung disk delays neither a stop nor the end."""
         while not self._ended.wait(RECORDERS_S):
             news = [one.read() for one in self._recorders]
             if any(news):
@@ -264,11 +265,11 @@ class Console:
             self.bodies.is_watched = self._pages > 0
 
     def path_of(self, side: str) -> Path | None:
-        """The control socket of a side; none where none was named, or it has not answered."""
+        """Return the control socket of a side; None if none was given or it has not answered."""
         return self._controls.sides.get(side)
 
     def message_since(self, row: int) -> tuple[int, dict[str, Any]]:
-        """What a page that has had row `row` is sent next, and the row that it then has."""
+        """Return the newest row number, and the message for a page that has rows up to `row`."""
         new, lost = self.rows.since(row)
         message: dict[str, Any] = {"kind": "rows", "rows": new, "lost": lost}
         if self.rows.newest // WORDS_EVERY != row // WORDS_EVERY:
@@ -276,18 +277,18 @@ class Console:
         return self.rows.newest, message
 
     async def stop(self) -> dict[str, dict[str, Any]]:
-        """Stops every side that is controlled, whatever becomes of the page that asks for it."""
+        """Stop every controlled side, even if the requesting page closes."""
         return await asyncio.shield(self.begin_stop())
 
     def begin_stop(self) -> "asyncio.Task[dict[str, dict[str, Any]]]":
-        """Begins a stop, or returns the one that is under way."""
+        """Begin a stop, or return the stop in progress."""
         if self._stopping is None or self._stopping.done():
             self._stopping = asyncio.create_task(self._controls.stop_all())
         return self._stopping
 
 
 def _check_descriptors() -> None:
-    """Takes as many descriptors as the console may hold, and gives them back.
+    """Check that enough descriptors are free, by opening and closing that many.
 
     Raises:
         OSError: There are too few.
@@ -305,14 +306,14 @@ def _check_descriptors() -> None:
 
 
 def _files() -> dict[str, tuple[bytes, str]]:
-    """The files of the page and their types, read before they are served: no disk holds up a stop."""
+    """Read the page's files and types in advance: no disk delays a stop."""
     found = {path: ((Path(__file__).parent / name).read_bytes(), kind) for path, (name, kind) in FILES.items()}
     text, kind = found[""]
     return {**found, "": (text.replace(b"COLOURS", json.dumps(_colours()).encode(), 1), kind)}
 
 
 def _colours() -> dict[str, str]:
-    """Of the charts, by what is drawn: those of every figure."""
+    """Return the colours of the charts, the same as in every figure."""
     from haptether.view.style.colours import AXES, CONTROLLERS, SIGNALS
 
     controllers = {name: colour for name, (colour, _) in CONTROLLERS.items()}
@@ -320,7 +321,7 @@ def _colours() -> dict[str, str]:
 
 
 class _Page(contextlib.AbstractAsyncContextManager["_Page"]):
-    """A page that is open: what is sent to it, and what it requests, each in its own task."""
+    """An open page: its messages and its requests, each in its own task."""
 
     def __init__(self, page: "WebSocket", console: Console) -> None:
         self._page = page
@@ -344,10 +345,11 @@ class _Page(contextlib.AbstractAsyncContextManager["_Page"]):
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
     async def serve(self) -> None:
-        """Takes what the page requests, until it is closed."""
+        """Take the page's requests until it closes."""
         async for text in self._texts():
             if text == '{"do":"stop"}':
-                # Behind nothing else, and begun here: what waits for its answer may be cancelled.
+                # A stop skips the request queue. It starts here because the task that awaits its answer may be
+                # cancelled.
                 stopping = self._console.begin_stop()
                 task = asyncio.create_task(self._say_stopped(stopping))
                 self._tasks.add(task)
@@ -377,7 +379,7 @@ class _Page(contextlib.AbstractAsyncContextManager["_Page"]):
     async def _show(self) -> None:
         row, drawn, explained = self._console.rows.newest, None, None
         while True:
-            # A page that does not take it holds this up, and what it then misses is counted.
+            # A page that does not read blocks here; the rows that it misses are counted.
             row, message = self._console.message_since(row)
             frame = self._console.bodies.frame
             if frame is not drawn:

@@ -1,4 +1,4 @@
-"""What a page shows of a side in words and numbers, as what becomes JSON."""
+"""Words and numbers of a side for a page, as JSON values."""
 
 from typing import Any
 
@@ -6,17 +6,17 @@ from haptether.view.terminal.panel import FORCES, PLACES, TIMES, headline
 from haptether.view.terminal.state import SideState
 
 EVENTS = 12
-"""Newest that are shown."""
+"""Number of newest events shown."""
 GRIPPER = {"trigger": "trigger", "gripper": "gripper", "gripper_force": "gripper force [N]"}
 
 
 def summary(state: SideState | None, trouble: str, path: str) -> dict[str, Any]:
-    """The side, its ladder, cause, numbers, observers and newest events.
+    """Return the side, its ladder, cause, numbers, observers and newest events.
 
     Args:
-        state: Of its telemetry; none before it has said what it is.
-        trouble: Why nothing comes; empty where it does.
-        path: Of its socket.
+        state: State of its telemetry; None before its hello.
+        trouble: Reason why no telemetry arrives; empty if it does.
+        path: Path of its socket.
     """
     if state is None:
         return {"side": None, "trouble": f"{path}: {trouble}"}
@@ -70,11 +70,11 @@ def _device(state: SideState) -> str:
 
 
 SCALES = {"master": ("force_scale", "torque_scale"), "slave": ("position_scale", "rotation_scale")}
-"""At the side that has them: of translation, and where it is a pose of rotation."""
+"""Scales of each side: of translation and, in a pose scene, of rotation."""
 
 
 def _scales(state: SideState) -> dict[str, float]:
-    """Of the scene; what was changed since is not in telemetry."""
+    """Return the scales of the scene; telemetry does not carry later changes."""
     scene = state.hello.scene or {}
     table = scene.get("coupling") or {}
     is_pose = (scene.get("master") or {}).get("kind") == "pose"

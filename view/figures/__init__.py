@@ -1,1 +1,1 @@
-"""Figures of runs, sweeps and links, from arrays alone: whoever has the arrays may draw them, the bridge included."""
+"""Figures of runs, sweeps and links from arrays alone, without other parts of the package."""

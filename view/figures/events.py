@@ -1,31 +1,31 @@
-"""What is written of events that chatter: one line for the same two over and over."""
+"""Texts of events; a chattering pair of events becomes one line."""
 
 from collections import Counter
 from collections.abc import Sequence
 from typing import Protocol
 
 REPEATED = {"trip", "recover"}, {"contact", "free"}
-"""Events that chatter: the same two over and over."""
+"""Pairs of events that chatter."""
 
 
 class RunEvent(Protocol):
-    """Something that happened once in a run."""
+    """An event in a run."""
 
     @property
     def time_s(self) -> float:
-        """When, in s since the start."""
+        """Time in s since the start."""
 
     @property
     def kind(self) -> str:
-        """What."""
+        """Kind of the event."""
 
     @property
     def detail(self) -> str:
-        """Which, or why."""
+        """Object or reason."""
 
 
 def merged_events(events: Sequence[RunEvent]) -> list[tuple[float, str]]:
-    """Events with a time in s each: what chatters is one line, with how often and until when."""
+    """Return events with a time in s each; a chattering pair is one line with its count and end."""
     merged: list[tuple[float, str]] = []
     waiting = list(events)
     while waiting:

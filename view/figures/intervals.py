@@ -1,4 +1,4 @@
-"""How certain a mean over seeds is."""
+"""Uncertainty of a mean over seeds."""
 
 import math
 
@@ -9,12 +9,12 @@ Array = npt.NDArray[np.float64]
 
 
 def student_quantile(degrees: int) -> float:
-    """T with `P(|T| > t) = 0.05` for so many degrees of freedom, to 1 in 1000.
+    """Return t with `P(|T| > t) = 0.05` for `degrees` degrees of freedom, to 1 in 1000.
 
     Source: G. W. Hill, "Algorithm 396: Student's t-quantiles", Communications of the ACM 13, 1970.
 
     Raises:
-        ValueError: No degree of freedom.
+        ValueError: `degrees` is below 1.
     """
     if degrees < 1:
         message = f"degrees = {degrees}: must be 1 or more"
@@ -46,10 +46,10 @@ def student_quantile(degrees: int) -> float:
 
 
 def mean_and_half(values: Array) -> tuple[float, float]:
-    """The mean of what was measured, and half of its 95 % confidence interval, NaN of fewer than two values.
+    """Return the mean of the finite values and half of its 95 % confidence interval, NaN for fewer than two.
 
     Args:
-        values: (n,); NaN is left out.
+        values: (n,); NaN is ignored.
     """
     known = values[np.isfinite(values)]
     if not len(known):

@@ -1,4 +1,4 @@
-"""The figure of a link: the delay of every packet, what was lost, and how often each delay occurs."""
+"""Figure of a link: delay of every packet, losses, and a histogram of delays."""
 
 from typing import TYPE_CHECKING
 
@@ -18,23 +18,23 @@ Times = npt.NDArray[np.int64]
 
 LOST = "#d62839"
 MOST_LOOPS = 40
-"""Beginnings of a recording that are marked; of more, none can be told from the next."""
+"""Most repetitions of a recording that are marked; more would be indistinguishable."""
 
 
 def draw_link(
     title: str, sent_ns: Times, arrived_ns: Times, repeats_every_s: float | None = None, columns: Columns = 2
 ) -> "Figure":
-    """Draws the delay of each packet over the time at which it was sent, and a histogram.
+    """Draw the delay of each packet over its sending time, and a histogram.
 
     Args:
-        title: What was sent through what.
+        title: Traffic and link, for the title.
         sent_ns: (n,) in ns.
-        arrived_ns: (n,) in ns; below 0 where it did not.
-        repeats_every_s: After how many s what the link replays begins anew; none if it does not.
-        columns: Width, in columns of a page.
+        arrived_ns: (n,) in ns; below 0 for a lost packet.
+        repeats_every_s: Period in s of a replayed recording; None without one.
+        columns: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
     """
     arrived = arrived_ns >= 0
     sent_s = sent_ns * 1e-9
@@ -50,7 +50,7 @@ def draw_link(
             over_time, often = figure.subplots(2, 1, height_ratios=(3, 2))
         else:
             over_time, often = figure.subplots(1, 2, width_ratios=(5, 2), sharey=True)
-        # Points of a long record are a picture in a PDF, too.
+        # Rasterize the points of a long record, also in a PDF.
         dots = {"rasterized": len(sent_s) > 5000}
         over_time.plot(sent_s[arrived], delay_ms, ".", ms=1.5 if len(sent_s) > 500 else 3.0, color=SIGNALS["hand"],
                        mew=0.0, label="arrived", **dots)  # fmt: skip
@@ -64,7 +64,7 @@ def draw_link(
             for loop in range(1, loops + 1):
                 over_time.axvline(loop * repeats_every_s, color="#8b939c", lw=0.8, zorder=1.5)
         if len(delay_ms):
-            # Room above for what was lost: in no place where a delay is.
+            # Leave room for loss marks above all delays.
             least, most = float(delay_ms.min()), float(delay_ms.max())
             room = max(most - least, 1e-3 * max(most, 1e-3))
             over_time.set_ylim(least - 0.05 * room, most + 0.12 * room)
@@ -83,7 +83,7 @@ def draw_link(
 
 
 def _listed(panel: "Axes") -> list["Line2D"]:
-    """What a legend shows of points that are as small as those of a long record: larger ones."""
+    """Return legend entries with larger points; those of a long record are tiny."""
     from matplotlib.lines import Line2D
 
     return [

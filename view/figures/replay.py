@@ -1,4 +1,4 @@
-"""The figure of a replay: recorded and replayed above one another, and where they part."""
+"""Figure of a replay: recorded and replayed signals, and the point where they diverge."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Protocol
@@ -20,19 +20,19 @@ PANEL_IN, BARS_IN = 1.15, 0.6
 
 
 class DrawnReplay(Protocol):
-    """What is drawn of a replay; `haptether.bridge.Replay` has it."""
+    """Attributes of a replay used here; `haptether.bridge.Replay` has them."""
 
     @property
     def level(self) -> str:
-        """As measured, or with the hand modelled."""
+        """Level of the replay: "as measured", or with a modelled hand."""
 
     @property
     def overrides(self) -> Sequence[str]:
-        """Settings that differ from the recording's."""
+        """Settings that differ from the recording."""
 
     @property
     def time_s(self) -> Array:
-        """Shape (ticks,)."""
+        """Times, shape (ticks,)."""
 
     @property
     def recorded(self) -> Mapping[str, Array]:
@@ -40,26 +40,26 @@ class DrawnReplay(Protocol):
 
     @property
     def replayed(self) -> Mapping[str, Array]:
-        """The same of the replay, with `displacement` in m and `displacement_rate` in m/s of the hand."""
+        """Signals of the replay, with the hand's `displacement` in m and `displacement_rate` in m/s."""
 
     @property
     def parts_s(self) -> float | None:
-        """From where the device force differs; none where it never does."""
+        """Time from which the device force differs; None if it never does."""
 
     @property
     def ends_s(self) -> float | None:
-        """Where the replay ends before the recording."""
+        """Time at which the replay ends before the recording; None otherwise."""
 
 
 def draw_replay(done: DrawnReplay, columns: Columns = 2) -> "Figure":
-    """Draws device force, velocity, position and interventions of a replay beside those of its recording.
+    """Draw device force, velocity, position and interventions of a replay and its recording.
 
     Args:
-        done: What `haptether.replay` returns.
-        columns: Width, in columns of a page.
+        done: Result of `haptether.replay`.
+        columns: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is not there.
+        ImportError: matplotlib is missing.
     """
     settings = ", ".join(done.overrides) or "its own settings"
     with styled():
@@ -96,6 +96,6 @@ def draw_replay(done: DrawnReplay, columns: Columns = 2) -> "Figure":
 
 
 def _line(vectors: Array) -> Array:
-    """One axis as it is; of several the norm, as none is above the other."""
+    """Return one axis unchanged, or the norm of several."""
     line: Array = vectors[:, 0] if vectors.shape[1] == 1 else np.linalg.norm(vectors, axis=1)
     return line

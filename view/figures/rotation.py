@@ -10,16 +10,16 @@ Array = npt.NDArray[np.float64]
 
 
 def angle_from_first(quat_wxyz: Array) -> Array:
-    """`|log(R R_0^T)|` in rad, 0 to pi, of the first R that is known.
+    """Return `|log(R R_0^T)|` in rad, 0 to pi, for the first known orientation R_0.
 
     Args:
-        quat_wxyz: Of R, (n, 4); NaN where it is not known.
+        quat_wxyz: Orientations R, (n, 4); NaN where unknown.
     """
     known = np.flatnonzero(np.isfinite(quat_wxyz).all(axis=1))
     if not len(known):
         return np.full(len(quat_wxyz), np.nan)
     w, x, y, z = quat_wxyz[known[0]]
-    # Of R R_0^T: the real part, and the others.
+    # Quaternion of R R_0^T: real part, then vector part.
     conjugate = np.array([[w, x, y, z], [-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]])
     parts = quat_wxyz @ conjugate.T
     angle: Array = 2.0 * np.arctan2(np.linalg.norm(parts[:, 1:], axis=1), np.abs(parts[:, 0]))
@@ -27,11 +27,11 @@ def angle_from_first(quat_wxyz: Array) -> Array:
 
 
 def angle_apart(signals: Mapping[str, npt.NDArray[Any]], frame_wxyz: Array) -> Array:
-    """`|log(R_s (C R_m C')')|` in rad at the times of the arm: of its command, and of the hand as it is at that time.
+    """Return `|log(R_s (C R_m C')')|` in rad at the arm's times, from its command and the hand's latest orientation.
 
     Args:
-        signals: Of a run of sides that turn.
-        frame_wxyz: Of C.
+        signals: Signals of a pose run.
+        frame_wxyz: Quaternion of C.
     """
     master_s, slave_s = signals["time_s"], signals.get("slave_time_s", signals["time_s"])
     last = np.clip(np.searchsorted(master_s, slave_s, side="right") - 1, 0, None)
@@ -45,6 +45,6 @@ def angle_apart(signals: Mapping[str, npt.NDArray[Any]], frame_wxyz: Array) -> A
 
 
 def _product(left: Array, right: Array) -> Array:
-    """Of quaternions w, x, y, z, row by row."""
+    """Return products of quaternions w, x, y, z, row by row."""
     w, z, v, u = left[:, :1], right[:, :1], left[:, 1:], right[:, 1:]
     return np.concatenate([w * z - np.sum(v * u, axis=1, keepdims=True), w * u + z * v + np.cross(v, u)], axis=1)

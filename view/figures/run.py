@@ -1,4 +1,4 @@
-"""The figure of a run: what moved, what was felt, what turned, the ladder and interventions over time."""
+"""Figure of a run: positions, forces, rotations, ladder and interventions over time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,38 +24,38 @@ Array = npt.NDArray[np.float64]
 Recorded = Mapping[str, npt.NDArray[Any]]
 
 LADDER = ["apart", "aligning", "engaged", "stale", "hold", "stop", "fault"]
-"""States of the ladder by their code."""
+"""Ladder states by code."""
 TRIPPED = {1: "vfc", 2: "hsc", 4: "wsc", 8: "pc", 16: "held", 128: "research"}
-"""Controllers by their bit."""
+"""Controllers by bit."""
 NOTHING = 2e-3
-"""Share of the largest axis that is not seen beside it."""
+"""Components below this fraction of the largest are not drawn."""
 PANEL_IN = 0.95
 """Height of a panel of curves in inches."""
 DASHES = ("-", "--", "-.")
 
 
 class DrawnRun(Protocol):
-    """What is drawn of a run; `haptether.Run` has it."""
+    """Attributes of a run used here; `haptether.Run` has them."""
 
     @property
     def scene(self) -> str:
-        """Its name."""
+        """Name of the scene."""
 
     @property
     def seed(self) -> int:
-        """Of all randomness."""
+        """Seed of the run."""
 
     @property
     def signals(self) -> Recorded:
-        """By name; those of the slave over `slave_time_s` where there is one."""
+        """Signals by name; slave signals are over `slave_time_s` if present."""
 
     @property
     def events(self) -> Sequence[RunEvent]:
-        """In the order of time."""
+        """Events in the order of time."""
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The scene, table by table; may be empty."""
+        """Tables of the scene; may be empty."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,17 +77,17 @@ class _Panel:
 
 
 def draw_run(run: DrawnRun, columns: Columns = 2) -> "Figure":
-    """Draws a run as panels below one another.
+    """Draw a run as panels below one another.
 
-    Of three axes the norm and, below it, the components are drawn; of joints each; of orientations the angle from the
-    first. A signal without anything in it is left out where it has several axes.
+    Three axes give the norm and, below it, the components; joints are drawn singly; orientations give the angle from
+    the first. Zero components of several axes are left out.
 
     Args:
-        run: With its signals.
-        columns: Width, in columns of a page.
+        run: Run with its signals.
+        columns: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
         ValueError: The run has no signals.
     """
     panels = _panels(run)
@@ -119,13 +119,13 @@ def _span(signals: Recorded) -> tuple[float, float]:
     times = [signals[name] for name in ("time_s", "slave_time_s") if name in signals and len(signals[name])]
     if not times:
         return 0.0, 1.0
-    # The last tick lasts as long as the one before it; of a single one there is still something to see.
+    # Assume that the last tick is as long as the previous one; draw a single tick 1 ms wide.
     last = [float(2.0 * time[-1] - time[-2]) if len(time) > 1 else float(time[-1]) + 1e-3 for time in times]
     return float(min(time[0] for time in times)), max(last)
 
 
 def _draw_panel(axis: "Axes", panel: _Panel) -> int:
-    """Draws a panel; returns how many lines its legend has."""
+    """Draw a panel; return the number of lines of its legend."""
     axis.set_ylabel(panel.label)
     if panel.bars is not None:
         _draw_trips(axis, *panel.bars)
@@ -146,7 +146,7 @@ def _draw_panel(axis: "Axes", panel: _Panel) -> int:
 
 
 def _changes(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """Steps alone: the first, the last, and where it changes."""
+    """Keep only the first value, the last, and changes."""
     kept = np.flatnonzero(np.concatenate(([True], np.diff(values) != 0.0)))
     kept = np.unique(np.append(kept, len(values) - 1)) if len(values) else kept
     return time_s[kept], values[kept]
@@ -157,7 +157,7 @@ def _draw_trips(axis: "Axes", time_s: Array, tripped: npt.NDArray[np.uint8], row
     for row, bit in enumerate(rows):
         edges = np.diff(np.concatenate(([0], (tripped & bit) > 0, [0])).astype(np.int8))
         begins, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
-        # A trip of one tick must still be seen.
+        # Widen bars so that a trip of one tick is visible.
         bars = [(float(time_s[a]), float(time_s[b - 1] - time_s[a]) + step) for a, b in zip(begins, ends, strict=True)]
         colour = HELD if TRIPPED[bit] == "held" else controller_look(TRIPPED[bit])["color"]
         axis.broken_barh(bars, (row + 0.12, 0.76), facecolor=colour, edgecolor=colour, lw=0.6)
@@ -167,7 +167,7 @@ def _draw_trips(axis: "Axes", time_s: Array, tripped: npt.NDArray[np.uint8], row
     axis.grid(visible=False, axis="y")
 
 
-# ---------------------------------------------------------------------------------------------- which panels there are
+# ---------------------------------------------------------------------------------------------- choice of panels
 
 
 def _panels(run: DrawnRun) -> list[_Panel]:
@@ -175,7 +175,7 @@ def _panels(run: DrawnRun) -> list[_Panel]:
     kind = str(run.settings.get("master", {}).get("kind", ""))
     place, push = ("[rad]", "[N m]") if kind == "joints" else ("[m]", "[N]")
     speed = "[rad/s]" if kind == "joints" else "[m/s]"
-    # Beside a finger, a hand that does nothing is not the subject.
+    # In a run with a finger, an idle hand is not of interest.
     of_finger = "trigger_device_force" in signals
     panels: list[_Panel] = []
     for symbol, unit, names in (
@@ -202,7 +202,7 @@ OTHERS: dict[tuple[str, str], dict[str, str]] = {
     ("finger", "[N]"): {"trigger_device_force": "on the finger", "finger_force": "of the finger"},
     ("finger", "[m/s]"): {"trigger_velocity": "trigger"},
 }
-"""What only some runs have: quantity and unit, signals and their names."""
+"""Quantities that only some runs have: name and unit, then signals and labels."""
 
 TORQUES = {"device_torque": "on the hand", "rendered_torque": "rendered", "hand_torque": "of the hand"}
 
@@ -232,7 +232,7 @@ def _line(signals: Recorded, name: str, text: str, values: Array) -> _Line:
 
 
 def _of_vectors(signals: Recorded, symbol: str, unit: str, names: dict[str, str], *, joints: bool) -> list[_Panel]:
-    """The panels of one quantity: of one axis one, of three axes the norm and the components, of joints each."""
+    """Return the panels of one quantity: one for one axis, norm and components for three, one for joints."""
     there = {name: text for name, text in names.items() if name in signals and signals[name].size}
     if not there:
         return []
@@ -242,7 +242,7 @@ def _of_vectors(signals: Recorded, symbol: str, unit: str, names: dict[str, str]
         return [_Panel(label, [_line(signals, name, text, signals[name].reshape(-1)) for name, text in there.items()])]
     joints = joints or axes > len("xyz")
     components: list[_Line] = []
-    # Of forces, the components of what is felt; of positions, those of both ends.
+    # Components of the felt force only; of positions, those of both ends.
     for dashes, (name, text) in zip(DASHES, list(there.items())[: 2 if symbol == "position" else 1], strict=False):
         values = np.asarray(signals[name], dtype=np.float64)
         largest = np.nanmax(np.abs(values)) if np.isfinite(values).any() else 0.0
@@ -259,7 +259,7 @@ def _of_vectors(signals: Recorded, symbol: str, unit: str, names: dict[str, str]
     norms = []
     for name, text in there.items():
         values = np.asarray(signals[name], dtype=np.float64)
-        # A place has no size; the way from where it began has.
+        # Plot displacement from the start.
         values = values - _first(values) if symbol in {"position", "body"} else values
         norms.append(_line(signals, name, text, np.linalg.norm(values, axis=1)))
     size = "|x - x(0)|" if symbol in {"position", "body"} else f"|{symbol}|"
@@ -296,7 +296,7 @@ def _of_turns(run: DrawnRun) -> list[_Panel]:
 
 
 def frame_of(settings: dict[str, Any]) -> tuple[float, ...] | None:
-    """C of a scene whose arm is turned to the hand; none of others, and where it changes on the way."""
+    """Return C of a scene that aligns the arm; None for others, or if C changes during the run."""
     coupling = settings.get("coupling") or {}
     if not coupling.get("alignment"):
         return None
@@ -307,7 +307,7 @@ def frame_of(settings: dict[str, Any]) -> tuple[float, ...] | None:
 
 def _of_ladder_and_trips(run: DrawnRun) -> list[_Panel]:
     signals, panels = run.signals, []
-    # Which of the two comes first must be seen where they are alike.
+    # Both lines must be visible where they coincide.
     sides = {"slave_state": ("arm's side", SIGNALS["arm"], "-"), "state": ("hand's side", SIGNALS["hand"], "--")}
     lines = [
         _Line(text, np.asarray(signals[name], dtype=np.float64), _time_of(signals, name), colour, dashes, steps=True)
@@ -316,7 +316,7 @@ def _of_ladder_and_trips(run: DrawnRun) -> list[_Panel]:
     ]
     if lines:
         codes = np.concatenate([line.values for line in lines])
-        # States are named one by one, whatever the room that curves have.
+        # States are labelled singly, so the height follows their number.
         panels.append(_Panel("ladder", lines, max(0.7, (0.15 * float(np.ptp(codes)) + 0.15) / PANEL_IN)))
     armed = run.settings.get("safety", {}).get("controllers", [])
     for label, name, beside in (("tripped", "tripped", "rotation_tripped"), ("finger\ntripped", "trigger_tripped", "")):

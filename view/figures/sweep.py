@@ -1,4 +1,4 @@
-"""The figure of a sweep: lines with their confidence over one varied field, one for each choice, maps over two."""
+"""Figure of a sweep: lines with confidence over one varied number, per choice, or maps over two numbers."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -35,30 +35,30 @@ METRICS = {
     "torque_rmse_n_m": "torque error [N m]",
     "passivity_min_j": "least energy [J]",
 }
-"""What is drawn of a sweep, if it was measured: its columns, and what they are called."""
+"""Metrics that are drawn if measured: columns and labels."""
 MOST = 6
-"""Panels of a figure."""
+"""Most panels of a figure."""
 MOST_AXES = 2
 DIVERGED = "#d62839"
-"""Colour of what marks rows that diverged."""
+"""Colour of marks for diverged rows."""
 
 
 def draw_sweep(
     scene: str, columns: Mapping[str, npt.NDArray[Any]], varied: Sequence[str], width: Columns = 2
 ) -> "Figure":
-    """Draws each metric over one varied number as a line, over two as a map; of a choice, a line for each.
+    """Draw each metric over one varied number as lines, one per choice, or over two numbers as a map.
 
-    Where `run.seed` varies, too, a line is the mean of the seeds with its 95 % confidence band, and a map the mean.
+    If `run.seed` varies too, a line is the mean over seeds with a 95 % confidence band, and a map is the mean.
 
     Args:
-        scene: Its name.
-        columns: One value a row: of what varied, of the metrics.
-        varied: What varied.
-        width: In columns of a page.
+        scene: Name of the scene.
+        columns: Varied fields and metrics, one value per row.
+        varied: Names of the varied fields.
+        width: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
-        ValueError: As of `check_varied`, or nothing was measured.
+        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ValueError: As in `check_varied`, or nothing was measured.
     """
     over = check_varied(varied, columns)
     metrics = [name for name in METRICS if name in columns and np.isfinite(columns[name].astype(float)).any()][:MOST]
@@ -94,14 +94,14 @@ def draw_sweep(
 
 
 def check_varied(varied: Sequence[str], columns: Mapping[str, npt.NDArray[Any]]) -> list[str]:
-    """What a picture has on its axes: what varied, without the seed beside others.
+    """Return the fields on the axes of a picture: the varied ones, without the seed if there are others.
 
     Args:
-        varied: What varied.
-        columns: Its values; of a choice, text. Before a run each value once is enough.
+        varied: Names of the varied fields.
+        columns: Their values, text for a choice; before a run, distinct values suffice.
 
     Raises:
-        ValueError: More than two varied, two of them choices, or a set of controllers with a name of none.
+        ValueError: More than two fields vary, two are choices, or a controller name is unknown.
     """
     over = [name for name in varied if name != SEED] or list(varied)
     if len(over) > MOST_AXES:
@@ -130,7 +130,7 @@ class _Measured(NamedTuple):
 
 
 def _mark_diverged(panel: "Axes", places: Sequence[float] | Array) -> None:
-    """Marks places at the lower edge where a row diverged: what was measured of it ends there."""
+    """Mark diverged rows at the lower edge; their measurements end there."""
     if len(places):
         panel.plot(places, np.zeros(len(places)), "X", color=DIVERGED, ms=4.0, clip_on=False, zorder=5.0,
                    transform=panel.get_xaxis_transform(), gid="diverged")  # fmt: skip
@@ -155,7 +155,7 @@ def _draw_line(panel: "Axes", name: str, at: Array, measured: "_Measured", *, wi
     panel.set_xlabel(name)
     panel.set_ylabel(label)
     panel.margins(y=0.08)
-    # What does not vary is a flat line, not the noise of its last digits.
+    # A constant metric must be a flat line, not rounding noise.
     low, high = panel.get_ylim()
     least = 2e-3 * max(abs(low), abs(high))
     if high - low < least:
@@ -167,7 +167,7 @@ def _draw_line(panel: "Axes", name: str, at: Array, measured: "_Measured", *, wi
 def _draw_choices(
     panel: "Axes", over: Sequence[str], columns: Mapping[str, npt.NDArray[Any]], measured: "_Measured"
 ) -> None:
-    """Of each choice a line over the number that varies, or a point; means with 95 % where a place has several runs."""
+    """Draw a line or a point per choice; mean and 95 % interval where several runs share a place."""
     values, diverged, label = measured
     choice = next(name for name in over if columns[name].dtype.kind == "U")
     names = list(dict.fromkeys(columns[choice].tolist()))
@@ -220,7 +220,7 @@ def _draw_map(panel: "Axes", names: list[str], at: list[Array], measured: "_Meas
 
 
 def _name_cells(panel: "Axes", of_x: Array, of_y: Array) -> None:
-    """The values themselves below the middle of their cells, whatever their spacing; of many, some."""
+    """Label some cells at their centres with their values, whatever the spacing."""
     few = np.unique(np.linspace(0, len(of_x) - 1, min(len(of_x), 3)).astype(int))
     panel.set_xticks(few + 0.5, [f"{of_x[place]:.3g}" for place in few])
     few = np.unique(np.linspace(0, len(of_y) - 1, min(len(of_y), 6)).astype(int))

@@ -1,1 +1,1 @@
-"""A run as a page that needs nothing else: no library, no network."""
+"""A run as a self-contained page, without libraries or network."""

@@ -1,4 +1,4 @@
-"""Bodies as the renderer of a page takes them: numbers little-endian, in base64."""
+"""Bodies for the renderer of a page: little-endian numbers in base64."""
 
 import base64
 from typing import Any
@@ -10,12 +10,12 @@ from haptether.view.scene3d.parts import Part
 
 
 def packed(values: npt.ArrayLike, kind: str = "<f4") -> str:
-    """Numbers row by row, by NumPy's name of their kind."""
+    """Encode numbers row by row; `kind` is a NumPy data type."""
     return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode()
 
 
 def geometry(part: Part) -> dict[str, Any]:
-    """A body in its own frame, without where it is."""
+    """Encode a body in its own frame, without its pose."""
     return {
         "name": part.name,
         "station": part.station,

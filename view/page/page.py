@@ -1,4 +1,4 @@
-"""Writes a run as one HTML file, whose few hundred lines of WebGL draw what `scene3d` describes."""
+"""Runs as one HTML file that draws a `scene3d` description with WebGL."""
 
 import json
 import math
@@ -19,24 +19,24 @@ from haptether.view.scene3d.timeline import Timeline
 
 HERE = Path(__file__).parent
 TRAIL_POINTS = 1500
-"""At most, of each trail."""
+"""Most points of each trail."""
 
 
 def write_page(
     path: Path, described: Sequence[Description], times_s: Sequence[float], *,
     camera: str = "front", progress: Callable[[int], None] = lambda _: None,
 ) -> None:  # fmt: skip
-    """Writes a page for its owner alone.
+    """Write a page with mode 0600.
 
     Args:
-        path: Of the file.
+        path: Path of the file.
         described: Runs, side by side.
-        times_s: At which what moves is kept.
-        camera: From where it looks first, one of `CAMERAS`.
-        progress: Called with the number of times that are done.
+        times_s: Times at which poses are stored.
+        camera: Initial view, one of `CAMERAS`.
+        progress: Called with the number of finished times.
 
     Raises:
-        OSError: It cannot be written; a symbolic link.
+        OSError: The file cannot be written, or is a symbolic link.
     """
     refuse_link(path)
     write_private(path, page(described, times_s, camera=camera, progress=progress).encode())
@@ -46,7 +46,7 @@ def page(
     described: Sequence[Description], times_s: Sequence[float], *,
     camera: str = "front", progress: Callable[[int], None] = lambda _: None,
 ) -> str:  # fmt: skip
-    """The text of the page."""
+    """Return the text of the page."""
     frames = [_Frames(one) for one in described]
     for number, time_s in enumerate(times_s, start=1):
         for of in frames:
@@ -59,7 +59,7 @@ def page(
         "ladder": colours.LADDER,
         "runs": [of.content() for of in frames],
     }
-    # Titles are somebody's text: none may end the script.
+    # A title is free text; it must not close the script element.
     text = json.dumps(content, allow_nan=False).replace("<", "\\u003c").replace("\u2028", " ").replace("\u2029", " ")
     whole = (HERE / "page.html").read_text(encoding="utf-8")
     scripts = "\n".join((HERE / name).read_text(encoding="utf-8") for name in ("renderer.js", "player.js"))
@@ -67,7 +67,7 @@ def page(
 
 
 class _Frames:
-    """What moves, gathered time by time."""
+    """Poses and status of a run, gathered time by time."""
 
     def __init__(self, described: Description) -> None:
         self._described = described

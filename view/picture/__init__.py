@@ -1,1 +1,1 @@
-"""What `haptether.view` draws with PyVista: one picture of a time, in a window or without a display."""
+"""Pictures by PyVista: one picture of a time, in a window or off-screen."""

@@ -1,4 +1,4 @@
-"""The bands of text around the views: title, legends, ladder, link, gauges, and the time line."""
+"""Bands of text around the views: title, legends, ladder, link, gauges, and time line."""
 
 import functools
 import math
@@ -18,22 +18,22 @@ from haptether.view.scene3d.status import Gauge, Status
 Pixels = npt.NDArray[np.uint8]
 
 FINER = 2
-"""Bands are drawn so many times larger, and made small again: lines have smooth edges."""
+"""Bands are drawn this many times larger and scaled down, for smooth edges."""
 NAMES = {"hand": "hand", "robot": "robot"}
 ELLIPSIS = "…"
 NUMBER_COLOURS = {"hand": colours.DEVICE_FORCE, "tool": colours.ENVIRONMENT_FORCE, "V": colours.MEASURED}
-"""By the last word of what a number is called."""
+"""Colours by the last word of a number's name."""
 MARGIN = 0.7
-"""Left and right of the time line, in letters."""
+"""Left and right margin of the time line, in letters."""
 STATUS_LETTERS = 3.9
-"""Height of the two rows above the names of events."""
+"""Height of the two rows above the names of events, in letters."""
 CURSOR_LETTERS = 0.9
-"""Width of what marks the time that is shown."""
+"""Width of the time cursor, in letters."""
 
 
 @functools.cache
 def font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
-    """DejaVu Sans, which comes with matplotlib and has every letter that is needed."""
+    """Return DejaVu Sans, which comes with matplotlib and has all letters needed."""
     import matplotlib as mpl
 
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
@@ -41,7 +41,7 @@ def font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
 
 
 class Band:
-    """A rectangle to draw on, in letters as the unit of length."""
+    """A drawing area with the letter as the unit of length."""
 
     def __init__(self, rectangle: Rectangle, letter: int, ground: str = colours.GROUND) -> None:
         self.rectangle = rectangle
@@ -53,14 +53,14 @@ class Band:
         self._draw = ImageDraw.Draw(self._image)
 
     def width_of(self, text: str, size: float = 1.0, *, bold: bool = False) -> float:
-        """Of a text, in letters."""
+        """Return the width of a text in letters."""
         return font(round(size * self._unit), bold=bold).getlength(text) / self._unit
 
     def text(
         self, x: float, y: float, text: str, colour: str = colours.INK, *,
         size: float = 1.0, bold: bool = False, within: float = math.inf, anchor: str = "lm",
     ) -> float:  # fmt: skip
-        """Writes on one line, cut to a width; returns where it ends."""
+        """Write on one line, truncated to a width; return its end."""
         text = printable(text)
         if self.width_of(text, size, bold=bold) > within:
             while text and self.width_of(text + ELLIPSIS, size, bold=bold) > within:
@@ -70,24 +70,24 @@ class Band:
         return x + self.width_of(text, size, bold=bold)
 
     def box(self, x: float, y: float, width: float, height: float, colour: str, *, round_by: float = 0.0) -> None:
-        """A filled rectangle."""
+        """Draw a filled rectangle."""
         if width > 0.0:
             corners = [self._at(x, y), self._at(x + width, y + height)]
             self._draw.rounded_rectangle(corners, round_by * self._unit, fill=colour)
 
     def line(self, points: list[tuple[float, float]], colour: str, width: float = 0.1) -> None:
-        """A polyline."""
+        """Draw a polyline."""
         self._draw.line(
             [self._at(*point) for point in points], colour, max(1, round(width * self._unit)), joint="curve"
         )
 
     def area(self, points: list[tuple[float, float]], colour: str) -> None:
-        """A filled polygon."""
+        """Draw a filled polygon."""
         if len(points) > 2:
             self._draw.polygon([self._at(*point) for point in points], fill=colour)
 
     def pixels(self) -> Pixels:
-        """(height, width, 3)."""
+        """Return the pixels, (height, width, 3)."""
         small = self._image.resize((self.rectangle.width, self.rectangle.height), Image.Resampling.BOX)
         return np.asarray(small)
 
@@ -98,12 +98,12 @@ class Band:
 def caption(
     described: Description, station: Station, rectangle: Rectangle, letter: int, pixels_per_metre: float
 ) -> Pixels:
-    """The name of an end, a colour for each arrow and trail, and how long so many N are."""
+    """Return the caption of an end: name, colours of arrows and trails, and the scale of forces."""
     band = Band(rectangle, letter, "#eceff3")
     middle = 0.5 * band.height
     x = band.text(0.6, middle, NAMES[station], bold=True) + 0.8
     arrows = sorted((arrow for arrow in described.arrows if arrow.station == station), key=lambda arrow: arrow.heads)
-    # Of joints the torques are what is known, and the force at the tip what is made of them.
+    # For joints, the measured values are torques; the force at the tip is computed from them.
     joints = described.status.joints
     measured = [arrow for arrow in arrows if arrow.heads == (2 if joints else 1)]
     if measured and math.isfinite(pixels_per_metre):
@@ -132,7 +132,7 @@ def caption(
 
 
 def _bar_of(letters_per_newton: float) -> float:
-    """The force in N, or torque in N m, 1, 2 or 5 times a power of ten, whose bar is about four letters long."""
+    """Return the force in N, or torque in N m, of 1, 2 or 5 times a power of ten, with a bar of about four letters."""
     wanted = 4.0 / letters_per_newton
     power = 10.0 ** math.floor(math.log10(wanted))
     return max((step * power for step in (1.0, 2.0, 5.0) if step * power <= wanted), default=power)
@@ -149,7 +149,7 @@ class Bands:
         self.renew(described)
 
     def renew(self, described: Description) -> None:
-        """Another time line of the same run."""
+        """Use a new time line of the same run."""
         self._described = described
         quiet = Band(self._column.foot, self._letter)
         self._draw_line(quiet)
@@ -157,7 +157,7 @@ class Bands:
         self._quiet = quiet.pixels()
 
     def head(self) -> Pixels:
-        """Title, and what the run comes to."""
+        """Return title and results."""
         band = Band(self._column.head, self._letter)
         middle = 0.5 * band.height
         figures = self._described.figures
@@ -174,13 +174,13 @@ class Bands:
         return band.pixels()
 
     def foot(self, time_s: float, note: str = "") -> Pixels:
-        """Status, gauges and the time line with a cursor.
+        """Return status, gauges and the time line with a cursor.
 
         Args:
-            time_s: Which time.
-            note: What is said besides, as how fast it plays.
+            time_s: Time shown.
+            note: Further text, for example the playing speed.
         """
-        # Thirty times a second: only what changes is drawn anew.
+        # This runs 30 times a second, so it redraws only changing parts.
         foot = self._column.foot
         band = Band(Rectangle(foot.left, foot.top, foot.width, round(STATUS_LETTERS * self._letter)), self._letter)
         status = self._described.status.at(time_s)
@@ -192,7 +192,7 @@ class Bands:
         return pixels
 
     def time_at(self, x: float, y: float) -> float | None:
-        """The time in s at a pixel of the time line; none elsewhere."""
+        """Return the time in s at a pixel of the time line; None elsewhere."""
         foot = self._column.foot
         if not foot.holds(x, y) or (y - foot.top) / self._letter < self._line_top - 1.4:
             return None
@@ -232,7 +232,7 @@ class Bands:
         for name, value, unit in status.numbers:
             band.box(x, y - 0.35, 0.35, 0.7, NUMBER_COLOURS[name.rpartition(" ")[2]], round_by=0.08)
             band.text(x + 0.6, y, f"{name} {value:.2f} {unit}", size=0.9)
-            # As wide as the widest number, so that nothing shifts from frame to frame.
+            # Reserve the width of the widest number, so that nothing moves between frames.
             x += 0.6 + band.width_of(f"{name} 00.00 {'rad/s' if status.joints else 'm/s'}", 0.9) + 0.9
         if not status.gauges:
             if band.width - x > 9.0 and "hand" in self._described.views:
@@ -249,7 +249,7 @@ class Bands:
         if bar < 1.5:
             return
         band.box(begin, y - 0.4, bar, 0.8, "#dfe4ea", round_by=0.25)
-        # The threshold stands at three quarters, so that what is beyond it shows.
+        # The threshold is at three quarters, so that larger values are visible.
         full = 0.75 * bar
         colour = colours.TRIP if gauge.share >= 1.0 else colours.SAFETY_FORCE
         band.box(
@@ -308,7 +308,7 @@ class Bands:
             band.text(x, low + 0.85, f"{tick_s:g} s", colours.FAINT_INK, size=0.78, anchor=anchor)
 
     def _labels(self, band: Band) -> list[tuple[float, str, bool]]:
-        """Names of events with where they begin; those that would overlap are written as one."""
+        """Return names of events with their positions; names that would overlap are merged."""
         groups: list[tuple[float, list[str]]] = []
         for mark in self._described.timeline.marks:
             x = self._x(band.width, mark.time_s)
@@ -323,7 +323,7 @@ class Bands:
             end = groups[number + 1][0] - 0.5 if number + 1 < len(groups) else band.width - 0.3
             text = ", ".join(dict.fromkeys(texts))
             while len(texts) > 1 and x + band.width_of(text, 0.78) > end:
-                # A trip is what one looks for; of the others the first.
+                # Drop the last name that is no trip: trips matter most.
                 texts.pop(next((n for n in range(len(texts) - 1, -1, -1) if not texts[n].startswith("trip")), -1))
                 text = ", ".join(dict.fromkeys(texts))
             begin = min(x, band.width - 0.3 - band.width_of(text, 0.78))
@@ -331,7 +331,7 @@ class Bands:
         return labels
 
     def _draw_cursor(self, pixels: Pixels, x: float) -> None:
-        """A line with a point above it, over what is there."""
+        """Draw the cursor, a line with a point above, over the pixels."""
         top, letter = self._line_top - 0.3, self._letter
         width, height = math.ceil(CURSOR_LETTERS * letter) + 2, math.ceil(4.0 * letter)
         left, first = round((x - 0.5 * CURSOR_LETTERS) * letter) - 1, int(top * letter)
@@ -351,7 +351,7 @@ class Bands:
 
 
 def _ticks(begin_s: float, end_s: float, width: float) -> list[float]:
-    """Round times in s, some eight letters apart."""
+    """Return round times in s, about eight letters apart."""
     wanted = max(end_s - begin_s, 1e-6) / max(2.0, width / 8.0)
     power = 10.0 ** math.floor(math.log10(wanted))
     step = next(s * power for s in (1.0, 2.0, 5.0, 10.0) if s * power >= wanted * (1.0 - 1e-9))

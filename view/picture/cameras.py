@@ -1,4 +1,4 @@
-"""The directions from which a picture, a window or a page shows a run."""
+"""View directions of pictures, windows and pages."""
 
 from typing import Final
 
@@ -8,4 +8,4 @@ CAMERAS: Final = {
     "top": (0.0, -0.02, 1.0),
     "corner": (0.85, -0.85, 0.6),
 }
-"""From the scene towards the camera; the keys 1 to 4 of the window."""
+"""Directions from the scene to the camera; keys 1 to 4 of the window."""

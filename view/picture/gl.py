@@ -1,4 +1,4 @@
-"""Whether there is an OpenGL to draw with, asked before VTK is: it would end the process, or draw nothing."""
+"""Checks for a usable OpenGL; without one VTK would end the process or draw nothing."""
 
 import ctypes
 import os
@@ -7,7 +7,7 @@ import sys
 from haptether.extras import require
 
 PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri"
-"""Of Debian and Ubuntu: EGL, and Mesa's, which draws on the processor where there is no graphics card."""
+"""Debian and Ubuntu packages of EGL and of Mesa, which draws on the processor without a graphics card."""
 WINDOW_PACKAGES = "libgl1 libglx-mesa0"
 
 MOST_DEVICES = 16
@@ -16,11 +16,11 @@ PLATFORM_DEVICE = 0x313F
 
 
 class NoGlError(ValueError):
-    """Nothing to draw with."""
+    """There is no usable OpenGL or display."""
 
 
 def loads(library: str) -> bool:
-    """Whether a shared library is there."""
+    """Return True if a shared library can be loaded."""
     try:
         ctypes.CDLL(library)
     except OSError:
@@ -29,7 +29,7 @@ def loads(library: str) -> bool:
 
 
 def egl_draws() -> bool:
-    """Whether EGL has a device that begins: its library alone is a dispatcher, on which VTK would crash."""
+    """Return True if an EGL device initializes. The EGL library alone is a dispatcher on which VTK would crash."""
     try:
         egl = ctypes.CDLL("libEGL.so.1")
     except OSError:
@@ -57,7 +57,7 @@ def egl_draws() -> bool:
 
 
 def display_problem() -> str:
-    """Why a window has no screen; empty where it has one."""
+    """Return the reason why a window has no display; empty if it has one."""
     if sys.platform in {"win32", "darwin"}:
         return ""
     display = os.environ.get("DISPLAY")
@@ -78,14 +78,14 @@ def display_problem() -> str:
 
 
 def require_gl(*, window: bool = False) -> None:
-    """Has VTK draw without a display where there is none.
+    """Select off-screen rendering of VTK, or check for a display.
 
     Args:
-        window: Whether a window is wanted, which needs a display.
+        window: True for a window, which needs a display.
 
     Raises:
         ImportError: PyVista is not installed.
-        NoGlError: No display for a window, or no OpenGL, with the packages that bring it.
+        NoGlError: There is no display for a window, or no OpenGL; the text names the packages.
     """
     require("the view", "pyvista", "PIL", "matplotlib", extra="view")
     if window and (problem := display_problem()):
@@ -99,7 +99,7 @@ def require_gl(*, window: bool = False) -> None:
             raise NoGlError(message)
         return
     if egl_draws():
-        # Asked for by name: VTK would first try an X server, and complain that there is none.
+        # Select EGL by name: otherwise VTK first tries an X server and reports its absence.
         os.environ["VTK_DEFAULT_OPENGL_WINDOW"] = "vtkEGLRenderWindow"
     elif loads("libOSMesa.so.8"):
         os.environ["VTK_DEFAULT_OPENGL_WINDOW"] = "vtkOSOpenGLRenderWindow"

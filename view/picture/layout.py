@@ -1,4 +1,4 @@
-"""Which part of a picture shows what: a column for each run, its two ends, and bands of text around them."""
+"""Layout of a picture: a column per run with its two ends, and bands of text around them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ LEAST_SIZE, LARGEST_SIZE = (320, 240), (7680, 4320)
 
 @dataclass(frozen=True, slots=True)
 class Rectangle:
-    """In pixels, from the upper left corner."""
+    """A rectangle in pixels, from the upper left corner."""
 
     left: int
     top: int
@@ -19,23 +19,23 @@ class Rectangle:
     height: int
 
     def holds(self, x: float, y: float) -> bool:
-        """Whether a point is in it."""
+        """Return True if a point is inside."""
         return self.left <= x < self.left + self.width and self.top <= y < self.top + self.height
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
-    """Of one run."""
+    """Layout of one run."""
 
     head: Rectangle
     captions: dict[Station, Rectangle]
     views: dict[Station, Rectangle]
-    """Of each end that is shown."""
+    """Views of the visible ends."""
     foot: Rectangle
 
 
 def letter_of(size: tuple[int, int], runs: int) -> int:
-    """Height of letters in pixels."""
+    """Return the height of letters in pixels."""
     width, height = size
     return max(8, round(min(width / (52 + 26 * (runs > 1)) / 1.05 ** (runs - 1), height / 42)))
 
@@ -44,7 +44,7 @@ STATIONS: Final[tuple[Station, Station]] = ("hand", "robot")
 
 
 def layout(size: tuple[int, int], runs: int, ends: Sequence[Station] = STATIONS) -> list[Column]:
-    """Ends of one run stand side by side, those of several below one another, so that runs can be compared."""
+    """Lay out the columns: ends of a single run side by side, of several runs below one another."""
     width, height = size
     letter = letter_of(size, runs)
     gap = 2

@@ -1,4 +1,4 @@
-"""One picture of a time: both ends of each run in three dimensions, with the bands of text around them."""
+"""One picture of a time: both ends of each run in 3D, with bands of text around them."""
 
 import itertools
 import math
@@ -19,28 +19,28 @@ from haptether.view.scene3d.parts import Part, Station, Trail
 Array = npt.NDArray[np.float64]
 
 VIEW_ANGLE = 28.0
-"""Of the camera, in degrees."""
+"""View angle of the camera in degrees."""
 ROOM = 1.06
-"""Between what is seen and the edge of its view."""
+"""Margin between content and edge of a view, as a factor."""
 SAMPLES = 4
-"""Of each pixel of a picture or film, for smooth edges."""
+"""Samples per pixel of pictures and films, for smooth edges."""
 SOFTWARE = ("llvmpipe", "softpipe", "swiftshader")
-"""Names of what draws on the processor."""
+"""Names of software renderers."""
 
 
 class Picture:
-    """Draws descriptions of runs side by side.
+    """Drawing of run descriptions side by side.
 
     Args:
-        described: Of `describe`, or of `describe_beside` for several.
+        described: Results of `describe`, or of `describe_beside` for several runs.
         size: Width and height in pixels.
         camera: One of `CAMERAS`.
-        window: Whether it is shown in a window; else it is drawn without a display.
+        window: True for a window; otherwise drawn off-screen.
 
     Raises:
-        NoGlError: There is no OpenGL to draw with.
+        NoGlError: There is no usable OpenGL.
         ImportError: PyVista is not installed.
-        ValueError: No such camera.
+        ValueError: There is no such camera.
     """
 
     def __init__(
@@ -62,12 +62,12 @@ class Picture:
                 lighting="none",
             ),
         )
-        # Which draws is known only later, and a window of the processor's has to keep up.
+        # The renderer is known only later, and a window on the processor must keep up.
         self.plotter.render_window.SetMultiSamples(0 if window else SAMPLES)
         if not window and not self.plotter.render_window.SupportsOpenGL():
             message = f"OpenGL does not draw here: on Debian or Ubuntu install {PACKAGES}"
             raise NoGlError(message)
-        # Of all views.
+        # Lights of all views.
         self.plotter.add_light(pyvista.Light(light_type="headlight", intensity=0.48))
         self.plotter.add_light(pyvista.Light(position=(-0.7, 1.0, 1.0), light_type="camera light", intensity=0.7))
         self.time_s = self.described[0].timeline.begin_s
@@ -80,16 +80,16 @@ class Picture:
         self.lay_out(size)
 
     def keep_up(self) -> None:
-        """Fits a window, which is open, to what draws it: smooth edges by a graphics card, 30 Hz by the processor."""
+        """Adapt an open window to its renderer: smooth edges on a graphics card, 30 Hz on the processor."""
         if any(name in self.plotter.render_window.ReportCapabilities().lower() for name in SOFTWARE):
-            # What is translucent is then blended as it was added, which saves buffers as large as the window.
+            # Blending in insertion order saves buffers as large as the window.
             for renderer in self.plotter.renderers:
                 renderer.SetUseOIT(False)
         else:
             self.plotter.render_window.SetMultiSamples(SAMPLES)
 
     def lay_out(self, size: tuple[int, int]) -> None:
-        """Fits everything to a size in pixels."""
+        """Fit everything to a size in pixels."""
         self.size = size
         ends = [end for end in STATIONS if any(end in one.views for one in self.described)]
         self.columns = layout(size, len(self.described), ends)
@@ -129,7 +129,7 @@ class Picture:
         self.look(self.camera)
 
     def renew(self, described: Description) -> None:
-        """Shows another description in place of the only one: of the same run, later on."""
+        """Replace the only description by a later one of the same run."""
         (before,) = self.described
         self.described = (described,)
         if described.parts is before.parts:
@@ -145,10 +145,10 @@ class Picture:
         self.lay_out(self.size)
 
     def look(self, camera: str) -> None:
-        """Looks from one of `CAMERAS`.
+        """Look from one of `CAMERAS`.
 
         Raises:
-            ValueError: There is no such one.
+            ValueError: There is no such camera.
         """
         self.camera = _checked(camera)
         direction = _unit(np.array(CAMERAS[camera]))
@@ -165,11 +165,11 @@ class Picture:
                 self.plotter.renderers[2 * number + place].ResetCameraClippingRange()
 
     def update(self, time_s: float, note: str = "") -> None:
-        """Puts everything where it is at a time in s, without drawing it.
+        """Move everything to its pose at a time in s, without drawing.
 
         Args:
-            time_s: Which time.
-            note: What is said at its foot besides.
+            time_s: Time shown.
+            note: Further text at the foot.
         """
         self.time_s = time_s
         for part, actor in self._actors:
@@ -188,12 +188,12 @@ class Picture:
             self._show_band(f"foot {number}", column.foot, band.foot(time_s, note))
 
     def image(self, time_s: float) -> Pixels:
-        """The picture of a time in s, (height, width, 3)."""
+        """Return the picture at a time in s, (height, width, 3)."""
         self.update(time_s)
         from vtkmodules.util.numpy_support import vtk_to_numpy
         from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
 
-        # A screenshot of PyVista's would draw it once more.
+        # PyVista's screenshot would render a second time.
         self.plotter.render_window.Render()
         width, height = self.plotter.render_window.GetSize()
         pixels = vtkUnsignedCharArray()
@@ -202,11 +202,11 @@ class Picture:
         return rows[::-1].copy()
 
     def time_at(self, x: float, y: float) -> float | None:
-        """The time in s at a pixel of a time line, from the upper left; none elsewhere."""
+        """Return the time in s at a pixel of a time line, from the upper left; None elsewhere."""
         return next((time_s for band in self.bands if (time_s := band.time_at(x, y)) is not None), None)
 
     def close(self) -> None:
-        """Gives up what the graphics hold."""
+        """Free the graphics resources."""
         self.plotter.close()
 
     def __enter__(self) -> Self:
@@ -237,7 +237,7 @@ class Picture:
             surface = pyvista.PolyData(part.mesh.points, faces.ravel())
             surface.point_data["Normals"] = part.mesh.normals
             surface.GetPointData().SetActiveNormals("Normals")
-            # Arrows are signs, whose colour must be seen from every side.
+            # Arrows are signs: their colour must be visible from every side.
             is_sign = any(part.name.startswith(arrow.name) for arrow in one.arrows)
             actor = pyvista.Actor(mapper=pyvista.DataSetMapper(surface))
             actor.mapper.scalar_visibility = False
@@ -245,7 +245,7 @@ class Picture:
             look.color, look.opacity, look.interpolation = part.colour, part.opacity, "gouraud"
             look.ambient, look.diffuse = (0.6, 0.45) if is_sign else (0.38, 0.68)
             look.specular, look.specular_power = (0.0, 1.0) if is_sign else (0.12, 25.0)
-            # All are closed: what looks away would be drawn for nothing, and twice where one sees through.
+            # All meshes are closed. Back faces would cost time, and be drawn twice where parts are transparent.
             look.culling = "back"
             self.plotter.add_actor(actor, reset_camera=False)
             self._actors.append((part, actor))
@@ -283,7 +283,7 @@ class Picture:
         self._show_band(name, rectangle, seam)
 
     def _distance(self, one: Description, station: Station, column: Column) -> float:
-        """Of the camera, in m, from which all is seen."""
+        """Return the camera's distance in m at which all is visible."""
         back, view = _unit(np.array(CAMERAS[self.camera])), column.views[station]
         right = _unit(np.cross([0.0, 0.0, 1.0], back))
         up, slope = np.cross(back, right), math.tan(math.radians(0.5 * VIEW_ANGLE))
@@ -293,7 +293,7 @@ class Picture:
         return float((from_centre @ back + ROOM * reach / slope).max())
 
     def _pixels_per_metre(self, number: int, station: Station) -> float:
-        """In the middle of a view."""
+        """Return the scale in the middle of a view."""
         one, column = self.described[number], self.columns[number]
         if station not in one.views:
             return math.nan
@@ -313,7 +313,7 @@ def _unit(vector: Array) -> Array:
 
 
 class _Board:
-    """Pixels on the screen, which the graphics keep until others are shown."""
+    """Pixels on the screen, kept by the graphics until replaced."""
 
     def __init__(self, renderer: Any) -> None:  # noqa: ANN401  # VTK has no types
         from vtkmodules.vtkCommonCore import vtkPoints
@@ -342,7 +342,7 @@ class _Board:
         renderer.AddViewProp(self._actor)
 
     def show(self, pixels: Pixels, left: int, bottom: int) -> None:
-        """Puts pixels, (height, width, 3), at a place in pixels from the lower left."""
+        """Show pixels, (height, width, 3), at a place in pixels from the lower left."""
         height, width, _ = pixels.shape
         flipped = np.ascontiguousarray(pixels[::-1]).reshape(-1, 3)
         self._image.SetDimensions(width, height, 1)

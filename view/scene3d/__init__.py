@@ -1,1 +1,1 @@
-"""What is where at each time of a run, without any library that draws."""
+"""Poses of all bodies at each time of a run, without a drawing library."""

@@ -1,4 +1,4 @@
-"""The links of a UR arm as capsules, from its Denavit-Hartenberg rows."""
+"""Links of a UR arm as capsules, from its Denavit-Hartenberg rows."""
 
 import math
 from typing import Final
@@ -15,19 +15,19 @@ from haptether.view.scene3d.rotation import rotation_to, transform
 Array = npt.NDArray[np.float64]
 
 READY: Final = (-1.6, -1.7, -2.2, -0.8, 1.6, 0.0)
-"""Joint angles in rad where a run says no place in the arm's own frame: those of `haptether ur-emulator`."""
+"""Joint angles in rad for a run without a place in the arm's frame; as in `haptether ur-emulator`."""
 GRIPPER_M: Final = 0.16
-"""From the flange to between the jaws of a Robotiq gripper."""
+"""Distance from the flange to the point between the jaws of a Robotiq gripper."""
 TABLE_M: Final = 0.03
-"""How far above the arm's base the tool comes down where its place is chosen."""
+"""Lowest height of the tool above the arm's base, if the place of the arm is chosen."""
 LIVE_LOWEST_M: Final = -0.2
-"""How far the tool may come down from where it begins, where that is not known yet."""
+"""Assumed descent of a live tool from its start."""
 STEP_S: Final = 0.02
-"""Between the postures that are computed; in between they are interpolated."""
+"""Period of computed postures; poses in between are interpolated."""
 
 
 def link_frames(model: UrModel, q: Array) -> Array:
-    """base_from_link after each joint, (7, 4, 4), the first the base's own: `Rz(q) Tz(d) Tx(a) Rx(alpha)`."""
+    """Return base_from_link before the first and after each joint, (7, 4, 4): `Rz(q) Tz(d) Tx(a) Rx(alpha)`."""
     frames = [np.eye(4)]
     for angle, a, d, alpha in zip(q, model.a, model.d, model.alpha, strict=True):
         c, s, ca, sa = math.cos(angle), math.sin(angle), math.cos(alpha), math.sin(alpha)
@@ -39,17 +39,17 @@ def link_frames(model: UrModel, q: Array) -> Array:
 
 
 class UrPostures:
-    """Joint angles of an arm whose tool goes where it was recorded to be.
+    """Joint angles of an arm whose tool follows its recorded poses.
 
-    A run in virtual time counts from where the tool stands when the two engage. Where the arm does not reach what was
-    recorded, it therefore stands in `READY`, as high as has its tool come down to the table, and what was recorded
-    moves it from there.
+    A run in virtual time records positions relative to the tool at engagement. If the arm does not reach the recorded
+    poses, it starts in `READY`, and the recorded motion is relative to that. Its height is such that the tool comes
+    down to the table.
 
     Args:
         model: The arm.
-        position: Of the tool, (n, 3) in m.
-        rotation: Of the tool, (n, 3, 3); none of a tool that keeps its orientation.
-        tool_m: From the flange to the tool point.
+        position: Position of the tool, (n, 3) in m.
+        rotation: Rotation of the tool, (n, 3, 3); None for a constant orientation.
+        tool_m: Distance from the flange to the tool point.
     """
 
     def __init__(self, model: UrModel, position: Course, rotation: Course | None, tool_m: float) -> None:
@@ -58,16 +58,16 @@ class UrPostures:
         self._inverse = UrInverse(model, tool=self.tool)
         self._position, self._rotation = position, rotation
         self.is_relative = True
-        """Whether the place of the arm is chosen."""
+        """True if the place of the arm is chosen."""
         self.unreached = 0
-        """Poses that no posture has: the arm stays where it was."""
+        """Number of poses out of reach; the arm then keeps its posture."""
         self._origin, self._turn, self._first = np.zeros(3), np.eye(3), np.eye(3)
         self._last_q = np.array(READY)
         self._last: tuple[float, Array, Array] | None = None
         self._begin()
 
     def _begin(self) -> None:
-        """Places the arm, and finds its posture at each time."""
+        """Place the arm and find its posture at each time."""
         time_s, position = self._position.time_s, self._position.values
         self._place(position[0], None if self._rotation is None else self._rotation.at(float(time_s[0])),
                     float(np.nanmin(position[:, 2]) - position[0, 2]))  # fmt: skip
@@ -75,7 +75,7 @@ class UrPostures:
         self._q = np.stack([self._posture(float(now_s)) for now_s in self._time_s])
 
     def _place(self, position: Array, rotation: Array | None, lowest: float) -> None:
-        """Where the arm stands, by the first pose of its tool and how far below that it comes, in m."""
+        """Place the arm by the first pose of its tool and the tool's descent below it in m."""
         ready = np.array(READY)
         home = link_frames(self.model, ready)[-1] @ self.tool
         first = transform(position, home[:3, :3] if rotation is None else rotation)
@@ -91,7 +91,7 @@ class UrPostures:
         self._last_q = ready
 
     def _posture(self, time_s: float) -> Array:
-        """The posture that is nearest to the one before, (6,) in rad."""
+        """Return the posture nearest to the previous one, (6,) in rad."""
         rotation = None if self._rotation is None else self._rotation.at(time_s)
         found = self._inverse.nearest(self.base_from_tool(self._position.at(time_s), rotation), self._last_q)
         if found is None:
@@ -101,12 +101,12 @@ class UrPostures:
         return self._last_q
 
     def base_from_tool(self, position: Array, rotation: Array | None) -> Array:
-        """Where what was recorded is in the frame of the arm's base, (4, 4)."""
+        """Return a recorded pose in the frame of the arm's base, (4, 4)."""
         turned = self._turn if rotation is None else rotation @ self._first @ self._turn
         return transform(position + self._origin, turned)
 
     def at(self, time_s: float) -> tuple[Array, Array]:
-        """Joint angles, (6,) in rad, and the frames of the links, (7, 4, 4)."""
+        """Return joint angles, (6,) in rad, and link frames, (7, 4, 4)."""
         if self._last is None or self._last[0] != time_s:
             q = self._q_at(time_s)
             self._last = time_s, q, link_frames(self.model, q)
@@ -117,11 +117,11 @@ class UrPostures:
 
 
 class LiveUrPostures(UrPostures):
-    """As `UrPostures`, of an arm whose run goes on: each posture is found when it is asked for."""
+    """`UrPostures` for a live run: finds each posture on request."""
 
     def _begin(self) -> None:
         self._has_begun, self._last_q = False, np.array(READY)
-        # Where there are samples already, the arm stands by the oldest, however often it is described anew.
+        # Place the arm by the oldest sample, so that a new description gives the same place.
         self._q_at(float(self._position.time_s[0]))
 
     def _q_at(self, time_s: float) -> Array:
@@ -135,7 +135,7 @@ class LiveUrPostures(UrPostures):
 
 
 def arm_parts(postures: UrPostures) -> list[Part]:
-    """Capsules from joint to joint: along the offset d first, then along the link a."""
+    """Return capsules from joint to joint: along the offset d, then along the link a."""
     model = postures.model
     size = abs(model.a[1]) + abs(model.a[2])
     upper, lower, wrist = 0.075 * size, 0.062 * size, 0.055 * size
@@ -149,7 +149,7 @@ def arm_parts(postures: UrPostures) -> list[Part]:
             pose=lambda _: np.eye(4),
         )
     ]
-    # The upper arm and the forearm of a UR lie beside the plane of its base, by about the width of the shoulder.
+    # Upper arm and forearm of a UR are offset from the plane of its base by about the shoulder's width.
     shoulder = 0.169 * size
     beside = {1: shoulder, 2: 0.01 * size}
     for joint, radius in enumerate(radii):
@@ -167,7 +167,7 @@ def arm_parts(postures: UrPostures) -> list[Part]:
 
 
 def _link(postures: UrPostures, joint: int, radius: float, reach: Array, offset: Array, *, after: bool = False) -> Part:
-    """A capsule in the frame that turns with a joint; `after` puts it beyond the offset d."""
+    """Return a capsule in the frame that turns with a joint; `after` puts it beyond the offset d."""
     model = postures.model
     lift = transform(np.array([0.0, 0.0, model.d[joint] if after else 0.0]))
     local = lift @ transform(offset, rotation_to(reach))

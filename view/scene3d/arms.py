@@ -1,4 +1,4 @@
-"""Which arms are drawn: those that a scene drives, or that are named, for settings do not say which were driven."""
+"""Arms to draw: those that a scene drives or the caller names, because settings do not name the arm."""
 
 from dataclasses import dataclass
 
@@ -9,24 +9,24 @@ from haptether.slave import UR_MODELS, UrModel, ur_model
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Arms:
-    """Of both ends."""
+    """Arms of both ends."""
 
     slave: UrModel | ArmDescription | None = None
-    """A UR, or a chain of servos; none of a tool without a known arm."""
+    """A UR or a chain of servos; None for a tool without a known arm."""
     master: ArmDescription | None = None
-    """A leader of servos; none of a stylus."""
+    """A leader of servos; None for a stylus."""
 
 
 def arms_of(scene: Scene | None, *, arm: str = "", leader: str = "") -> Arms:
-    """The arms by their names.
+    """Return the arms by their names.
 
     Args:
-        scene: Which may drive a UR.
-        arm: Of the slave: a UR, or a description of servos by its name or path; empty for that of the scene.
-        leader: Of the master: a description of servos.
+        scene: Scene, which may drive a UR.
+        arm: Arm of the slave: a UR, or a servo description by name or path; empty for the scene's.
+        leader: Arm of the master: a servo description by name or path.
 
     Raises:
-        ValueError: There is no such arm, with those that there are.
+        ValueError: There is no such arm; the text lists the arms.
     """
     slave: UrModel | ArmDescription | None = None
     if arm:

@@ -1,4 +1,4 @@
-"""An arm of servos as capsules from joint to joint, from its description, and the torques on its joints."""
+"""An arm of servos as capsules between joints, from its description, with the torques on its joints."""
 
 import math
 from collections.abc import Callable
@@ -18,31 +18,31 @@ Array = npt.NDArray[np.float64]
 
 LEAST_LINK_M = 1e-4
 LEAST_TURN = 0.03
-"""Angle in rad of any joint below which command and arm are seen as one."""
+"""Angle in rad of the largest joint deviation below which the commanded arm is not drawn."""
 TRAIL_S = 2.0
 LEAST_LEVER = 0.03
-"""Share of the reach below which a lever says nothing of the force that turns it."""
+"""Fraction of the reach below which a lever is too short to determine its force."""
 MOST_RESIDUE = 0.15
-"""Share of the torques that a force at the tip may leave unexplained."""
+"""Fraction of the torques that a tip force may leave unexplained."""
 CHAIN_ABOVE = 0.12
-"""How much is seen above what it moves through, as a share of its size."""
+"""Visible height above the range of motion, as a fraction of its size."""
 GHOST_PREFIX = "ghost of the command: "
 
 
 def angles_of(values: npt.NDArray[np.float64]) -> Array:
-    """Angles or torques of joints as (n, joints)."""
+    """Return angles or torques of joints as (n, joints)."""
     angles = np.asarray(values, dtype=np.float64)
     return angles[:, None] if angles.ndim == 1 else angles
 
 
 def chain_frames(arm: ArmDescription, q: Array) -> Array:
-    """base_from_joint, turned by its angle, of each joint, and base_from_tool, (..., joints + 1, 4, 4).
+    """Return base_from_joint of each joint, rotated by its angle, and base_from_tool, (..., joints + 1, 4, 4).
 
     `T_i = T_(i-1) Trans(xyz_i) Rot(axis_i, q_i)`.
 
     Args:
         arm: The arm.
-        q: (..., joints) in rad.
+        q: Joint angles, (..., joints) in rad.
     """
     frame = np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))
     frames = []
@@ -61,16 +61,16 @@ def chain_frames(arm: ArmDescription, q: Array) -> Array:
 
 
 def reach_m(arm: ArmDescription) -> float:
-    """How far the tool is from the base where the arm is stretched out."""
+    """Return the distance from base to tool of the stretched arm."""
     return sum(math.hypot(*joint.xyz_m) for joint in arm.joints) + math.hypot(*arm.tool.xyz_m)
 
 
 def chain_corners(arm: ArmDescription, angles: Array) -> Array:
-    """Lower and upper corner of where joints and tool are, (2, 3) in m.
+    """Return lower and upper corner of the range of joints and tool, (2, 3) in m.
 
     Args:
         arm: The arm.
-        angles: (n, joints) in rad; of what is not known, the arm may be anywhere that it reaches.
+        angles: (n, joints) in rad; without known angles, the range is that of the reach.
     """
     known = angles[np.isfinite(angles).all(axis=1)]
     if not len(known):
@@ -81,13 +81,13 @@ def chain_corners(arm: ArmDescription, angles: Array) -> Array:
 
 
 def tip_force(arm: ArmDescription, frames: Array, torques: Array) -> Array:
-    """The force at the tool point that exerts torques on joints, (3,) in N; NaN where none at that point explains them.
+    """Return the force at the tool point that explains the joint torques, (3,) in N; NaN if none does.
 
-    `tau = J^T F`, by damped least squares; what touches an arm elsewhere, or turns its tool, leaves a residue.
+    `tau = J^T F`, by damped least squares. A contact elsewhere on the arm, or a moment on the tool, leaves a residue.
 
     Args:
         arm: The arm.
-        frames: Of `chain_frames`, (joints + 1, 4, 4).
+        frames: Result of `chain_frames`, (joints + 1, 4, 4).
         torques: (joints,) in N m.
     """
     levers = frames[-1, :3, 3] - frames[:-1, :3, 3]
@@ -96,23 +96,23 @@ def tip_force(arm: ArmDescription, frames: Array, torques: Array) -> Array:
     damping = (LEAST_LEVER * reach_m(arm)) ** 2
     force = np.linalg.solve(transposed.T @ transposed + damping * np.eye(3), transposed.T @ torques)
     left = float(np.linalg.norm(transposed @ force - torques))
-    # Fewer than four joints would be explained by anything.
+    # A force can explain any torques of fewer than four joints.
     is_known = len(torques) > 3 and left <= MOST_RESIDUE * float(np.linalg.norm(torques))
     return np.asarray(force if is_known else np.full(3, np.nan))
 
 
 class ChainEnd:
-    """An end that is a chain of servos: a cylinder for each, a capsule for each link, the tool, and what acts on it.
+    """An end that is a chain of servos: cylinders for joints, capsules for links, the tool, and torques.
 
     Args:
-        station: Which end.
+        station: The end.
         arm: The arm.
-        signals: Of the run.
-        place: The signal of where its joints are, (n, joints) in rad.
-        command: That of where they are sent, if it is there.
-        torque: That of what acts on them, in N m.
-        colour: Of its arrows.
-        metres_per_newton_metre: How long they are.
+        signals: Signals of the run.
+        place: Name of the signal of joint angles, (n, joints) in rad.
+        command: Name of the signal of commanded angles, if recorded.
+        torque: Name of the signal of joint torques in N m.
+        colour: Colour of its arrows.
+        metres_per_newton_metre: Scale of its arrows.
     """
 
     def __init__(
@@ -182,7 +182,7 @@ class ChainEnd:
         return parts
 
     def _add_ghost(self, measured: "_Posture", commanded: "_Posture") -> None:
-        """The commanded posture, where it is apart from that of the arm."""
+        """Add the commanded posture, shown while it deviates from the arm."""
 
         def unless_there(pose: Pose) -> Pose:
             def seen(time_s: float) -> Array | None:
@@ -208,7 +208,7 @@ class ChainEnd:
         )  # fmt: skip
 
     def _add_torques(self, posture: "_Posture", torques: Course, colour: str, metres_per_newton_metre: float) -> None:
-        """A torque about each servo's axis beside the servo, and the force at the tip where it is one."""
+        """Add a torque about each servo's axis, and the force at the tip if the torques determine it."""
         axes = [np.array(joint.axis) for joint in self._arm.joints]
         for index, axis in enumerate(axes):
 
@@ -247,7 +247,7 @@ class ChainEnd:
         self.arrows.append(
             Arrow(
                 name=f"{self._station} tip force", label="at the tip", station=self._station,
-                # As long as the torque that it exerts on a servo as far away as the arm reaches.
+                # As long as the torque that it exerts on a servo at the arm's full reach.
                 colour=colour,
                 scale=metres_per_newton_metre * reach_m(self._arm), thickness_m=0.5 * self._radius, tail=tip,
                 vector=force,
@@ -256,7 +256,7 @@ class ChainEnd:
 
 
 class _Posture:
-    """Where the joints are over time."""
+    """Joint angles over time."""
 
     def __init__(self, arm: ArmDescription, course: Course) -> None:
         self._arm = arm
@@ -264,18 +264,18 @@ class _Posture:
         self._last: tuple[float, Array | None] | None = None
 
     def angles(self, time_s: float) -> Array:
-        """(joints,) in rad."""
+        """Return the angles, (joints,) in rad."""
         return self._course.at(time_s)
 
     def frames(self, time_s: float) -> Array | None:
-        """Of `chain_frames`; none where the angles are not known."""
+        """Return the result of `chain_frames`; None while the angles are unknown."""
         if self._last is None or self._last[0] != time_s:
             q = self._course.at(time_s)
             self._last = time_s, chain_frames(self._arm, q) if np.isfinite(q).all() else None
         return self._last[1]
 
     def joint(self, index: int, local: Array) -> Pose:
-        """Of what turns with a joint, or with the tool."""
+        """Return the pose of a part that turns with a joint or with the tool."""
 
         def pose(time_s: float) -> Array | None:
             frames = self.frames(time_s)
@@ -284,5 +284,5 @@ class _Posture:
         return pose
 
     def link(self, index: int, local: Array) -> Pose:
-        """Of what leads to a joint from the one before it."""
+        """Return the pose of the link that leads to a joint."""
         return (lambda _: local) if index == 0 else self.joint(index - 1, local)

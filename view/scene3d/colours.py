@@ -1,4 +1,4 @@
-"""One colour for each thing that is drawn, on a light ground."""
+"""Colours of everything drawn, on a light ground."""
 
 GROUND = "#f7f8fa"
 INK = "#1d2733"
@@ -37,4 +37,4 @@ LADDER = {
 TRIP = "#d62839"
 
 SIGNS = (ENVIRONMENT_FORCE, DEVICE_FORCE, HAND_FORCE, SAFETY_FORCE, MEASURED, COMMANDED, CONTACT, *LADDER.values())
-"""What means something, however few pixels it takes."""
+"""Colours that carry meaning, however few pixels they cover."""

@@ -1,4 +1,4 @@
-"""A run as a scene in three dimensions: what is where, and what is written, at any time of it."""
+"""A run as a 3D scene: poses and texts at any time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,12 +20,12 @@ from haptether.view.scene3d.timeline import Timeline, timeline_of
 Array = npt.NDArray[np.float64]
 
 ROBOT_VIEW = np.array([-0.26, -0.6, -0.02]), np.array([0.26, 0.12, 0.54])
-"""Of an arm on its table."""
+"""View of an arm on its table: lower and upper corner."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Description:
-    """Of one run; nothing of it is a picture yet."""
+    """Description of one run, before any drawing."""
 
     title: str
     parts: tuple[Part, ...]
@@ -35,16 +35,16 @@ class Description:
     status: StatusCourse
     timeline: Timeline
     notes: tuple[str, ...]
-    """What is not drawn, or drawn where nobody recorded it, and why."""
+    """Items not drawn, or drawn at a place that was not recorded, and why."""
     figures: str
-    """What the run comes to, in a line."""
+    """Results of the run in one line."""
     views: dict[Station, tuple[Array, Array]]
-    """Of each end that is known: lower and upper corner of what is to be seen, (3,) each, in m."""
+    """Lower and upper corner of the view of each known end, (3,) each, in m."""
     flat: bool
-    """Whether it all moves along one axis."""
+    """True if everything moves along one axis."""
 
     def at(self, time_s: float) -> "Moment":
-        """What is where at a time in s."""
+        """Return poses, trails and status at a time in s."""
         return Moment(
             time_s=time_s,
             poses={part.name: part.pose(time_s) for part in self.parts},
@@ -53,10 +53,10 @@ class Description:
         )
 
     def part(self, name: str) -> Part:
-        """A body by its name.
+        """Return a body by its name.
 
         Raises:
-            KeyError: There is none, with those that there are.
+            KeyError: There is no such body; the text lists the bodies.
         """
         for part in self.parts:
             if part.name == name:
@@ -67,35 +67,37 @@ class Description:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Moment:
-    """What is where at a time."""
+    """Poses, trails and status at one time."""
 
     time_s: float
     poses: dict[str, Array | None]
-    """base_from_part, (4, 4) in m, of each part by its name; none while there is nothing to see. A shaft of an arrow is
-    as long as its force by a scale along z."""
+    """base_from_part, (4, 4) in m, of each part by name; None while hidden. The shaft of an arrow is scaled along z to
+    the
+    length of its force.
+    """
     trails: dict[str, Array]
-    """Of each trail by its name: where its point has been, (n, 3) in m."""
+    """Recent path of each trail's point by name, (n, 3) in m."""
     status: Status
 
 
 class NothingRecordedError(ValueError):
-    """A run without the signals that a picture is made of."""
+    """The run lacks the signals required for a picture."""
 
 
 def describe(
     run: Run, scene: Scene | None = None, *, title: str = "", arm: str = "", leader: str = ""
 ) -> Description:  # fmt: skip
-    """What is where in a run.
+    """Describe the poses of all bodies in a run.
 
     Args:
-        run: With its signals.
-        scene: What was run; by default as the settings of the run have it.
-        title: By default the scene's own.
-        arm: What the slave was, where no scene says so: a UR, or a description of servos by its name or path.
-        leader: What the master was: a description of servos.
+        run: Run with its signals.
+        scene: Scene of the run; by default from the settings of the run.
+        title: Title; by default the scene's own.
+        arm: Arm of the slave if no scene names it: a UR, or a servo description by name or path.
+        leader: Arm of the master: a servo description by name or path.
 
     Raises:
-        NothingRecordedError: It kept no signals.
+        NothingRecordedError: The run has no signals.
         ValueError: There is no such arm.
     """
     return describe_beside([(run, scene, title)], arm=arm, leader=leader)[0]
@@ -104,10 +106,10 @@ def describe(
 def describe_beside(
     of: Sequence[tuple[Run, Scene | None, str]], *, arm: str = "", leader: str = ""
 ) -> list[Description]:  # fmt: skip
-    """As `describe`, of runs that are seen side by side: sizes and scales of forces are the same.
+    """Describe runs shown side by side, with common sizes and scales of forces; otherwise as `describe`.
 
     Raises:
-        NothingRecordedError: One of them kept no signals.
+        NothingRecordedError: A run has no signals.
         ValueError: There is no such arm.
     """
     for run, _, _ in of:
@@ -123,7 +125,7 @@ def describe_beside(
 
 
 def described(run: Run, scene: Scene | None, title: str, shared: dict[str, Extent], arms: Arms) -> Description:
-    """What is where in a run, drawn as large as is given; an end that nobody recorded is left out."""
+    """Describe a run in given extents; an end that was not recorded is left out."""
     parts: list[Part] = []
     arrows: list[Arrow] = []
     trails: list[Trail] = []
@@ -159,7 +161,7 @@ def described(run: Run, scene: Scene | None, title: str, shared: dict[str, Exten
 
 
 def _view_of(extent: Extent, above: float) -> tuple[Array, Array]:
-    """Corners around what moves and what stands above it, as a share of its size."""
+    """Return corners around the range of motion, with room above it as a fraction of its size."""
     low = extent.low - np.array([0.15, 0.08, 0.22]) * extent.size
     high = extent.high + np.array([0.15, 0.3, above]) * extent.size
     return low, high

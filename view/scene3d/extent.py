@@ -1,4 +1,4 @@
-"""How large things are drawn: by what a run, or several side by side, moves through."""
+"""Sizes of drawings, from the range of motion of one or more runs side by side."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -16,11 +16,11 @@ from haptether.view.scene3d.history import History
 Array = npt.NDArray[np.float64]
 
 LEAST_M = 0.04
-"""Of a run in which next to nothing moves."""
+"""Size of a run with almost no motion."""
 ARROW_SHARE = 0.62
-"""Length of the largest force over the size of its end."""
+"""Length of the largest force arrow over the size of its end."""
 JOINT_SHARE = 0.3
-"""That of a joint's torque, of which there are several."""
+"""The same for the torque of a joint; there are several."""
 FORCES = {
     "hand": ("device_force", "hand_force", "grasp_force", "safety_force"),
     "robot": ("environment_force",),
@@ -33,10 +33,10 @@ TORQUES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Extent:
-    """Of one end."""
+    """Extent and scales of one end."""
 
     low: Array
-    """Lower corner of what moves or is touched, (3,) in m."""
+    """Lower corner of the range of motion and contact, (3,) in m."""
     high: Array
     """Upper corner."""
     size: float
@@ -46,34 +46,34 @@ class Extent:
 
     @property
     def centre(self) -> Array:
-        """(3,) in m."""
+        """Centre, (3,) in m."""
         return 0.5 * (self.low + self.high)
 
 
 def points_of(values: npt.NDArray[np.float64]) -> Array:
-    """Positions or forces of 1 to 3 axes as (n, 3); an axis that there is not is 0."""
+    """Return positions or forces of 1 to 3 axes as (n, 3); missing axes are 0."""
     columns = np.asarray(values, dtype=np.float64)
     columns = columns[:, None] if columns.ndim == 1 else columns[:, :3]
-    # Asked for many times a frame: np.pad would take ten times as long.
+    # Called many times per frame; np.pad takes ten times as long.
     points = np.zeros((len(columns), 3))
     points[:, : columns.shape[1]] = columns
     return points
 
 
 def vector_of(value: float | Sequence[float] | None, axes: int) -> Array:
-    """A number for every axis, or one each, of a scene, as (3,)."""
+    """Return a number for every axis, or one per axis, of a scene as (3,)."""
     given = np.zeros(axes) if value is None else np.broadcast_to(np.asarray(value, dtype=np.float64), axes)
     return np.pad(given[:3], (0, max(0, 3 - axes)))
 
 
 def axes_of(signals: Signals) -> int:
-    """How many axes were recorded."""
+    """Return the number of recorded axes."""
     position = signals["position" if "position" in signals else "slave_position"]
     return 1 if position.ndim == 1 else int(position.shape[1])
 
 
 def extents(of: Sequence[tuple[Run, Scene | None]], arms: Arms) -> dict[str, Extent]:
-    """Of both ends, the same for all runs that stand side by side."""
+    """Return the extents of both ends, common to runs shown side by side."""
     return {
         "hand": _extent("hand", [_hand_points(run.signals, scene, arms) for run, scene in of], of),
         "robot": _extent("robot", [_robot_points(run.signals, scene, arms) for run, scene in of], of),
@@ -81,21 +81,21 @@ def extents(of: Sequence[tuple[Run, Scene | None]], arms: Arms) -> dict[str, Ext
 
 
 def chain_of(signals: Signals, name: str, arm: object) -> ArmDescription | None:
-    """A chain of servos, if it has as many joints as a signal has angles."""
+    """Return the chain of servos if it has as many joints as the signal; otherwise None."""
     values = signals[name]
     joints = 1 if values.ndim == 1 else values.shape[1]
     return arm if isinstance(arm, ArmDescription) and len(arm.joints) == joints else None
 
 
 def is_joints(signals: Signals, scene: Scene | None) -> bool:
-    """Whether what was recorded are angles of joints."""
+    """Return True if the recorded positions are joint angles."""
     return axes_of(signals) > 3 or (scene is not None and scene.master.kind == "joints")
 
 
 def _joints(signals: Signals, name: str, arm: object) -> Array:
     chain = chain_of(signals, name, arm)
     if chain is not None:
-        # A live arm may yet go anywhere.
+        # A live arm may still move anywhere.
         angles = angles_of(signals[name])
         return chain_corners(chain, angles[:0] if isinstance(signals, History) else angles)
     return np.array([[-LEAST_M, 0.0, -LEAST_M], [LEAST_M, 0.0, LEAST_M]])
@@ -115,7 +115,7 @@ def _hand_points(signals: Signals, scene: Scene | None, arms: Arms) -> Array:
 def _robot_points(signals: Signals, scene: Scene | None, arms: Arms) -> Array:
     if is_joints(signals, scene):
         return _joints(signals, "slave_position" if "slave_position" in signals else "position", arms.slave)
-    # Without an arm between, it is the device itself that touches.
+    # Without an arm the device itself makes contact.
     points = [points_of(signals[name]) for name in ("slave_position", "slave_command") if name in signals]
     points = points or [points_of(signals["position"])]
     environment = None if scene is None else scene.environment
@@ -136,7 +136,7 @@ def _robot_points(signals: Signals, scene: Scene | None, arms: Arms) -> Array:
 
 
 def stops(scene: Scene | None, axes: int) -> Array | None:
-    """Corners of the device's workspace, (2, 3) in m; none without mechanical stops."""
+    """Return corners of the device's workspace, (2, 3) in m; None without mechanical stops."""
     if scene is None or scene.master.stops is None:
         return None
     pairs = np.broadcast_to(np.asarray(scene.master.stops, dtype=np.float64), (axes, 2))[:3]
@@ -150,7 +150,7 @@ def _extent(end: str, points: Sequence[Array], of: Sequence[tuple[Run, Scene | N
     size = max(LEAST_M, float((high - low).max()))
     signals = [run.signals for run, _ in of]
     if any(is_joints(run.signals, scene) for run, scene in of):
-        # What is called a force is a torque of each joint.
+        # The force signals hold joint torques.
         per = JOINT_SHARE * size / _peak(signals, FORCES[end], largest_of)
         return Extent(low=low, high=high, size=size, metres_per_newton=per, metres_per_newton_metre=per)
     return Extent(
@@ -163,17 +163,17 @@ def _extent(end: str, points: Sequence[Array], of: Sequence[tuple[Run, Scene | N
 
 
 def norms_of(vectors: Array) -> Array:
-    """Of vectors of 1 to 3 axes, (n, ...): (n,)."""
+    """Return the norms, (n,), of vectors of 1 to 3 axes, (n, ...)."""
     return np.asarray(np.linalg.norm(points_of(vectors), axis=1))
 
 
 def largest_of(torques: Array) -> Array:
-    """Of the joints' torques, (n, ...), the greatest, (n,)."""
+    """Return the largest joint torque of each sample, (n,)."""
     return np.asarray(np.abs(angles_of(torques)).max(axis=1))
 
 
 def _peak(signals: Sequence[Signals], names: Sequence[str], by: Callable[[Array], Array]) -> float:
-    """The largest that there is, rounded up to 1, 2 or 5 times a power of ten."""
+    """Return the largest value in the signals, rounded up to 1, 2, 3 or 5 times a power of ten."""
     norms = [by(of[name]) for of in signals for name in names if name in of]
     known = [float(np.nanmax(norm)) for norm in norms if np.isfinite(norm).any()]
     largest = max(known, default=0.0)
@@ -181,6 +181,6 @@ def _peak(signals: Sequence[Signals], names: Sequence[str], by: Callable[[Array]
 
 
 def nice_above(value: float) -> float:
-    """The least of 1, 2, 3, 5, 10, ... that is at least a value above 0."""
+    """Return the smallest of 1, 2, 3, 5, 10, ... not below a positive value."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(step * power for step in (1.0, 2.0, 3.0, 5.0, 10.0) if value <= step * power * (1.0 + 1e-9))

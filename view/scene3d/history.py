@@ -1,4 +1,4 @@
-"""The signals of a live run, as far back as they are kept."""
+"""Signals of a live run, limited to the newest samples."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -12,19 +12,19 @@ Array = npt.NDArray[np.float64]
 
 
 class History(Signals):
-    """Named arrays that grow sample by sample, and forget their oldest; each side has times of its own.
+    """Named arrays that grow by samples and drop the oldest; each side has its own times.
 
-    Before the first sample of a side there is one of NaN, so that no array is empty.
+    A side without samples has one of NaN, so that no array is empty.
 
     Args:
-        axes: Of each signal how many numbers a sample has; 0 of a single number without an axis.
-        most: Samples that are kept of each side.
+        axes: Numbers per sample of each signal; 0 for a single number without an axis.
+        most: Samples kept of each side.
     """
 
     def __init__(self, axes: Mapping[str, int], most: int) -> None:
         super().__init__({})
         self._most = most
-        # Twice as long as what is kept: half of it is moved to the front when it is full.
+        # Twice the kept length; when it is full, its second half moves to the front.
         self._columns: dict[str, Array] = {}
         self.add(axes)
         self._span: dict[str, tuple[int, int]] = {
@@ -35,11 +35,11 @@ class History(Signals):
             self._columns[time][0] = 0.0
 
     def append(self, time: str, row: Mapping[str, Any]) -> None:
-        """Takes a sample of a side.
+        """Append a sample of a side.
 
         Args:
-            time: "time_s" of the master, "slave_time_s" of the slave.
-            row: Its signals, the time among them; what is left out is not known.
+            time: "time_s" for the master, "slave_time_s" for the slave.
+            row: Its signals, with the time; missing signals are unknown.
         """
         first, last = self._span[time]
         if time in self._is_empty:
@@ -55,16 +55,16 @@ class History(Signals):
         self._span[time] = max(first, last + 1 - self._most), last + 1
 
     def add(self, axes: Mapping[str, int]) -> None:
-        """Keeps further signals, not known so far."""
+        """Add further signals, unknown so far."""
         for name, count in axes.items():
             self._columns[name] = np.full((2 * self._most, count) if count else 2 * self._most, np.nan)
 
     def has_begun(self, time: str) -> bool:
-        """Whether a side has sent a sample."""
+        """Return True once a side has sent a sample."""
         return time in self._span and time not in self._is_empty
 
     def time_of(self, name: str) -> str:
-        """The signal that has the times of another: "time_s" or "slave_time_s"."""
+        """Return the name of the times of a signal: "time_s" or "slave_time_s"."""
         return "slave_time_s" if name.startswith(("slave_", "environment_", "gripper", "holds_object")) else "time_s"
 
     def __getitem__(self, name: str) -> Array:

@@ -1,4 +1,4 @@
-"""What is where in a run that goes on, from the telemetry of one side or both."""
+"""Description of a live run, from the telemetry of one side or both."""
 
 import math
 from collections import deque
@@ -49,30 +49,30 @@ MAX_EVENTS = 256
 STATES = {state: code for code, state in enumerate(LADDER_STATES)}
 TIMES = {"master": "time_s", "slave": "slave_time_s"}
 SHARED = ("environment_", "gripper", "holds_object")
-"""How signals of the slave begin that have no namesake of the master."""
+"""Prefixes of slave signals without a counterpart at the master."""
 MOVING = {"hand": ("position",), "robot": ("slave_position", "slave_command")}
-"""Signals of each end that say where something is."""
+"""Position signals of each end."""
 ROOM = 0.3
-"""How much further than what has moved so far one sees, as a share of it."""
+"""Room around the range of motion so far, as a fraction of it."""
 STANDARD_N, STANDARD_N_M = 5.0, 0.2
-"""A force and a torque that are drawn at length before there was a larger one."""
+"""Force and torque drawn at full length until a larger one occurs."""
 
 
 class LiveDescription:
-    """Takes messages of telemetry, and knows what is where now: pure, so that it needs neither socket nor clock.
+    """Description of a live run, updated by telemetry messages, without socket or clock.
 
-    `description` has parts and meshes as `describe` has them. They are others whenever `generation` is: where the first
-    sample comes, or something moves or pushes further than is drawn.
+    `description` has parts and meshes as from `describe`. They change with `generation`: at the first sample, or when a
+    motion or force exceeds the drawn range.
 
     Args:
-        hellos: Of the master, the slave, or both in any order.
-        title: By default that of a live run.
-        arm: What the slave is: a UR, or a description of servos by its name or path; settings do not say.
-        leader: What the master is: a description of servos.
-        history_s: How long trails and time line remember, in s.
+        hellos: Hello of the master, the slave, or both in any order.
+        title: Title; by default that of a live run.
+        arm: Arm of the slave: a UR, or a servo description by name or path; settings do not name it.
+        leader: Arm of the master: a servo description by name or path.
+        history_s: Length of trails and time line in s.
 
     Raises:
-        ValueError: Two of the same side, or no such arm.
+        ValueError: Two hellos are of the same side, or there is no such arm.
     """
 
     def __init__(
@@ -84,13 +84,13 @@ class LiveDescription:
             raise ValueError(message)
         self.sides = tuple(sides)
         self.time_s = 0.0
-        """Of the newest sample, on the clock of the master where it is there."""
+        """Time of the newest sample, on the master's clock if the master is present."""
         self.lost_ticks = 0
-        """That this reader was too slow for."""
+        """Ticks lost because this reader was too slow."""
         self.generation = 0
-        """One more whenever `description` has other parts or sizes."""
+        """Incremented whenever `description` has other parts or sizes."""
         self.events: deque[Event] = deque(maxlen=MAX_EVENTS)
-        """The newest."""
+        """The newest events."""
         self._ended: set[str] = set()
         self._reason: dict[str, str] = {}
         self._offset_s: dict[str, float] = {}
@@ -111,14 +111,14 @@ class LiveDescription:
             sizes["device_force_peak"] = 0
         self._history = History(sizes, self._most)
         self.description: Description
-        """What there is to see; its time line is that of the last `refresh`."""
+        """Description to draw; its time line is that of the last `refresh`."""
         self._low: dict[str, Array] = {}
         self._high: dict[str, Array] = {}
         self._joints = is_joints(self._history, self._scene)
-        """Whether places are angles, and forces torques."""
+        """True if positions are angles and forces are torques."""
         corners = stops(self._scene, axes_of(self._history))
         if corners is not None and not self._joints and "slave" in self.sides:
-            # Before it moves, the robot is taken to move as far as the hand can.
+            # Before it moves, assume that the robot moves as far as the hand can.
             self._low["robot"], self._high["robot"] = corners
         self._peaks = {
             "force": dict.fromkeys(("hand", "robot"), STANDARD_N),
@@ -128,28 +128,28 @@ class LiveDescription:
 
     @property
     def has_ended(self) -> bool:
-        """Whether the loops of all sides ended in good order."""
+        """True if the loops of all sides ended in good order."""
         return self._ended == set(self.sides)
 
     @property
     def has_begun(self) -> bool:
-        """Whether there is a sample of each side."""
+        """True once each side has sent a sample."""
         return all(self._history.has_begun(TIMES[side]) for side in self.sides)
 
     def ended(self, side: str) -> bool:
-        """Whether the loop of a side ended in good order."""
+        """Return True if the loop of a side ended in good order."""
         return side in self._ended
 
     def take(self, message: TelemetryMessage, side: str | None = None, *, received_s: float = 0.0) -> None:
-        """Takes a message.
+        """Take a message.
 
         Args:
-            message: Of `TelemetryReader`.
-            side: Whose; may be left out where there is one side only.
-            received_s: When it came, on any monotonic clock: with it the times of two sides are laid over one another.
+            message: Message of `TelemetryReader`.
+            side: Its side; optional if there is only one.
+            received_s: Arrival time on any monotonic clock; it aligns the times of two sides.
 
         Raises:
-            ValueError: No such side.
+            ValueError: There is no such side.
         """
         of = self.sides[0] if side is None and len(self.sides) == 1 else side
         if of not in self.sides:
@@ -164,7 +164,7 @@ class LiveDescription:
             case TelemetryChange(signal="reason"):
                 self._reason[of] = str(message.to)
                 if self.events and self.events[-1].kind in STATES and self.events[-1].detail.startswith(of):
-                    # It comes with the state that it is the reason of.
+                    # The reason arrives with its state.
                     last = self.events.pop()
                     self.events.append(Event(last.time_s, last.kind, f"{of}: {message.to}"))
             case TelemetryChange(signal="tripped" | "rotation_tripped", from_=before, to=now):
@@ -189,19 +189,19 @@ class LiveDescription:
         self.events.append(Event(time_ns * 1e-9 + shift_s, kind, detail))
 
     def at_now(self) -> Moment:
-        """What is where, by the last values."""
+        """Return poses, trails and status at the newest sample."""
         return self.description.at(self.time_s)
 
     def refresh(self) -> Description:
-        """The description with the time line as it is now; what moves is known without."""
+        """Return the description with an updated time line; moving parts need no refresh."""
         self.description = replace(self.description, timeline=timeline_of(self._history, tuple(self.events)))
         return self.description
 
     def _name(self, side: str, name: str) -> str | None:
-        """As a run names a signal of a side; none of what is not looked at."""
+        """Return a run's name for a signal of a side; None if it is not drawn."""
         kinds = self._kinds[side]
         if f"true_{name}" in kinds or (name.startswith("hand_") and "true_position" not in kinds):
-            # The force of a hand that is no model is not known.
+            # The force of a real hand is unknown.
             return None
         if name.startswith("gripper") and not self._has_gripper:
             return None
@@ -214,7 +214,7 @@ class LiveDescription:
 
     def _sample(self, side: str, sample: TelemetrySample, received_s: float) -> None:
         time_s = sample.time_ns * 1e-9
-        # What came fastest says best how the clocks of two loops differ.
+        # The fastest message gives the best estimate of the clock offset.
         self._offset_s[side] = min(self._offset_s.get(side, math.inf), received_s - time_s)
         if side == "slave" and "master" in self.sides:
             if "master" not in self._offset_s:
@@ -241,13 +241,13 @@ class LiveDescription:
             self._build()
 
     def _begin_gripper(self) -> None:
-        """A gripper that has said where it is: its signals are kept from now on."""
+        """Keep the gripper's signals from its first position on."""
         self._has_gripper = True
         names = [self._name("slave", name) for name in self._kinds["slave"]]
         self._history.add({name: 0 for name in names if name is not None and name not in self._history})
 
     def _grows(self, row: Mapping[str, Any]) -> bool:
-        """Whether something is further, or pushes harder, than is drawn."""
+        """Return True if a motion or force exceeds the drawn range."""
         grown = False
         for station, names in MOVING.items():
             of: Extent = self._extents[station]
@@ -269,7 +269,7 @@ class LiveDescription:
         return grown
 
     def _pushes(self, kind: str, station: str, norm: float) -> bool:
-        """Whether something pushes harder than is drawn."""
+        """Return True if a force exceeds the drawn range."""
         if not norm > self._peaks[kind][station]:
             return False
         self._peaks[kind][station] = nice_above(1.2 * norm)
@@ -288,7 +288,7 @@ class LiveDescription:
         self.generation += 1
 
     def _roomy(self, station: str, of: Extent) -> Extent:
-        """With what has moved and pushed so far, and room beyond it."""
+        """Return the extent with the motion and forces so far, and room beyond."""
         low, high = of.low, of.high
         if station in self._low:
             seen_low, seen_high = self._low[station], self._high[station]
@@ -313,7 +313,7 @@ def _known(value: Any) -> bool:  # noqa: ANN401  # by the kind of the signal
 
 
 def _last(value: Any, kind: str, has_axes: bool) -> Any:  # noqa: ANN401
-    """The last value as a number, or one for each axis; of bits those of any tick, so that nothing short is missed."""
+    """Return the last value as a number, or one per axis; of bits those of any tick, so that none is missed."""
     match kind:
         case "axes":
             numbers = [math.nan if axis[2] is None else axis[2] for axis in value]
@@ -328,7 +328,7 @@ def _last(value: Any, kind: str, has_axes: bool) -> Any:  # noqa: ANN401
             return float(value)
 
 
-def _vector(value: Any) -> Array | None:  # noqa: ANN401  # a number, or one for each axis
+def _vector(value: Any) -> Array | None:  # noqa: ANN401  # a number, or one per axis
     if value is None:
         return None
     vector = points_of(np.atleast_1d(np.asarray(value, dtype=np.float64))[None])[0]

@@ -1,4 +1,4 @@
-"""Triangles with normals, made from profiles: what a renderer and a page draw alike."""
+"""Triangle meshes with normals, made from profiles, for renderers and pages."""
 
 import math
 from collections.abc import Sequence
@@ -10,23 +10,23 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 SIDES = 28
-"""Of whatever is round."""
+"""Facets of round bodies."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """Triangles in a frame of their own."""
+    """Triangles in their own frame."""
 
     points: Array
     """(n, 3) in m."""
     normals: Array
-    """(n, 3), of length 1, outward."""
+    """Outward unit normals, (n, 3)."""
     triangles: npt.NDArray[np.int32]
-    """(k, 3), indices of points, counter-clockwise from outside."""
+    """Indices of points, (k, 3), counter-clockwise from outside."""
 
 
 def joined(*meshes: Mesh) -> Mesh:
-    """Several as one."""
+    """Join meshes."""
     begins = np.cumsum([0, *(len(mesh.points) for mesh in meshes)])
     return Mesh(
         np.concatenate([mesh.points for mesh in meshes]),
@@ -36,17 +36,17 @@ def joined(*meshes: Mesh) -> Mesh:
 
 
 def placed(mesh: Mesh, transform: Array) -> Mesh:
-    """A mesh under a rigid transform, (4, 4)."""
+    """Transform a mesh by a rigid transform, (4, 4)."""
     rotation = transform[:3, :3]
     return Mesh(mesh.points @ rotation.T + transform[:3, 3], mesh.normals @ rotation.T, mesh.triangles)
 
 
 def lathed(profile: Sequence[tuple[float, float]], *, smooth: bool = False) -> Mesh:
-    """A body of revolution about z.
+    """Return a body of revolution about z.
 
     Args:
-        profile: Pairs of radius and height in m; the outside lies to the right of the way from first to last.
-        smooth: Whether normals go on across the corners of the profile.
+        profile: Pairs of radius and height in m; the outside is to the right of the path.
+        smooth: True to interpolate normals across the corners of the profile.
     """
     way = np.asarray(profile, dtype=np.float64)
     along = np.diff(way, axis=0)
@@ -74,22 +74,22 @@ def lathed(profile: Sequence[tuple[float, float]], *, smooth: bool = False) -> M
 
 
 def sphere(radius: float) -> Mesh:
-    """About the origin."""
+    """Return a sphere about the origin."""
     return lathed(_arc(radius, -math.pi / 2, math.pi / 2, 0.0), smooth=True)
 
 
 def cylinder(radius: float, low: float, high: float) -> Mesh:
-    """Along z, with its ends."""
+    """Return a closed cylinder along z."""
     return lathed([(0.0, low), (radius, low), (radius, high), (0.0, high)])
 
 
 def cone(radius: float, low: float, high: float) -> Mesh:
-    """Along z, with its tip at `high`."""
+    """Return a cone along z with its tip at `high`."""
     return lathed([(0.0, low), (radius, low), (0.0, high)])
 
 
 def capsule(radius: float, length: float) -> Mesh:
-    """A cylinder along z from 0 to its length, with half spheres around its ends."""
+    """Return a cylinder along z from 0 to its length, with hemispherical ends."""
     low = _arc(radius, -math.pi / 2, 0.0, 0.0)
     return lathed(low + _arc(radius, 0.0, math.pi / 2, length), smooth=True)
 
@@ -101,14 +101,14 @@ def _arc(radius: float, begin: float, end: float, height: float) -> list[tuple[f
 
 
 def torus(radius: float, thickness: float) -> Mesh:
-    """A ring about z in the plane z = 0."""
+    """Return a ring about z in the plane z = 0."""
     angles = np.linspace(-math.pi, math.pi, 13)
     ring = [(radius + thickness * math.cos(angle), thickness * math.sin(angle)) for angle in angles]
     return lathed(ring, smooth=True)
 
 
 def box(half_extents: Sequence[float] | Array) -> Mesh:
-    """About the origin, along the axes."""
+    """Return a box about the origin, along the axes."""
     points: list[Array] = []
     normals, triangles = [], []
     for axis in range(3):
@@ -129,7 +129,7 @@ def box(half_extents: Sequence[float] | Array) -> Mesh:
 
 
 def holed_block(radius: float, depth: float, chamfer: float, half_width: float) -> Mesh:
-    """Material with a round hole along -z from its entrance at the origin; open towards the outside of the material."""
+    """Return material with a round hole along -z from its entrance at the origin, open at the outside."""
     outside = [(0.0, -1.25 * depth), (half_width, -1.25 * depth), (half_width, 0.0)]
     edge = [(radius + chamfer, 0.0), (radius, -chamfer)] if chamfer > 0.0 else [(radius, 0.0)]
     return lathed([*outside, *edge, (radius, -depth), (0.0, -depth)])

@@ -1,4 +1,4 @@
-"""What a scene's environment holds: walls, balls, boxes, holes, handles, bodies, and where the tool touches them."""
+"""Objects of a scene's environment (walls, balls, boxes, holes, handles, bodies) and contacts of the tool."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -26,11 +26,11 @@ from haptether.view.scene3d.rotation import matrix_of, rotation_to, transform, t
 
 Array = npt.NDArray[np.float64]
 Depth = Callable[[Array, float], float]
-"""How deep in m a point, (3,), is in something at a time; below 0 outside."""
+"""Depth in m of a point, (3,), in an object at a time; negative outside."""
 
 
 def moved(motion: MotionTable | None, time_s: float, axes: int) -> Array:
-    """Displacement in m, (3,), of what moves on its own: its velocity from `from_s` to `until_s`, and its sine."""
+    """Return the displacement in m, (3,), of a moving object: velocity from `from_s` to `until_s`, plus a sine."""
     if motion is None:
         return np.zeros(3)
     until_s = math.inf if motion.until_s is None else motion.until_s
@@ -40,14 +40,14 @@ def moved(motion: MotionTable | None, time_s: float, axes: int) -> Array:
 
 
 class Surroundings:
-    """The parts of an environment, and which points touch something."""
+    """Parts of an environment, and depth of points in them."""
 
     def __init__(self, scene: Scene, signals: Signals, extent: Extent) -> None:
         self.parts: list[Part] = []
         self.notes: list[str] = []
-        """What cannot be drawn, and why."""
+        """Items not drawn, and why."""
         self.holds_objects = False
-        """Whether something drawn is carried by the jaws."""
+        """True if the jaws carry a drawn object."""
         self._depths: list[Depth] = []
         self._axes = axes_of(signals)
         environment = scene.environment
@@ -63,7 +63,7 @@ class Surroundings:
             self._add_body(number, body, signals)
 
     def depth(self, point: Array, time_s: float) -> float:
-        """How deep in m a point is in what is touched; below 0 outside of all, -inf where there is nothing."""
+        """Return the depth in m of a point in the deepest object; negative outside, -inf without objects."""
         return max((of(point, time_s) for of in self._depths), default=-math.inf)
 
     def _add_object(self, name: str, thing: ObjectTable, extent: Extent) -> None:
@@ -167,7 +167,7 @@ def contacts(
     is_touching: Callable[[float], bool],
     radius: float,
 ) -> Iterator[Part]:
-    """A mark at each point of the tool, (n, 3) in its frame, that is in something while a force acts on the tool."""
+    """Yield a mark at each point of the tool, (n, 3) in its frame, that is in contact while a force acts."""
     for number, point in enumerate(points):
 
         def pose(time_s: float, point: Array = point) -> Array | None:
@@ -181,10 +181,10 @@ def contacts(
 
 
 def slab(extent: Extent, point: Array, normal: Array) -> Mesh:
-    """The material below a plane through a point, whose normal is the z axis of the mesh, as wide as what is seen."""
+    """Return the material below a plane, with its normal along the mesh's z axis, as wide as the view."""
     unit = normal / np.linalg.norm(normal)
     upright = abs(unit[2]) < 0.5
-    # As thick as the tool goes into it, so that it is seen inside.
+    # Thick enough to show the tool inside.
     deepest = max(0.0, float(unit @ (point - np.where(unit > 0.0, extent.low, extent.high))))
     thickness = max(0.06 * extent.size, deepest + (0.14 if upright else 0.04) * extent.size)
     side = (0.2 if upright else 0.62) * extent.size
@@ -192,7 +192,7 @@ def slab(extent: Extent, point: Array, normal: Array) -> Mesh:
 
 
 def wheel(radius: float) -> Mesh:
-    """A hand wheel about z, its rim in the plane z = 0, with one spoke marked by a knob."""
+    """Return a hand wheel about z, its rim in the plane z = 0, with a knob on one spoke."""
     rim = torus(radius, 0.09 * radius)
     directions = [np.array([math.cos(a), math.sin(a), 0.0]) for a in (0.0, math.tau / 3.0, 2.0 * math.tau / 3.0)]
     spoke = capsule(0.06 * radius, radius)
@@ -224,7 +224,7 @@ def _box_depth(centre: Array, half: Array, axes: int) -> Depth:
 
 
 def _hole_depth(base_from_hole: Array, hole: HoleTable) -> Depth:
-    """In the material around a hole: below its face, and outside of its radius, which the chamfer widens, or depth."""
+    """Return the depth in the material around a hole: below its face, outside its chamfered radius or depth."""
 
     def depth(at: Array, _: float) -> float:
         x, y, z = base_from_hole[:3, :3].T @ (at - base_from_hole[:3, 3])

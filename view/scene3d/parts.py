@@ -1,4 +1,4 @@
-"""What a scene in three dimensions is made of: bodies, arrows and trails, each with where it is at a time."""
+"""Components of a 3D scene: bodies, arrows and trails, with their poses over time."""
 
 import math
 from collections.abc import Callable
@@ -14,18 +14,18 @@ from haptether.view.scene3d.rotation import rotation_to, transform
 
 Array = npt.NDArray[np.float64]
 Station = Literal["hand", "robot"]
-"""The two ends, each drawn in a window of its own: their sizes differ by an order of magnitude."""
+"""The two ends, drawn in separate windows because their sizes differ by an order of magnitude."""
 Pose = Callable[[float], Array | None]
-"""base_from_part, (4, 4), at a time in s; none while there is nothing to see."""
+"""base_from_part, (4, 4), at a time in s; None while hidden."""
 
 
 class Course:
-    """A signal as it was known at each time: the last sample at or before it. Signals may grow meanwhile.
+    """A signal over time: the last sample at or before each time. The signals may grow.
 
     Args:
-        signals: Of a run, recorded or live.
-        name: Of the signal.
-        by: What is made of samples, (n, ...), row by row; by default the samples themselves.
+        signals: Signals of a recorded or live run.
+        name: Name of the signal.
+        by: Conversion of samples, (n, ...), row by row; by default none.
     """
 
     def __init__(self, signals: Signals, name: str, by: Callable[[Array], Array] = np.asarray) -> None:
@@ -35,28 +35,28 @@ class Course:
 
     @property
     def time_s(self) -> Array:
-        """(n,)."""
+        """Times, (n,)."""
         times: Array = self._signals[self._signals.time_of(self._name)]
         return times
 
     @property
     def values(self) -> Array:
-        """(n, ...)."""
+        """Converted samples, (n, ...)."""
         return self._by(self._signals[self._name])
 
     def index(self, time_s: float) -> int:
-        """Of the sample; the first before there is one."""
+        """Return the index of the sample at a time; 0 before the first."""
         return max(0, int(np.searchsorted(self.time_s, time_s + 1e-9, side="right")) - 1)
 
     def at(self, time_s: float) -> Array:
-        """The sample."""
+        """Return the sample at a time."""
         index = self.index(time_s)
         return np.asarray(self._by(self._signals[self._name][index : index + 1])[0])
 
     def between(self, begin_s: float, end_s: float, most: int) -> tuple[Array, Array]:
-        """Times, (k,), and samples, (k, ...), from a time to another, that one included; some of them, evenly."""
+        """Return times, (k,), and samples, (k, ...), up to and including `end_s`, evenly thinned to about `most`."""
         first, last = np.searchsorted(self.time_s, [begin_s, end_s + 1e-9])
-        # Always the same ones: else a line would tremble as it grows.
+        # Keep the same samples as the line grows; otherwise it would tremble.
         step = 1 << max(0, math.ceil(math.log2(max(1, last - first) / most)))
         kept = np.union1d(np.arange(first - first % -step, last, step), np.arange(last - 1, last)[: last - first])
         return self.time_s[kept], self._by(self._signals[self._name][kept])
@@ -64,54 +64,54 @@ class Course:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Part:
-    """A body."""
+    """A body with its mesh and pose."""
 
     name: str
     station: Station
     mesh: Mesh
     colour: str
-    """As #rrggbb."""
+    """Colour as #rrggbb."""
     pose: Pose
     opacity: float = 1.0
 
 
 def still(at: Array) -> Pose:
-    """Of what does not move."""
+    """Return a constant pose."""
     return lambda _: at
 
 
 HEAD_LENGTH, HEAD_RADIUS, SHAFT_RADIUS = 4.2, 1.75, 0.7
-"""Of an arrow, as multiples of its thickness."""
+"""Dimensions of an arrow, as multiples of its thickness."""
 MOST_TRAIL_POINTS = 500
-"""That are seen of a trail at once."""
+"""Most points of a trail shown at once."""
 LEAST_LENGTH = 0.25
-"""Multiple of the thickness below which an arrow is not seen."""
+"""Length below which an arrow is hidden, as a multiple of its thickness."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arrow:
-    """A force, or with two heads a torque: `length = scale |F|` from its tail to its tip."""
+    """A force, or with two heads a torque, with `length = scale |F|` from tail to tip."""
 
     name: str
     label: str
     station: Station
     colour: str
     scale: float
-    """m per N, or per N m; the same at all times."""
+    """Scale in m per N, or per N m; constant."""
     thickness_m: float
     tail: Callable[[float], Array]
-    """Where it begins, (3,) in m."""
+    """Position of its tail, (3,) in m."""
     vector: Callable[[float], Array]
-    """(3,) in N or N m."""
+    """Force or torque, (3,) in N or N m."""
     heads: Literal[1, 2] = 1
 
     def length(self, time_s: float) -> float:
-        """In m; 0 where it is not known."""
+        """Return the length in m; 0 while unknown."""
         length = self.scale * float(np.linalg.norm(self.vector(time_s)))
         return length if np.isfinite(length) else 0.0
 
     def parts(self) -> list[Part]:
-        """Its shaft and its heads."""
+        """Return its shaft and heads."""
         head_m = HEAD_LENGTH * self.thickness_m
         shaft = Part(
             name=f"{self.name} shaft",
@@ -153,21 +153,21 @@ class Arrow:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Trail:
-    """Where a point has been."""
+    """Recent path of a point."""
 
     name: str
     label: str
     station: Station
     colour: str
     points: Course
-    """(n, 3) in m, as recorded."""
+    """Recorded points, (n, 3) in m."""
     window_s: float
-    """How long it stays."""
+    """Time in s for which a point stays visible."""
     drift: Array
-    """Velocity in m/s, (3,), with which what was drawn moves away: along one axis a trail would hide in itself."""
+    """Velocity in m/s, (3,), at which drawn points move away; without it a one-axis trail would hide itself."""
 
     def until(self, time_s: float) -> Array:
-        """What is seen of it at a time, (k, 3)."""
+        """Return the visible points at a time, (k, 3)."""
         times_s, points = self.points.between(time_s - self.window_s, time_s, MOST_TRAIL_POINTS)
         seen = points + (time_s - times_s)[:, None] * self.drift
         known: Array = seen[np.isfinite(seen).all(axis=1)]

@@ -1,4 +1,4 @@
-"""The end of the robot: arm, tool, gripper, where it was sent, what it touches, and the force on it."""
+"""The robot's end: arm, tool, gripper, commanded pose, environment, and the force on it."""
 
 import math
 
@@ -23,12 +23,12 @@ Array = npt.NDArray[np.float64]
 
 TRAIL_S = 2.0
 LEAST_TURN = 0.03
-"""Angle in rad below which command and tool are seen as one."""
+"""Angle in rad below which command and tool coincide."""
 DEVICE_NOTE = "no arm: the environment acts on the device itself"
 
 
 class RobotEnd:
-    """Parts, arrows and trails of the robot, and notes of what is not drawn."""
+    """Parts, arrows and trails of the robot, and notes of items not drawn."""
 
     def __init__(self, run: Run, scene: Scene | None, extent: Extent, arms: Arms) -> None:
         self.parts: list[Part] = []
@@ -36,9 +36,9 @@ class RobotEnd:
         self.trails: list[Trail] = []
         self.notes: list[str] = []
         self.postures: UrPostures | None = None
-        """Of a UR arm."""
+        """Postures of a UR arm; None without one."""
         self.above = 0.4
-        """How far the tool reaches above its point, as a share of the size of what moves."""
+        """Height of the tool above its point, as a fraction of the range of motion."""
         signals = run.signals
         self._has_arm = "slave_position" in signals
         self._extent = extent
@@ -74,7 +74,7 @@ class RobotEnd:
         self._add_forces(signals)
 
     def _pose_of(self, place: Course, turned: Course | None) -> Pose:
-        """base_from_tool of recorded positions, (n, 3), and rotations, (n, 3, 3)."""
+        """Return base_from_tool of recorded positions, (n, 3), and rotations, (n, 3, 3)."""
 
         def pose(time_s: float) -> Array | None:
             at, how = place.at(time_s), None if turned is None else turned.at(time_s)
@@ -85,7 +85,7 @@ class RobotEnd:
         return pose
 
     def _placed(self, points: Array) -> Array:
-        """Recorded positions where they are drawn."""
+        """Return recorded positions in the drawn frame."""
         if self.postures is None:
             return points
         return points + self.postures.base_from_tool(np.zeros(3), None)[:3, 3]
@@ -127,14 +127,14 @@ class RobotEnd:
             mesh = probe(size)
             self.above = 0.56
         if not self._has_arm:
-            # It is the tip of the device that touches.
+            # The tip of the device makes contact.
             mesh = sphere(0.045 * size)
         self.parts.append(Part(name="tool", station="robot", mesh=mesh, colour=colours.TOOL, pose=self._tool))
         if self._axes == 1:
             self.parts.append(rail("robot", self._extent))
 
     def _add_jaws(self, signals: Signals, *, along: float, length: float, width: float) -> None:
-        """A body and two fingers; `along` is where the hand of the gripper is from the tool point, on its z axis."""
+        """Add a body and two fingers; `along` is the direction from the tool point to the gripper on its z axis."""
         closed = Course(signals, "gripper")
         finger_length, thick = 0.42 * length, 0.1 * width
         body = placed(
@@ -164,7 +164,7 @@ class RobotEnd:
         self._jaw_width = width
 
     def _add_held(self, signals: Signals) -> None:
-        """What the jaws of a model hold, where they took it and where they left it."""
+        """Add the object held by a model's jaws, also where they took it and left it."""
         if "holds_object" not in signals:
             return
         course = Course(signals, "holds_object", lambda of: np.nan_to_num(of.astype(np.float64)))
@@ -188,7 +188,7 @@ class RobotEnd:
         self.notes.append("held object: between the grips it is drawn where the jaws took it or left it")
 
     def _add_command(self, signals: Signals) -> None:
-        """The ghost of the delayed pose, and the two trails."""
+        """Add the ghost of the delayed command, and two trails."""
         size = self._extent.size if self.postures is None else 0.25
         rows = [("tool trail", "way of the tool", colours.MEASURED, "slave_position" if self._has_arm else "position")]
         if "slave_command" in signals and self._has_arm:
@@ -204,7 +204,7 @@ class RobotEnd:
                 at, tool_at = sent(time_s), self._tool(time_s)
                 if at is None or tool_at is None:
                     return at
-                # Of the same shape, it would only stain the tool that it coincides with.
+                # Hide a ghost that coincides with the tool: it would only tint it.
                 apart_m = float(np.linalg.norm(at[:3, 3] - tool_at[:3, 3]))
                 apart_rad = float(np.linalg.norm(at[:3, :3] - tool_at[:3, :3])) / math.sqrt(2.0)
                 return at if apart_m > least_m or apart_rad > LEAST_TURN else None
@@ -277,7 +277,7 @@ class RobotEnd:
             self._add_held(signals)
 
     def _table(self) -> Part:
-        """A table as high as the arm's base."""
+        """Return a table at the height of the arm's base."""
         mesh = box([0.55, 0.6, 0.01])
         return Part(
             name="table",
@@ -317,13 +317,13 @@ class RobotEnd:
 
 
 def tool_points(scene: Scene | None) -> Array:
-    """Points of the tool that touch, (n, 3) in m in its frame; the tool point where the scene names none."""
+    """Return the contact points of the tool, (n, 3) in m in its frame; by default the tool point."""
     tool = None if scene is None or scene.slave is None else scene.slave.tool
     return np.zeros((1, 3)) if tool is None else np.array(tool.points, dtype=np.float64)
 
 
 def is_ground(scene: Scene) -> bool:
-    """Whether what a scene has is a ground itself: material with a hole, or a level plane."""
+    """Return True if the scene has a ground: material with a hole, or a level plane."""
     environment = scene.environment
     if environment is None:
         return False
@@ -333,7 +333,7 @@ def is_ground(scene: Scene) -> bool:
 
 
 def peg_of(points: Array) -> tuple[float, float] | None:
-    """Radius and height in m of a peg about z whose points these are; none where they do not lie on a cylinder."""
+    """Return radius and height in m of a peg about z with these points; None if they lie on no cylinder."""
     if len(points) < 8:
         return None
     radii = np.hypot(points[:, 0], points[:, 1])
@@ -343,7 +343,7 @@ def peg_of(points: Array) -> tuple[float, float] | None:
 
 
 def slider(size: float) -> Mesh:
-    """A carriage on its rail with a round tip, whose foremost point is the tool point."""
+    """Return a carriage on its rail with a round tip, whose foremost point is the tool point."""
     carriage = placed(box([0.075 * size, 0.055 * size, 0.045 * size]), transform(np.array([0.085 * size, 0.0, 0.0])))
     mast = placed(cylinder(0.022 * size, 0.0, 0.16 * size), transform(np.array([0.085 * size, 0.0, 0.0])))
     tip = placed(sphere(0.032 * size), transform(np.array([0.032 * size, 0.0, 0.0])))
@@ -351,7 +351,7 @@ def slider(size: float) -> Mesh:
 
 
 def probe(size: float) -> Mesh:
-    """A rod along z with a round tip at the tool point, below a flange."""
+    """Return a rod along z with a round tip at the tool point, below a flange."""
     rod = placed(capsule(0.02 * size, 0.42 * size), transform(np.array([0.0, 0.0, 0.02 * size])))
     flange = cylinder(0.085 * size, 0.44 * size, 0.52 * size)
     return joined(rod, flange)

@@ -1,4 +1,4 @@
-"""The scene of a run from its settings, as a recording or a telemetry has them."""
+"""The scene of a run from its settings in a recording or in telemetry."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,16 +15,16 @@ LOOKED_AT: Mapping[str, frozenset[str] | None] = {
     "environment": frozenset({"objects", "holes", "handles", "bodies"}),
     "safety": frozenset({"controllers", "grasp_threshold", "energy_threshold_j"}),
 }
-"""Tables and their fields that are drawn; all of "operator", of which it counts whether there is one."""
+"""Tables and fields that are drawn; all of "operator", whose presence counts."""
 
 
 def scene_of_settings(settings: Mapping[str, Any] | None) -> Scene | None:
-    """What is drawn of a scene, of its settings table by table, defaults filled in; none without settings.
+    """Return the drawn part of a scene from its settings, with defaults; None without settings.
 
-    Settings do not say which device was driven: `Arms` do.
+    Settings do not name the driven device; `Arms` does.
 
     Args:
-        settings: Of `Run.settings` or `TelemetryHello.scene`.
+        settings: `Run.settings` or `TelemetryHello.scene`.
     """
     if not settings:
         return None
@@ -39,7 +39,7 @@ def scene_of_settings(settings: Mapping[str, Any] | None) -> Scene | None:
     try:
         return msgspec.convert(kept, Scene)
     except msgspec.ValidationError:
-        # Of another version: what its device is like is enough to draw what moves.
+        # Settings of another version: the number of axes suffices to draw the motion.
         return Scene(schema=1, master=msgspec.convert({"axes": settings["master"]["axes"]}, MasterTable))
 
 
@@ -50,7 +50,7 @@ def _fields(table: type[msgspec.Struct]) -> tuple[inspect.Field, ...]:
 
 
 def _fitted(value: Any, kind: inspect.Type) -> Any:  # noqa: ANN401  # any field
-    """What a table takes of a value: without fields that only the loops have, and without those that are none."""
+    """Return a value as a table accepts it, without fields for the loops only and without empty fields."""
     if isinstance(kind, inspect.Metadata):
         return _fitted(value, kind.type)
     if isinstance(kind, inspect.UnionType):

@@ -1,4 +1,4 @@
-"""What is written beside the picture: ladder, link, who intervenes, and observers against their thresholds."""
+"""Texts beside the picture: ladder, link, acting controllers, and observers against their thresholds."""
 
 import math
 from collections.abc import Sequence
@@ -33,16 +33,16 @@ class Gauge:
     controller: str
     symbol: str
     value: float
-    """NaN where it was not observed."""
+    """Value; NaN if not observed."""
     threshold: float
     unit: str
     share: float
-    """Of the way from calm, 0, to the threshold, 1; beyond it more."""
+    """Progress from calm, 0, to the threshold, 1; above 1 beyond it."""
     tripped: bool
 
     @property
     def text(self) -> str:
-        """The value and what it must not reach."""
+        """Value and threshold as text."""
         if not math.isfinite(self.value):
             return f"{self.symbol}  not observed"
         sign = "<" if self.threshold > 0.0 else ">"
@@ -51,35 +51,35 @@ class Gauge:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Status:
-    """At one time."""
+    """Status at one time."""
 
     time_s: float
     master: str
-    """State of the ladder at the hand; empty without a link."""
+    """Ladder state at the hand; empty without a link."""
     slave: str
     reason: str
-    """Why, in the words of the side that changed last."""
+    """Reason of the last change, in the words of its side."""
     age_s: float
-    """Of the newest frame at the hand; NaN without a link."""
+    """Age of the newest frame at the hand; NaN without a link."""
     tripped: tuple[str, ...]
     """Controllers whose observer is beyond its threshold."""
     acting: tuple[str, ...]
-    """Those whose intervention goes on, named by the trip that began it."""
+    """Controllers with an ongoing intervention, named by the trip that began it."""
     intervenes: bool
-    """Whether a controller acts, its hold-off included."""
+    """True if a controller acts, hold-off included."""
     gauges: tuple[Gauge, ...]
     speed: float
-    """|V| of the hand's device, in m/s, or of its fastest joint in rad/s; NaN where it is not recorded."""
+    """V| of the hand's device in m/s, or of its fastest joint in rad/s; NaN if not recorded."""
     device_force: float
-    """|F_device| in N, or of the joint that exerts most in N m."""
+    """F_device| in N, or the largest joint torque in N m."""
     environment_force: float
-    """|F_e| in N, or of the joint that bears most in N m; NaN without an arm."""
+    """F_e| in N, or the largest joint torque in N m; NaN without an arm."""
     joints: bool
-    """Whether they are of joints."""
+    """True if the values are of joints."""
 
     @property
     def numbers(self) -> tuple[tuple[str, float, str], ...]:
-        """Symbol, value and unit of what is known of them."""
+        """Symbol, value and unit of the known values."""
         force, unit, speed = ("T", "N m", "rad/s") if self.joints else ("F", "N", "m/s")
         rows = (
             (f"{force} hand", self.device_force, unit),
@@ -90,20 +90,20 @@ class Status:
 
 
 class StatusCourse:
-    """The status of a run over time."""
+    """Status of a run over time."""
 
     def __init__(self, signals: Signals, events: Sequence[Event], scene: Scene | None) -> None:
         self._signals = signals
         self._courses = {name: Course(signals, name) for name in signals if name not in {"time_s", "slave_time_s"}}
         self._events = events
         self.joints = is_joints(signals, scene)
-        """Whether forces are torques of joints."""
+        """True if forces are joint torques."""
         self.controllers = _controllers(signals, scene)
         self._thresholds = _thresholds(scene)
         self._largest_energy_j = largest(signals, "energy_j") or 1.0
 
     def at(self, time_s: float) -> Status:
-        """At a time in s."""
+        """Return the status at a time in s."""
         bits = int(self._value("tripped", time_s, 0.0)) | int(self._value("rotation_tripped", time_s, 0.0))
         told = self._newest(time_s, LADDER_KINDS)
         return Status(
@@ -133,9 +133,9 @@ class StatusCourse:
     def _gauge(self, controller: str, bits: int, time_s: float) -> Gauge:
         observed = OBSERVED_SIGNALS[controller]
         value, threshold = self._value(observed.signal, time_s, math.nan), self._thresholds[controller]
-        # PC acts below 0, so there is no share of a threshold, only of the largest energy.
+        # PC trips below 0, so the gauge is relative to the largest energy.
         if threshold == 0.0 and math.isfinite(value):
-            # Of a live run the largest is not known beforehand.
+            # The largest energy of a live run is not known in advance.
             self._largest_energy_j = max(self._largest_energy_j, abs(value))
         share = value / threshold if threshold != 0.0 else -value / self._largest_energy_j
         return Gauge(
@@ -165,18 +165,18 @@ class StatusCourse:
 
 
 def largest(signals: Signals, name: str) -> float:
-    """Largest magnitude of a signal; 0 where it is not known."""
+    """Return the largest magnitude of a signal; 0 if unknown."""
     values = signals[name] if name in signals else np.zeros(1)
     return float(np.nanmax(np.abs(values), initial=0.0))
 
 
 def _controllers(signals: Signals, scene: Scene | None) -> tuple[str, ...]:
     if "time_s" not in signals:
-        # They are at the hand, of which nothing is known.
+        # The controllers are at the hand, which is unknown.
         return ()
     if scene is not None:
         return tuple(name for name in OBSERVED_SIGNALS if name in scene.safety.controllers)
-    # A recording without its scene: those whose observer was fed.
+    # Without a scene: the controllers whose observer has values.
     return tuple(
         name
         for name, (signal, *_) in OBSERVED_SIGNALS.items()
@@ -185,7 +185,7 @@ def _controllers(signals: Signals, scene: Scene | None) -> tuple[str, ...]:
 
 
 def _thresholds(scene: Scene | None) -> dict[str, float]:
-    """Thresholds of the controllers; those of the paper without a scene or for a scene that is only drawn."""
+    """Return the thresholds of the controllers; the paper's without a scene, or for a drawing only."""
     if scene is None or (scene.master.device is None and scene.master.mass_kg is None):
         return {"vfc": 1.0, "hsc": 1.5, "wsc": -0.03, "pc": 0.0}
     safety = spec_of(scene)["safety"]
@@ -193,7 +193,7 @@ def _thresholds(scene: Scene | None) -> dict[str, float]:
 
 
 def spans(time_s: npt.NDArray[np.float64], on: npt.NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """When something was so: begin and end of each time, in s."""
+    """Return begin and end in s of each interval in which a mask is set."""
     edges = np.diff(np.concatenate([[0], on.astype(np.int8), [0]]))
     begins, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
     ends = np.minimum(ends, len(time_s) - 1)

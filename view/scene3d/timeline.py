@@ -1,4 +1,4 @@
-"""The time line of a run: events, states of the ladder, interventions, and the force on the hand."""
+"""Time line of a run: events, ladder states, interventions, and the force on the hand."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,13 +12,13 @@ from haptether.view.scene3d.extent import is_joints, largest_of, norms_of
 from haptether.view.scene3d.status import spans
 
 MOST_COLUMNS = 1500
-"""Of the force: more than a screen is wide."""
+"""Columns of the force; more than the width of a screen."""
 SHOWN = frozenset(
     {"release", "regrasp", "contact", "grip", "drop", "hold", "stop", "fault", "diverged", "trip", "engaged"}
 )
-"""Kinds of events that have a name on the line; the others are marks."""
+"""Kinds of events with a name on the line; the others are only marks."""
 APART_S = 0.05
-"""Trips that are nearer to one another are one to who looks for the next."""
+"""Trips closer than this in s count as one for `next_trip`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,42 +33,42 @@ class Mark:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Timeline:
-    """Of one run."""
+    """Time line of one run."""
 
     begin_s: float
     end_s: float
     """Time of the last tick."""
     over_s: float
-    """When the last tick is over: it lasts as long as the one before it."""
+    """End of the last tick, assumed as long as the previous one."""
     marks: tuple[Mark, ...]
-    """Every event, at its time."""
+    """Every event at its time."""
     ladder: tuple[tuple[float, float, str], ...]
-    """Begin, end and state, of the hand's side."""
+    """Begin, end and state of the hand's side."""
     trips: tuple[tuple[float, float], ...]
-    """When controllers intervened, hold-off included."""
+    """Intervals of interventions, hold-off included."""
     force_time_s: npt.NDArray[np.float64]
     force_n: npt.NDArray[np.float64]
-    """|F_device|, or |F_e| where the hand is not known, of joints the greatest torque: the largest of each piece of the
-    time line."""
+    """Largest force of each piece of the time line: |F_device|, or |F_e| without a hand; for joints the largest torque.
+    """
 
     def next_trip(self, time_s: float) -> float | None:
-        """When the next intervention begins; after the last, the first; none without any."""
+        """Return the start of the next intervention; after the last, of the first; None without any."""
         begins = [begin for n, (begin, _) in enumerate(self.trips) if n == 0 or begin - self.trips[n - 1][1] > APART_S]
         return next((begin for begin in begins if begin > time_s + 1e-9), begins[0] if begins else None)
 
 
 def timeline_of(signals: Signals, events: Iterable[Event]) -> Timeline:
-    """Of the signals of a run, and what happened in it."""
+    """Return the time line of a run's signals and events."""
     time_s = np.asarray(signals["time_s" if "time_s" in signals else "slave_time_s"], dtype=np.float64)
     named_before: dict[str, float] = {}
     marks = []
     for event in events:
-        # What chatters is named once.
+        # Name a chattering event once.
         is_new = event.time_s - named_before.get(event.kind, -np.inf) > 0.5
         named_before[event.kind] = event.time_s
         side, _, _ = event.detail.partition(":")
         text = f"{event.kind} {event.detail}" if event.kind == "trip" else event.kind
-        # The ladder of the slave follows that of the master.
+        # The slave's ladder follows the master's.
         named = event.kind in SHOWN and is_new and (side != "slave" or "time_s" not in signals)
         marks.append(Mark(time_s=event.time_s, kind=event.kind, text=text, named=named))
     return Timeline(

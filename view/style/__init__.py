@@ -1,1 +1,1 @@
-"""One style for every picture: colours, sizes, fonts, legends, letters, names of events. It uses no other room."""
+"""Style of all pictures: colours, sizes, fonts, legends, letters, names of events. Uses no other package."""

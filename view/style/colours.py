@@ -1,6 +1,6 @@
-"""One colour for each controller and for the paper, the same in every figure; told apart by the colour-blind, too.
+"""Colours of each controller and of the paper, the same in every figure and safe for colour blindness.
 
-Source: M. Okabe, K. Ito, "Color Universal Design", 2008. Lines differ in their dashes as well.
+Source: M. Okabe, K. Ito, "Color Universal Design", 2008. Lines also differ in their dashes.
 """
 
 from collections.abc import Iterable
@@ -17,16 +17,16 @@ CONTROLLERS = {
 }
 """Colour and dashes of each controller, and of a run without one."""
 UNION = "#56b4e9"
-"""Of several controllers at once; which ones is told by their dashes."""
+"""Colour of several controllers at once; the dashes tell which."""
 UNION_DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 3)))
 RESEARCH = "#8c564b"
-"""Of a controller in Python, alone or with others, which its dashes show."""
+"""Colour of a Python controller, alone or with others; the dashes tell which."""
 PAPER = "#000000"
-"""Of what was read off the paper."""
+"""Colour of values read off the paper."""
 THRESHOLD = "#7f7f7f"
-"""Of what an observer is held against, and of what theory says."""
+"""Colour of thresholds of observers and of theory."""
 HELD = "#999999"
-"""Of an intervention that is held on."""
+"""Colour of a held intervention."""
 
 SIGNALS = {
     "hand": DEVICE_FORCE,
@@ -35,15 +35,15 @@ SIGNALS = {
     "rendered": "#7a8794",
     "of the hand": HAND_FORCE,
 }
-"""Of what moves and what pushes, as `haptether view` has them."""
+"""Colours of motions and forces, as in `haptether view`."""
 AXES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-"""Of x, y, z, and of joints."""
+"""Colours of x, y, z, and of joints."""
 
 
 def controller_look(controllers: str | Iterable[str]) -> dict[str, Any]:
-    """`color` and `linestyle` of a line that shows a run with these controllers; none is a run without one.
+    """Return `color` and `linestyle` of a run with these controllers; "none" is a run without one.
 
-    A name that is not built in is that of a controller in Python.
+    A name that is not built in is a Python controller.
     """
     given = controllers.split("+") if isinstance(controllers, str) else list(controllers)
     names = sorted({name for name in given if name in CONTROLLERS and name != "none"}, key=list(CONTROLLERS).index)
@@ -61,7 +61,7 @@ def controller_look(controllers: str | Iterable[str]) -> dict[str, Any]:
 
 
 def controller_title(controllers: str | Iterable[str]) -> str:
-    """What a legend calls a run with these controllers."""
+    """Return the legend text of a run with these controllers."""
     names = controllers.split("+") if isinstance(controllers, str) else list(controllers)
     titles = [name.upper() if name in CONTROLLERS else name for name in names if name != "none"]
     return " + ".join(titles) or "no controller"

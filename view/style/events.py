@@ -1,4 +1,4 @@
-"""Names of events above a panel: none overlaps another, none falls off the figure."""
+"""Names of events above a panel, without overlaps and within the figure."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,31 +13,31 @@ if TYPE_CHECKING:
 
 INK = "#39434e"
 ROW_PT = 8.5
-"""Of a row of names, in points."""
+"""Height of a row of names in points."""
 MAX_ROWS = 8
 LONGEST = 0.55
-"""Of a name, as a share of the panel's width; all of it is in the list that is printed."""
+"""Longest name as a fraction of the panel's width; the printed list has it in full."""
 GAP_PX = 5.0
-"""Between two names, in pixels of the figure."""
+"""Gap between two names in pixels of the figure."""
 
 
 @dataclass(frozen=True, slots=True)
 class EventMark:
-    """Something that happened, as it is written above a panel."""
+    """An event to be named above a panel."""
 
     time_s: float
     text: str
 
 
 def name_events(panels: "Sequence[Axes]", events: Sequence[EventMark], above_pt: float) -> int:
-    """Marks events in all panels and names them above the first; returns how many found no room for a name.
+    """Mark events in all panels and name them above the first; return the number without room for a name.
 
-    The figure grows by what the names need.
+    The figure grows by the height of the names.
 
     Args:
-        panels: Below one another, over the same time.
-        events: In the order of time.
-        above_pt: What stands above the first panel already, in points.
+        panels: Panels below one another, over the same time.
+        events: Events in the order of time.
+        above_pt: Height in points of items above the first panel.
     """
     if not events:
         return 0
@@ -68,7 +68,7 @@ def name_events(panels: "Sequence[Axes]", events: Sequence[EventMark], above_pt:
         rows[row].append((left, left + width))
         shift_pt = (left - at) * 72.0 / figure.dpi
         at_y = above_pt + ROW_PT * row
-        # All lines lie below all names, so that none is struck through.
+        # All lines lie below all names, so that no line crosses a name.
         top.annotate("", (event.time_s, 1.0), (0.0, at_y + 3.0), xycoords=above, textcoords="offset points", zorder=2.0,
                      arrowprops={"arrowstyle": "-", "lw": 0.5, "ls": ":", "color": _colour(event.text),
                                  "shrinkA": 0.0, "shrinkB": 0.0})  # fmt: skip

@@ -1,4 +1,4 @@
-"""Figures of the width of one column or two, with fonts that embed, and the files that they become."""
+"""Figures as wide as one column or two, with embedded fonts, and their files."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -18,11 +18,11 @@ PictureFormat: TypeAlias = Literal["png", "pdf", "svg"]
 LETTERS = "abcdefghijklmnopqrstuvwxyz"
 FORMATS: tuple[PictureFormat, ...] = ("png", "pdf", "svg")
 WIDTHS_IN = {1: 3.5, 2: 7.16}
-"""Of one column and of two, in inches, as journals of the field have them (88.9 mm, 181.9 mm)."""
+"""Widths of one column and of two in inches, as in journals of the field (88.9 mm, 181.9 mm)."""
 DPI = 200
-"""Of a PNG."""
+"""Resolution of a PNG."""
 SMALL_PT = 6.5
-"""Of legends, numbers of ticks and names of events, in points."""
+"""Size of legends, tick labels and names of events in points."""
 
 STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
@@ -48,7 +48,7 @@ STYLE: dict[str, Any] = {
     "ytick.major.width": 0.6,
     "savefig.dpi": DPI,
     "savefig.bbox": "standard",
-    # TrueType in a PDF, outlines in an SVG: both look the same where the font is not installed.
+    # TrueType in a PDF, outlines in an SVG: both look the same without the font installed.
     "pdf.fonttype": 42,
     "svg.fonttype": "path",
     "svg.hashsalt": "haptether",
@@ -57,10 +57,10 @@ STYLE: dict[str, Any] = {
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Within it matplotlib draws in the style of the project, whatever the settings of its user.
+    """Apply the project's style to matplotlib within this context, whatever the user's settings.
 
     Raises:
-        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
     """
     import matplotlib as mpl
 
@@ -70,12 +70,12 @@ def styled() -> Iterator[None]:
 
 
 def new_figure(columns: Columns, height_in: float, title: str = "") -> "Figure":
-    """An empty figure as wide as one column or two; call it within `styled`.
+    """Create an empty figure as wide as one column or two; call it within `styled`.
 
     Args:
-        columns: Of a page.
-        height_in: In inches; names of events add to it.
-        title: Above all panels; what does not fit in its width is left out.
+        columns: Columns of a page.
+        height_in: Height in inches; names of events add to it.
+        title: Title above all panels, truncated to the width.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -85,20 +85,20 @@ def new_figure(columns: Columns, height_in: float, title: str = "") -> "Figure":
     if title:
         room = figure.bbox.width * 0.98
         lines = [fitted(figure, printable(line), room, 8.5) for line in title.split("\n")]
-        # Names of files and reasons are no formulas.
+        # Names of files and reasons are not formulas.
         figure.suptitle("\n".join(lines), parse_math=False)
     return figure
 
 
 def figure_of(panel: "Axes") -> "Figure":
-    """The figure that a panel is in."""
+    """Return the figure of a panel."""
     figure = panel.get_figure(root=True)
     assert figure is not None
     return figure
 
 
 def text_width(figure: "Figure", text: str, size_pt: float = SMALL_PT) -> float:
-    """How wide a text is, in pixels of the figure."""
+    """Return the width of a text in pixels of the figure."""
     from matplotlib.text import Text
 
     drawn = Text(0.0, 0.0, text, fontsize=size_pt, parse_math=False)
@@ -107,7 +107,7 @@ def text_width(figure: "Figure", text: str, size_pt: float = SMALL_PT) -> float:
 
 
 def fitted(figure: "Figure", text: str, room: float, size_pt: float = SMALL_PT) -> str:
-    """As much of a text as fits into so many pixels, with an ellipsis for the rest."""
+    """Truncate a text to a width in pixels, with an ellipsis."""
     if text_width(figure, text, size_pt) <= room:
         return text
     short, long = 0, len(text)
@@ -121,13 +121,13 @@ def fitted(figure: "Figure", text: str, room: float, size_pt: float = SMALL_PT) 
 
 
 def plain_ticks(panel: "Axes", most: int) -> None:
-    """Numbers of a panel's left axis in full, at most so many steps: an exponent above it would meet its legend."""
+    """Label a panel's left axis in full, with at most `most` steps: an exponent would collide with its legend."""
     panel.locator_params(axis="y", nbins=most)
     panel.yaxis.set_major_formatter(lambda value, _: f"{value:.6g}".replace("-", "\N{MINUS SIGN}"))
 
 
 def letter(panels: "Sequence[Axes]") -> None:
-    """Letters a, b, c, ... at the upper left of each panel, outside of it."""
+    """Put letters a, b, c, ... at the upper left of each panel, outside of it."""
     for number, panel in enumerate(panels):
         name = LETTERS[number] if number < len(LETTERS) else str(number + 1)
         panel.annotate(name, (0.0, 1.0), (-5.0, 4.0), xycoords="axes fraction", textcoords="offset points",
@@ -135,10 +135,10 @@ def letter(panels: "Sequence[Axes]") -> None:
 
 
 def check_columns(columns: int) -> None:
-    """Refuses a width that is none.
+    """Check a number of columns.
 
     Raises:
-        ValueError: Neither 1 nor 2.
+        ValueError: It is neither 1 nor 2.
     """
     if columns not in WIDTHS_IN:
         message = f"columns = {columns}: must be {' or '.join(map(str, WIDTHS_IN))}"
@@ -146,10 +146,10 @@ def check_columns(columns: int) -> None:
 
 
 def check_picture(path: Path) -> str:
-    """The format that the ending of a path says.
+    """Return the format given by the ending of a path.
 
     Raises:
-        ValueError: Another ending than .png, .pdf, .svg.
+        ValueError: The ending is not .png, .pdf or .svg.
     """
     kind = path.suffix[1:].lower()
     if kind not in FORMATS:
@@ -159,11 +159,11 @@ def check_picture(path: Path) -> str:
 
 
 def written(figure: "Figure", path: str | PathLike[str] | None) -> "Figure":
-    """The figure, written to a path where one is given.
+    """Return the figure, after writing it if a path is given.
 
     Raises:
-        ValueError: Another ending than .png, .pdf, .svg.
-        OSError: The file cannot be written; a symbolic link.
+        ValueError: The ending is not .png, .pdf or .svg.
+        OSError: The file cannot be written, or is a symbolic link.
     """
     if path is not None:
         write_figure(figure, Path(path))
@@ -171,11 +171,11 @@ def written(figure: "Figure", path: str | PathLike[str] | None) -> "Figure":
 
 
 def write_figure(figure: "Figure", path: Path) -> None:
-    """Writes a figure as what the ending of its path says, for its owner alone; the same figure as the same bytes.
+    """Write a figure in the format of the path's ending, with mode 0600; equal figures give equal bytes.
 
     Raises:
-        ValueError: Another ending than .png, .pdf, .svg.
-        OSError: The file cannot be written; a symbolic link.
+        ValueError: The ending is not .png, .pdf or .svg.
+        OSError: The file cannot be written, or is a symbolic link.
     """
     kind = check_picture(path)
     refuse_link(path)

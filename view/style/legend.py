@@ -1,4 +1,4 @@
-"""Legends above their panel, or below all, where no curve is."""
+"""Legends above their panel, or below all panels, away from the curves."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -11,16 +11,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HANDLE_EM, GAP_EM, PAD_EM = 1.8, 1.0, 0.5
-"""Of a legend: a line, the room between two entries, and between a line and its name, in sizes of its letters."""
+"""Dimensions of a legend in sizes of its letters: a line, the gap between entries, and between line and name."""
 
 
 def legend_above(panel: "Axes", handles: "Sequence[Any] | None" = None, width_in: float | None = None) -> int:
-    """Puts a legend above a panel, at its left; returns how many lines it has.
+    """Put a legend above a panel, at its left; return its number of lines.
 
     Args:
-        panel: With labelled lines.
-        handles: What it lists; by default what is labelled.
-        width_in: Of the panel in inches; by default that of the figure, less the room of one row of labels.
+        panel: Panel with labelled lines.
+        handles: Entries; by default the labelled lines.
+        width_in: Width of the panel in inches; by default the figure's, less a row of labels.
     """
     listed = list(panel.get_legend_handles_labels()[0]) if handles is None else list(handles)
     if not listed:
@@ -44,7 +44,7 @@ def legend_above(panel: "Axes", handles: "Sequence[Any] | None" = None, width_in
 
 
 def legend_below(figure: "Figure", handles: "Sequence[Any]") -> None:
-    """Puts one legend of several panels below them all."""
+    """Put one common legend of several panels below them."""
     widths = [text_width(figure, str(handle.get_label())) for handle in handles]
     em = SMALL_PT / 72.0 * figure.dpi
     room = max(widths, default=0.0) + (HANDLE_EM + PAD_EM + GAP_EM) * em

@@ -1,4 +1,4 @@
-"""Long signals as lines that show every spike and stay small."""
+"""Lines of long signals that show every spike and stay small."""
 
 from itertools import pairwise
 
@@ -7,16 +7,16 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 MOST = 8000
-"""Samples of a line that is drawn as it is."""
+"""Samples of the longest line drawn in full."""
 BINS = 2000
 
 
 def envelope(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """Times and values of a line: of a long one the smallest and largest of each of 2000 stretches, in their order.
+    """Return times and values of a line; if long, minimum and maximum of each of 2000 pieces, in order.
 
     Args:
         time_s: (n,).
-        values: (n,); NaN where there is nothing.
+        values: (n,); NaN where unknown.
     """
     time_s, values = np.asarray(time_s, dtype=np.float64), np.asarray(values, dtype=np.float64)
     if len(values) <= MOST:

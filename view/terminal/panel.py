@@ -1,4 +1,4 @@
-"""A live side as text of a terminal."""
+"""Panel of a live side in a terminal."""
 
 import io
 from collections.abc import Iterable
@@ -20,14 +20,14 @@ STATES = {
     "stop": "bold red",
     "fault": "bold red",
 }
-"""Style of each state of the ladder."""
+"""Style of each ladder state."""
 SIGNALS = {("master", "press"): "USR1", ("master", "acknowledge"): "USR2", ("slave", "acknowledge"): "USR2"}
-"""What `kill` sends for a remedy, at the side that it is done at."""
+"""Signal for `kill` that carries out a remedy, by side."""
 BAR = 20
-"""Characters from nothing to the threshold."""
+"""Characters from zero to the threshold."""
 EIGHTHS = " ▏▎▍▌▋▊▉"
 EVENTS = 5
-"""Newest that are shown."""
+"""Number of newest events shown."""
 FORCES = {
     "rendered_force": "requested F_v",
     "safety_force": "of the controllers F_c",
@@ -39,7 +39,7 @@ FORCES = {
     "device_torque": "exerted, torque",
     "environment_torque": "on the tool, torque",
 }
-"""Vectors with the largest magnitude of the last second, in N and N m."""
+"""Vectors shown with the largest magnitude of the last second, in N and N m."""
 PLACES = {
     "position": ("position", "m"),
     "velocity": ("velocity", "m/s"),
@@ -48,11 +48,11 @@ PLACES = {
 }
 TIMES = {"round_trip_s": "round trip", "age_s": "age of the newest frame", "overshoot_s": "loop late"}
 AXES = 3
-"""Of a vector on one line; of more, the norm."""
+"""Most axes of a vector shown singly; for more, the norm."""
 
 
 def panel(state: SideState, width: int = 80, height: int | None = None) -> RenderableType:
-    """All that is known of a side, in `width` columns; in fewer lines than that needs without room and events."""
+    """Return the panel of a side in `width` columns; without spacing and events if `height` is too small."""
     whole = _panel(state, width, is_short=False)
     if height is None:
         return whole
@@ -77,7 +77,7 @@ def _panel(state: SideState, width: int, *, is_short: bool) -> Panel:
 
 
 def headline(state: SideState) -> str:
-    """Where a side stands, in one line."""
+    """Return the state of a side in one line."""
     clutch = {True: "clutch closed", False: "clutch open"}.get(state.last("clutch"), "")
     peer = state.last("peer_state")
     other = "slave" if state.side == "master" else "master"
@@ -111,7 +111,7 @@ def _cause(state: SideState) -> list[RenderableType]:
         if signal is not None:
             is_here = step.at == state.side
             process = state.hello.process if is_here and state.hello.process else "PID"
-            # On a line of its own, to be copied.
+            # On its own line for copying.
             lines.append(Text(f"     {'here' if is_here else 'there'}: kill -{signal} {process}", style="bold"))
     return list(lines)
 
@@ -124,9 +124,9 @@ def _values(state: SideState) -> Table:
     for name, (label, unit) in PLACES.items():
         values = state.last(name)
         if values is not None:
-            # The coordinates of joints are angles.
+            # Positions of joints are angles.
             shown = unit if _is_linear(state) else unit.replace("m", "rad")
-            # As text: Rich would take [m] for one of its styles.
+            # As Text: Rich would parse [m] as a style.
             table.add_row(Text(f"{label} [{shown}]"), _vector(state, name, 4), "")
     for name, label in FORCES.items():
         peak = state.peak(name)
@@ -172,7 +172,7 @@ def _observers(observers: Iterable[Observer], *, held: bool) -> Table:
 
 
 def _bar(share: float | None) -> Text:
-    """The worst of the last second, up to the threshold and beyond it."""
+    """Draw the worst value of the last second, relative to the threshold."""
     if share is None:
         return Text("")
     eighths = round(min(share, 1.0) * BAR * 8)

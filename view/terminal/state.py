@@ -1,4 +1,4 @@
-"""What a side is doing, as its telemetry has said so far."""
+"""State of a side, from its telemetry so far."""
 
 import math
 from collections import deque
@@ -24,42 +24,42 @@ from haptether.bridge import (
 
 SECOND_NS = 1_000_000_000
 MAX_SAMPLES = 120
-"""Of the last second, which are 60, and more where samples come late."""
+"""Capacity for the last second: 60 samples, more if samples come late."""
 MAX_EVENTS = 64
 
 
 class Observer(Struct, frozen=True, kw_only=True):
-    """A controller, and what it watches."""
+    """A controller and its observer."""
 
     controller: str
     symbol: str
     value: float | None
-    """Of the last tick; none where it did not observe."""
+    """Value of the last tick; None if it was not observed."""
     worst: float | None
-    """Nearest to tripping, or furthest beyond, in the last second."""
+    """Value nearest to tripping, or furthest beyond, in the last second."""
     threshold: float | None
-    """Beyond it the controller trips; none where the scene is not known."""
+    """Threshold of the controller; None if the scene is unknown."""
     trips_above: bool
-    """Whether it trips above its threshold, and not below."""
+    """True if it trips above its threshold, false if below."""
     tripped: bool
-    """In any tick of the last second."""
+    """True if tripped in any tick of the last second."""
 
     @property
     def share(self) -> float | None:
-        """How far `worst` is on its way to the threshold: 0 to 1, and above 1 beyond it."""
+        """Progress of `worst` to the threshold: 0 to 1, above 1 beyond."""
         if self.worst is None or self.threshold is None:
             return None
         if self.threshold == 0.0:
-            # An energy that must not fall below 0.
+            # PC: the energy must not fall below 0.
             return 0.0 if self.worst > 0.0 else 1.0
         return max(0.0, self.worst / self.threshold)
 
 
 class SideState:
-    """Takes the messages of a telemetry one by one; has the last values, and extremes of the last second.
+    """State built from telemetry messages: last values, and extremes of the last second.
 
     Args:
-        hello: The first of them.
+        hello: First message.
     """
 
     def __init__(self, hello: TelemetryHello) -> None:
@@ -67,30 +67,30 @@ class SideState:
         self.side = hello.side
         self.kinds = {signal.name: signal.kind for signal in hello.signals}
         self.cause: TelemetryCause | None = None
-        """Why the two sides are not coupled; none while they are, or nothing was said."""
+        """Reason why the sides are not coupled; None while coupled or unknown."""
         self.has_ended = False
-        """Whether the loop ended in good order."""
+        """True if the loop ended in good order."""
         self.time_s = 0.0
-        """Of the last sample, since the run began."""
+        """Time of the last sample since the start of the run."""
         self.lost_ticks = 0
-        """That this reader was too slow for."""
+        """Ticks lost because this reader was too slow."""
         self.invalid = 0
-        """Lines and samples of which something was left out as invalid."""
+        """Lines and samples with an invalid part, which was left out."""
         self.invalid_text = ""
-        """The last part that was left out, and why."""
+        """The last invalid part and the reason."""
         self.dropped = 0
         """Records that never reached the sender."""
         self.ticks = 0
-        """That were seen."""
+        """Ticks seen."""
         self.events: deque[tuple[float, str]] = deque(maxlen=MAX_EVENTS)
-        """The newest changes of the ladder and trips, with their times in s."""
+        """The newest ladder changes and trips with times in s."""
         self.events_seen = 0
-        """Those that are not kept any more among them."""
+        """Number of events, including those no longer kept."""
         self._begun_s: float | None = None
         self._samples: deque[TelemetrySample] = deque(maxlen=MAX_SAMPLES)
 
     def take(self, message: TelemetryMessage) -> None:
-        """Takes the next message."""
+        """Take the next message."""
         match message:
             case TelemetrySample():
                 self.time_s = message.time_ns * 1e-9
@@ -129,16 +129,16 @@ class SideState:
 
     @property
     def link(self) -> TelemetryLink | None:
-        """Frames of the link since the run began; none before the first sample."""
+        """Frame counts of the link since the start; None before the first sample."""
         return self._samples[-1].link if self._samples else None
 
     @property
     def watched_s(self) -> float:
-        """From the first sample to the last, in s of the run."""
+        """Time from the first to the last sample in s."""
         return 0.0 if self._begun_s is None else self.time_s - self._begun_s
 
     def last(self, name: str) -> Any:  # noqa: ANN401  # by the kind of the signal
-        """The last value of a signal: a list of numbers of "axes"; none where it is not known."""
+        """Return the last value of a signal, a list for "axes"; None if unknown."""
         if not self._samples or name not in self._samples[-1].signals:
             return None
         value = self._samples[-1].signals[name]
@@ -153,7 +153,7 @@ class SideState:
                 return value
 
     def extremes(self, name: str) -> tuple[float, float] | None:
-        """Smallest and largest of a number in the last second; of axes of all of them; none where it is not known."""
+        """Return minimum and maximum of a number, or of all axes, in the last second; None if unknown."""
         if name not in self.kinds:
             return None
         of = [
@@ -167,17 +167,17 @@ class SideState:
         return (min(low), max(high)) if low and high else None
 
     def peak(self, name: str) -> float | None:
-        """Largest magnitude of a number, or of any axis, in the last second."""
+        """Return the largest magnitude of a number, or of any axis, in the last second."""
         extremes = self.extremes(name)
         return None if extremes is None else max(abs(extremes[0]), abs(extremes[1]))
 
     def norm(self, name: str) -> float | None:
-        """Of the last values of the axes."""
+        """Return the norm of the last values of the axes."""
         values = self.last(name)
         return None if values is None or None in values else math.hypot(*values)
 
     def observers(self) -> list[Observer]:
-        """The controllers of the scene; where it is not known, those that observe."""
+        """Return the controllers of the scene; if it is unknown, those with observations."""
         safety = (self.hello.scene or {}).get("safety") or {}
         thresholds = {
             "vfc": 1.0,
@@ -208,17 +208,17 @@ class SideState:
         return found
 
     def signal_of(self, controller: str) -> str:
-        """The signal that a controller observes."""
+        """Return the signal that a controller observes."""
         return OBSERVED_SIGNALS[controller].signal
 
     def is_held(self) -> bool:
-        """Whether an intervention was held on in the last second, as its hold-off and ramp do."""
+        """Return True if hold-off or ramp extended an intervention in the last second."""
         return bool(self._bits("tripped") & TRIP_BITS["held"])
 
     def loss(self) -> float | None:
-        """Share of the peer's frames of the last second that have not arrived; none where there were none.
+        """Return the fraction of the peer's frames lost in the last second; None without frames.
 
-        A frame that is overtaken counts as lost until it arrives.
+        An overtaken frame counts as lost until it arrives.
         """
         if len(self._samples) < 2:
             return None

@@ -1,1 +1,1 @@
-"""A run in a window: one that is over, and one that goes on."""
+"""Windows: playback of a finished run, and a live run."""

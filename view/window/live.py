@@ -1,4 +1,4 @@
-"""A run that goes on in a window."""
+"""Window of a live run."""
 
 import time
 from typing import Final
@@ -13,17 +13,17 @@ KEYS: Final = (
     ("?", "these keys"),
     ("q", "end; the run goes on"),
 )
-"""What the window listens to: nothing of it reaches the run."""
+"""Keys and mouse actions of the window; none affects the run."""
 FRAME_S: Final = 1.0 / 30.0
 LINE_S: Final = 0.2
-"""Between two time lines, which cost more than what moves."""
+"""Period of time lines, which cost more than moving parts."""
 
 
 class LiveWindow(Window):
-    """A picture of now, at 30 Hz, until the run ends or the window is closed.
+    """A live picture at 30 Hz, until the run ends or the window is closed.
 
     Args:
-        following: Who reads what the run sends.
+        following: Reader of the run's telemetry.
         size: Width and height in pixels.
         camera: One of `CAMERAS`.
     """
@@ -35,11 +35,11 @@ class LiveWindow(Window):
         self._generation = following.live.generation
         self._frame_s = self._line_s = 0.0
         self.frames = 0
-        """That were drawn."""
+        """Frames drawn."""
         super().__init__([following.live.description], size=size, camera=camera)
 
     def update(self) -> None:
-        """Puts everything where it is now."""
+        """Move everything to its current pose."""
         live, now_s = self._following.live, time.monotonic()
         if live.generation != self._generation or now_s >= self._line_s + LINE_S:
             self._generation, self._line_s = live.generation, now_s
@@ -48,11 +48,11 @@ class LiveWindow(Window):
         self.picture.update(live.time_s, f"live{lost}   ? lists the keys")
 
     def tick(self) -> None:
-        """Takes what came, and draws it when it is time to."""
+        """Process new messages; draw if due."""
         self._following.take()
         now_s = time.monotonic()
         if now_s >= self._frame_s + FRAME_S:
-            # Not caught up with where a frame took long.
+            # Do not catch up after a slow frame.
             self._frame_s = max(self._frame_s + FRAME_S, now_s - FRAME_S)
             self.frames += 1
             self.draw()

@@ -1,4 +1,4 @@
-"""A run that is over in a window: play, scrub, step."""
+"""Window of a finished run: play, scrub, step."""
 
 import time
 from collections.abc import Sequence
@@ -20,13 +20,13 @@ KEYS: Final = (
     ("?", "these keys"),
     ("q", "end"),
 )
-"""What a window listens to."""
+"""Keys and mouse actions of the window."""
 SPEEDS: Final = (0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 STEP_S: Final = 0.01
 
 
 class Player:
-    """Which time is shown when: pure, so that it needs no window."""
+    """Playback time, independent of a window."""
 
     def __init__(self, begin_s: float, end_s: float) -> None:
         self.begin_s, self.end_s = begin_s, end_s
@@ -35,7 +35,7 @@ class Player:
         self.speed = 1.0
 
     def advance(self, elapsed_s: float) -> bool:
-        """So much later in true time; returns whether another time is shown."""
+        """Advance by an elapsed real time; return True if the playback time has changed."""
         if not self.is_playing or elapsed_s <= 0.0:
             return False
         self.go(self.time_s + self.speed * elapsed_s)
@@ -44,33 +44,33 @@ class Player:
         return True
 
     def go(self, time_s: float) -> None:
-        """To a time in s, within the run."""
+        """Go to a time in s, limited to the run."""
         self.time_s = min(max(time_s, self.begin_s), self.end_s)
 
     def toggle(self) -> None:
-        """Plays or pauses; at the end it begins anew."""
+        """Play or pause; at the end, restart."""
         self.is_playing = not self.is_playing
         if self.is_playing and self.time_s >= self.end_s:
             self.time_s = self.begin_s
 
     def step(self, steps: int) -> None:
-        """So many steps on, which pauses."""
+        """Move by a number of steps and pause."""
         self.is_playing = False
         self.go(self.time_s + steps * STEP_S)
 
     def change_speed(self, by: int) -> None:
-        """To the next speed, or the one before."""
+        """Change to the next or previous speed."""
         place = min(range(len(SPEEDS)), key=lambda n: abs(SPEEDS[n] - self.speed))
         self.speed = SPEEDS[min(max(place + by, 0), len(SPEEDS) - 1)]
 
     @property
     def note(self) -> str:
-        """What it does, in words."""
+        """State of the playback, in words."""
         return f"{'plays' if self.is_playing else 'paused'} at {self.speed:g}x   ? lists the keys"
 
 
 class Playback(Window):
-    """A picture of a run that is over, and the keys and clicks that steer it."""
+    """A picture of a finished run, controlled by keys and clicks."""
 
     keys = KEYS
 
@@ -87,7 +87,7 @@ class Playback(Window):
         self._clock_s = time.monotonic()
 
     def press(self, key: str) -> bool:
-        """What a key does; one that is not of `KEYS` nothing, which is returned."""
+        """Handle a key; return False if it is not one of `KEYS`."""
         player = self.player
         line = self.picture.described[0].timeline
         if key == "space":
@@ -108,14 +108,14 @@ class Playback(Window):
         return True
 
     def tick(self) -> None:
-        """What the timer does: shows what true time has come to."""
+        """Advance with real time and draw."""
         now_s = time.monotonic()
         elapsed_s, self._clock_s = now_s - self._clock_s, now_s
         if self.player.advance(elapsed_s):
             self.draw()
 
     def click(self, x: int, y: int) -> None:
-        """At a pixel from the lower left; on the time line it goes there."""
+        """Handle a click at a pixel from the lower left; on the time line, go there."""
         time_s = self.picture.time_at(x, self.picture.size[1] - y)
         if time_s is not None:
             self.player.is_playing = False
@@ -123,5 +123,5 @@ class Playback(Window):
             self.draw()
 
     def update(self) -> None:
-        """Puts everything where it is at the time that is shown."""
+        """Move everything to its pose at the playback time."""
         self.picture.update(self.player.time_s, self.player.note)

@@ -1,4 +1,4 @@
-"""A picture in a window: it is drawn anew, looked at from elsewhere, resized, and closed."""
+"""A picture in a window: redraws, camera, resizing, closing."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -10,12 +10,12 @@ from haptether.view.scene3d import colours
 from haptether.view.scene3d.description import Description
 
 TIMER_MS: Final = 15
-"""Between two looks at the clock; what is drawn in between is what the machine manages, 30 a second or more."""
+"""Period of timer events; the frame rate depends on the machine, 30 per second or more."""
 LEAST_PIXELS = 100
 
 
 class Window(ABC):
-    """A picture that is shown, and what every window listens to.
+    """A picture in a window, with the keys and actions of every window.
 
     Args:
         described: Runs, side by side.
@@ -23,37 +23,37 @@ class Window(ABC):
         camera: One of `CAMERAS`.
 
     Raises:
-        NoGlError: No display, or no OpenGL.
+        NoGlError: There is no display, or no OpenGL.
     """
 
     keys: ClassVar[Sequence[tuple[str, str]]]
-    """What it listens to, and what that does."""
+    """Keys and actions with their effects."""
 
     def __init__(self, described: Sequence[Description], *, size: tuple[int, int], camera: str) -> None:
         self.picture = Picture(described, size=size, camera=camera, window=True)
         self.is_closed = False
-        """Whether somebody ended it."""
+        """True if the user closed it."""
         self._help = False
         self._listen()
 
     def show(self) -> None:
-        """Until it is closed."""
+        """Show the window until it is closed."""
         self.draw()
         self.picture.plotter.show(title=self.picture.described[0].title, interactive_update=False, auto_close=True)
 
     @abstractmethod
     def update(self) -> None:
-        """Puts everything where it is at the time that is shown."""
+        """Move everything to its pose at the current time."""
 
     @abstractmethod
     def tick(self) -> None:
-        """What the timer does."""
+        """Handle a timer event."""
 
-    def click(self, x: int, y: int) -> None:  # noqa: B027  # what has no time line needs none
-        """At a pixel from the lower left."""
+    def click(self, x: int, y: int) -> None:  # noqa: B027  # optional: not every window has a time line
+        """Handle a click at a pixel from the lower left."""
 
     def press(self, key: str) -> bool:
-        """What a key does; one that is not of `keys` nothing, which is returned."""
+        """Handle a key; return False if it is not one of `keys`."""
         if key in {"1", "2", "3", "4"}:
             self.picture.look(list(CAMERAS)[int(key) - 1])
         elif key == "question":
@@ -68,12 +68,12 @@ class Window(ABC):
         return True
 
     def draw(self) -> None:
-        """Shows what is now."""
+        """Update and render."""
         self.update()
         self.picture.plotter.render()
 
     def close(self) -> None:
-        """Ends it."""
+        """Close the window."""
         self.is_closed = True
         self.picture.plotter.iren.terminate_app()
 
@@ -82,7 +82,7 @@ class Window(ABC):
         interactor = plotter.iren.interactor
         plotter.iren.initialize()
         self.picture.keep_up()
-        # Some of VTK's own keys would end the window or draw wires.
+        # Some of VTK's own keys would close the window or draw wireframes.
         interactor.RemoveObservers("CharEvent")
         plotter.iren.add_observer("KeyPressEvent", lambda *_: self.press(interactor.GetKeySym()))
         plotter.iren.add_observer("TimerEvent", lambda *_: self.tick())
