@@ -1,4 +1,4 @@
-"""Studies: what uses the bridge to answer a question."""
+"""Studies: questions answered with the bridge."""
 
 from typing import TYPE_CHECKING
 
@@ -164,7 +164,7 @@ __all__ = [
     "tune",
 ]
 
-if not TYPE_CHECKING:  # else any name would do
+if not TYPE_CHECKING:  # otherwise type checkers accept any name
     __getattr__, __dir__ = lazy_names(
         __name__,
         {

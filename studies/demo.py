@@ -23,10 +23,10 @@ DEMO_CONTROLLERS = ("none", "vfc", "hsc", "wsc")
 
 
 class DemoScene(msgspec.Struct, frozen=True, kw_only=True):
-    """What happens in the demonstration. Times in s since the two sides engaged.
+    """Scene of the demonstration. Times in s since engagement.
 
-    Wall and grip are chosen so that the delayed loop is stable while the hand holds, whatever the delay: the
-    wall's 100 N/m stay below the least impedance of the hand, min |K_h - m w^2 + j w B_h| = 284 N/m (small gain).
+    Wall and grip keep the delayed loop stable at any delay while the hand holds. The wall's 100 N/m stay below the
+    least impedance of the hand, min |K_h - m w^2 + j w B_h| = 284 N/m (small gain).
     """
 
     delay_s: float = 0.05
@@ -41,7 +41,7 @@ class DemoScene(msgspec.Struct, frozen=True, kw_only=True):
     release_at_s: float = 2.6
     duration_s: float = 3.6
     slave: Literal["simulated", "ur"] = "simulated"
-    """The model of an arm, or an emulated UR controller that the vendor's client library drives."""
+    """A model of an arm, or an emulated UR controller driven by the vendor's client library."""
 
 
 def run_demo(
@@ -51,21 +51,21 @@ def run_demo(
     show: Callable[[str, float], None],
     stopped: StopRequest,
 ) -> PushResult:
-    """Runs the three processes once and returns what the master measured.
+    """Run the three processes once and return the master's measurements.
 
     Args:
-        scene: What happens.
+        scene: Scene of the demonstration.
         controller: Safety controller of the master.
-        folder: Where `CONTROLLER.npz` and `CONTROLLER.json` are written.
-        show: Called with the stage and the time in s as it goes.
-        stopped: Read often; a stop ends all processes.
+        folder: Folder for `CONTROLLER.npz` and `CONTROLLER.json`.
+        show: Called with stage and time in s as the run proceeds.
+        stopped: Checked often; a stop ends all processes.
 
     Raises:
         Interrupted: A stop was requested; all processes have ended.
-        RuntimeError: A process failed; the message holds what it said.
+        RuntimeError: A process failed; the message holds its output.
     """
     local = "127.0.0.1:0"
-    # Of each process, from its own start on: the others may take their time until the last begins.
+    # Each process counts from its own start, so the limit covers the start of the later ones.
     limit = str(scene.duration_s + 3 * START_TIMEOUT_S + END_TIMEOUT_S)
     with contextlib.ExitStack() as stack:
         show(f"{controller}: starting", 0.0)
@@ -92,7 +92,7 @@ def run_demo(
         master.headline(stopped)
         _follow(scene, controller, master, show, stopped)
         if stopped:
-            # Ctrl-C of a terminal reaches all of them.
+            # Ctrl-C in a terminal reaches all processes.
             raise Interrupted
         if master.process.returncode != 0 or not result.exists():
             raise RuntimeError(master.failure(slave))
@@ -100,7 +100,7 @@ def run_demo(
 
 
 def _simulated_arm(scene: DemoScene) -> tuple[str, ...]:
-    """The options of the slave for the model."""
+    """Return the slave's options for the model."""
     return (
         "--wall-stiffness", str(scene.wall_stiffness), "--push-at-s", str(scene.push_at_s),
         "--push-force-n", str(scene.push_force_n), "--push-duration-s", str(scene.push_duration_s),
@@ -108,8 +108,8 @@ def _simulated_arm(scene: DemoScene) -> tuple[str, ...]:
 
 
 def _ur_arm(scene: DemoScene, limit: str, stack: contextlib.ExitStack, stopped: StopRequest) -> tuple[str, ...]:
-    """Starts an emulated controller for `limit` s, whose tool meets wall and push; the options of the slave for it."""
-    # The ports of a controller are fixed: an address of its own, so that several demos get on.
+    """Start an emulated controller for `limit` s with wall and push; return the slave's options for it."""
+    # A controller has fixed ports; a separate address lets several demos run at once.
     host = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
     far = (
         "--scene", "remote_push",
@@ -154,18 +154,18 @@ def _follow(
 
 
 def draw_demo(scene: DemoScene, results: Sequence[PushResult], folder: Path, path: Path, columns: Columns = 2) -> None:
-    """Draws hand velocity, device force and position of every run, whose traces lie in `folder`.
+    """Draw hand velocity, device force and position of every run from the traces in `folder`.
 
     Args:
-        scene: What was run.
-        results: One for each controller.
-        folder: Of the files of the runs.
-        path: Of the picture: .png, .pdf or .svg.
-        columns: Width, in columns of a page.
+        scene: Scene of the runs.
+        results: One per controller.
+        folder: Folder of the runs.
+        path: Path of the picture: .png, .pdf or .svg.
+        columns: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
-        ValueError: Another ending.
+        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ValueError: The ending is invalid.
     """
     signals = ("velocity", "device_force", "position")
     labels = ("hand velocity [m/s]", "force on the hand [N]", "hand position [m]")

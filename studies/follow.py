@@ -1,4 +1,4 @@
-"""The demonstration of two arms of servos: the one that a hand leads, and one that grips, carries and is pushed."""
+"""Demonstration of two servo arms: a leader in a hand, and a follower that grips, carries and is pushed."""
 
 import contextlib
 import tempfile
@@ -24,18 +24,18 @@ from haptether.view.style.legend import legend_above, legend_below
 
 FOLLOW_CONTROLLERS: Final = ("none", "hsc", "wsc")
 JOINT: Final = 2
-"""That is pushed, counted from 1."""
+"""Number of the pushed joint, from 1."""
 OBJECT: Final = 0.5
-"""Where the jaws meet what is between them, 0 (open) to 1 (closed)."""
+"""Position of the jaws at contact with the object, 0 (open) to 1 (closed)."""
 BEGUN: Final = 0.05
-"""Of the trigger, which rests at 0."""
+"""Trigger position that marks the start; it rests at 0."""
 GRIP_N: Final = 1.5
-"""Below what the smallest servo presses with."""
+"""Grip force, below the capability of the smallest servo."""
 WITHIN_RAD: Final = 0.03
-"""How near to the hand's way each joint must carry: what friction of both arms and a pixel of an encoder leave."""
+"""Tolerance of the carried angle: friction of both arms and one encoder step."""
 NEAR: Final = ("time_s", "position", "velocity", "device_force", "trigger_device_force")
 ENGAGED: Final = 2
-"""Of the state in a trace."""
+"""Code of the state in a trace."""
 SCENE: Final = """\
 schema = 1
 title = "A leader and a follower of servos"
@@ -104,16 +104,16 @@ hsc_force_threshold_n = 0.1  # N m
 
 
 class FollowScene(msgspec.Struct, frozen=True, kw_only=True):
-    """How the demonstration goes. Times in s since the hand begins."""
+    """Scene of the demonstration. Times in s since the hand begins."""
 
     delay_s: float = 0.02
     jitter_s: float = 0.001
     loss: float = 0.01
     seed: int = 1
     settle_s: float = 2.5
-    """From the start of the master on: its checklist, and until its torque has risen."""
+    """Time from the start of the master: its checklist and the rise of its torque."""
     led_rad: float = 0.3
-    """How far the hand leads each joint while the follower holds something."""
+    """Angle by which the hand leads each joint while the follower holds the object."""
     close_at_s: float = 0.3
     carry_at_s: float = 1.4
     carry_s: float = 1.6
@@ -126,44 +126,44 @@ class FollowScene(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FollowResult(msgspec.Struct, frozen=True, kw_only=True):
-    """What happened at the leader and at the follower, in rad, rad/s, N and N m."""
+    """Results at leader and follower, in rad, rad/s, N and N m."""
 
     controller: str
     grips: int
-    """How often the follower's gripper took hold of something."""
+    """Number of grips of the follower."""
     grip_n: float
-    """With which it held that, by its motor's current."""
+    """Grip force, from the motor's current."""
     finger_n: float
-    """Greatest force that the finger felt at the trigger."""
+    """Largest force on the finger at the trigger."""
     open_at_end: bool
     led_rad: float
-    """How far each of the leader's joints was led: the least of them."""
+    """Smallest angle by which a leader joint was led."""
     carried_rad: float
-    """How far each of the follower's joints came meanwhile, holding it: the least of them."""
+    """Smallest angle by which a follower joint moved while holding."""
     felt_nm: float
-    """Greatest reflected torque at the joint while the hand held it."""
+    """Largest reflected torque at the joint while the hand held it."""
     thrown_rad_s: float
-    """Fastest that the joint moved after the hand had let go."""
+    """Largest speed of the joint after the release."""
     final_state: str
     holds: int
 
     @property
     def is_carried(self) -> bool:
-        """Whether it was picked up once, carried by all joints as far as they were led, and let go."""
+        """True if the object was picked up once, carried by all joints as far as led, and released."""
         return self.grips == 1 and self.open_at_end and abs(self.carried_rad - self.led_rad) < WITHIN_RAD
 
 
 def run_follow(
     scene: FollowScene, controller: str, folder: Path, show: Callable[[str, float], None], stopped: StopRequest
 ) -> FollowResult:
-    """Runs both arms, the network and both sides once; arguments as of `run_demo`.
+    """Run both arms, the network and both sides once; arguments as of `run_demo`.
 
     Raises:
         Interrupted: A stop was requested; all processes have ended.
-        RuntimeError: A process failed; the message holds what it said.
+        RuntimeError: A process failed; the message holds its output.
     """
     local, lasts_s = "127.0.0.1:0", scene.settle_s + scene.duration_s + 1.0
-    # Of each process, from its own start on: the others may take their time until the last begins.
+    # Each process counts from its own start, so the limit covers the start of the later ones.
     limit = str(lasts_s + 5 * START_TIMEOUT_S + END_TIMEOUT_S)
     trace, result, recording = (folder / f"follow-{controller}.{end}" for end in ("npz", "json", "mcap"))
     with contextlib.ExitStack() as stack:
@@ -174,7 +174,7 @@ def run_follow(
         leader = emulated_arm(limit, stack, stopped)
         trigger = trigger_of(leader.arm)
         met = trigger.open_rad + OBJECT * (trigger.closed_rad - trigger.open_rad)
-        # A driver of a follower does not know the weight of its arm, which would be felt as a load: it has none here.
+        # The driver does not know the arm's weight and would report it as a load, so the follower has none.
         follower = emulated_arm(limit, stack, stopped, "--mass-scale", "0",
                                 "--stops", f"{trigger.servo}={trigger.open_rad}:{met}")  # fmt: skip
         leader.hold()
@@ -204,7 +204,7 @@ def run_follow(
             raise Interrupted
         if master.process.returncode != 0 or not whole:
             raise RuntimeError(master.failure(slave))
-        # Its recording is whole once it has ended.
+        # The recording is complete once the slave has ended.
         slave.end()
         far = read_recording(recording).signals
     report = msgspec.json.decode(result.read_bytes())
@@ -217,7 +217,7 @@ def _play(
     scene: FollowScene, master: Process, arms: tuple[Leader, Leader],
     show: Callable[[str, float], None], stopped: StopRequest,
 ) -> bool:  # fmt: skip
-    """Has the hand lead and let go, and something push, until the master ends; whether all of that came to pass."""
+    """Let the hand lead and release, and push the follower, until the master ends; return True if all happened."""
     leader, follower = arms
     joint = leader.arm.joints[JOINT - 1]
     path = leader.folder / "hand.csv"
@@ -243,7 +243,7 @@ def _play(
 
 
 def hand_path(scene: FollowScene, leader: Leader) -> str:
-    """The hand's path as angles of the servos: the trigger closes, all joints go on, the trigger opens."""
+    """Return the hand's path as servo angles: the trigger closes, all joints move, the trigger opens."""
     times = scene.close_at_s, scene.close_at_s + 0.5, scene.open_at_s, scene.open_at_s + 0.4
     closed = 0.0, 1.0, 1.0, 0.0
     legs = [(scene.carry_at_s, np.zeros(3)), (scene.carry_s, np.full(3, scene.led_rad))]
@@ -263,12 +263,12 @@ def measured(
     far: dict[str, npt.NDArray[Any]],
     report: dict[str, object],
 ) -> FollowResult:
-    """What a run shows, from the trace of the master and the recording of the slave."""
+    """Measure a run from the master's trace and the slave's recording."""
     position, velocity = near["position"], near["velocity"][:, JOINT - 1]
     force = near["device_force"][:, JOINT - 1]
     held = far["holds_object"].astype(bool)
     carried = far["position"][held]
-    # No hand leads that joint in the direction in which it is pushed.
+    # The hand leads no joint in the direction of the push.
     pushed = np.abs(np.minimum(velocity, 0.0))
     return FollowResult(
         controller=controller,
@@ -286,7 +286,7 @@ def measured(
 
 
 def trigger_of(arm: ArmDescription) -> Trigger:
-    """That of the leader; the servo of the same place turns the follower's gripper."""
+    """Return the leader's trigger; the same servo of the follower drives its gripper."""
     if arm.trigger is None:
         message = f"{arm.name}: must have a trigger"
         raise ValueError(message)
@@ -294,13 +294,13 @@ def trigger_of(arm: ArmDescription) -> Trigger:
 
 
 def follower_file(arm: ArmDescription) -> str:
-    """The file of a follower with the servos of a description."""
+    """Return the file of a follower with the servos of a description."""
     settings = arm_settings(LeaderOptions(port="", arm=arm.name), msgspec.structs.replace(arm, trigger=None))
     return calibration_text(settings.baud, settings.servos)
 
 
 def scene_text(scene: FollowScene, controller: str, arm: ArmDescription, ports: tuple[str, str], file: Path) -> str:
-    """The scene of both sides; the device is that which the emulator has."""
+    """Return the scene of both sides, with the device of the emulator."""
     trigger = trigger_of(arm)
     finger = JointSettings.of(trigger.servo_model)
     loads = [servo.joint.settings for servo in servos_of(arm, baud=4_000_000, firmware=52)][: len(arm.joints)]
@@ -336,18 +336,18 @@ def scene_text(scene: FollowScene, controller: str, arm: ArmDescription, ports: 
 def draw_follow(
     scene: FollowScene, results: Sequence[FollowResult], folder: Path, path: Path, columns: Columns = 2
 ) -> None:
-    """Draws joints and gripper of the first run, and of each run what the hand felt, from the files in `folder`.
+    """Draw joints and gripper of the first run, and the felt torque of every run, from the files in `folder`.
 
     Args:
-        scene: What was run.
-        results: One for each controller.
-        folder: Of the files of the runs.
-        path: Of the picture: .png, .pdf or .svg.
-        columns: Width, in columns of a page.
+        scene: Scene of the runs.
+        results: One per controller.
+        folder: Folder of the runs.
+        path: Path of the picture: .png, .pdf or .svg.
+        columns: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
-        ValueError: Another ending.
+        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ValueError: The ending is invalid.
     """
     with styled():
         title = (
@@ -374,7 +374,7 @@ def draw_follow(
         with np.load(folder / f"follow-{first}.npz") as arrays:
             near = {name: arrays[name] for name in (*NEAR, "trigger", "state")}
         near_s = near["time_s"] - _begun_s(scene, near)
-        # Each side has a clock of its own: they engage at the same time, but for the delay.
+        # The sides have separate clocks; they engage at the same time except for the delay.
         far_s = far["time_ns"] * 1e-9
         far_s = far_s - far_s[np.flatnonzero(np.isin(far["state"], ("engaged", "stale")))[0]]
         far_s = far_s + near_s[np.flatnonzero(near["state"] == ENGAGED)[0]]
@@ -404,5 +404,5 @@ def draw_follow(
 
 
 def _begun_s(scene: FollowScene, near: dict[str, npt.NDArray[Any]]) -> float:
-    """When the hand began, by the master's clock: its trigger closes first."""
+    """Return the start of the hand on the master's clock; its trigger closes first."""
     return float(near["time_s"][np.flatnonzero(near["trigger"] > BEGUN)[0]]) - scene.close_at_s

@@ -1,4 +1,4 @@
-"""95 % intervals of what was counted or drawn, each exact or of a named source."""
+"""95 % intervals of counts and samples, each exact or from a named source."""
 
 from collections.abc import Callable, Sequence
 from math import exp, lgamma, log, sqrt
@@ -7,20 +7,20 @@ import numpy as np
 
 Z95 = 1.959964
 FEWEST_OF_MEDIAN = 6
-"""Of five values the outermost hold the median with 1 - 2 / 2^5 = 93.75 % only."""
+"""The extremes of five values hold the median with only 1 - 2 / 2^5 = 93.75 %."""
 
 
 def poisson_interval(count: int) -> tuple[float, float]:
-    """Exact 95 % interval of the mean of a Poisson count: at either end 2.5 % lie beyond the count.
+    """Return the exact 95 % interval of the mean of a Poisson count, with 2.5 % at either end.
 
     Source: Garwood 1936.
     """
 
     def mean_where(most: int, share: float) -> float:
-        """The mean at which so large a share of counts is at most `most`."""
+        """Return the mean at which a count is at most `most` with probability `share`."""
         spread = 20.0 + 10.0 * sqrt(most + 1.0)
         low, high = max(0.0, most - spread), most + spread
-        # Counts further below have a share of less than 1e-20 at all of these means.
+        # Lower counts have a probability below 1e-20 at all of these means.
         first = max(0, int(most - 2.0 * spread))
         n = np.arange(first, most + 1, dtype=np.float64)
         log_factorials = lgamma(first + 1.0) + np.concatenate([[0.0], np.cumsum(np.log(n[1:]))])
@@ -34,7 +34,7 @@ def poisson_interval(count: int) -> tuple[float, float]:
 
 
 def wilson_interval(count: float, of: float) -> tuple[float, float]:
-    """95 % interval of a share of at least one.
+    """Return the 95 % interval of a share; `of` is at least 1.
 
     Source: Wilson 1927.
     """
@@ -45,9 +45,9 @@ def wilson_interval(count: float, of: float) -> tuple[float, float]:
 
 
 def median_interval(values: Sequence[float]) -> tuple[float, float] | None:
-    """Two of the values between which the median lies with at least 95 %; none of fewer than six.
+    """Return two of the values that bracket the median with at least 95 %; None for fewer than six.
 
-    `P(X_(k) <= m <= X_(n+1-k)) = 1 - 2 P(B(n, 1/2) < k)`, whatever the law of the values.
+    `P(X_(k) <= m <= X_(n+1-k)) = 1 - 2 P(B(n, 1/2) < k)` for any distribution of the values.
 
     Source: David and Nagaraja 2003, section 7.1.
     """
@@ -62,13 +62,13 @@ def median_interval(values: Sequence[float]) -> tuple[float, float] | None:
 
 
 def binomial_interval(count: int, of: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Exact interval of a share of at least one: at either end half of the rest lies beyond the count.
+    """Return the exact interval of a share; `of` is at least 1, and each end has half of the remaining probability.
 
     Source: Clopper and Pearson 1934.
     """
 
     def at_most(most: int, share: float) -> float:
-        """P(B(of, share) <= most)."""
+        """Return P(B(of, share) <= most)."""
         if share <= 0.0 or share >= 1.0:
             return 1.0 if share <= 0.0 or most >= of else 0.0
         logs = (lgamma(of + 1.0) - lgamma(n + 1.0) - lgamma(of - n + 1.0) for n in range(most + 1))
@@ -81,9 +81,9 @@ def binomial_interval(count: int, of: int, confidence: float = 0.95) -> tuple[fl
 
 
 def gamma_quantile(share: float, shape: float) -> float:
-    """The x below which a gamma variable of scale 1 lies with a probability; `chi2_(2 k) / 2` for a whole shape k.
+    """Return the quantile of a gamma variable of scale 1; `chi2_(2 k) / 2` for a whole shape k.
 
-    By bisection on the regularised incomplete gamma function P(k, x).
+    Computed by bisection on the regularised incomplete gamma function P(k, x).
 
     Source: Press et al. 2007, section 6.2: its series below x = k + 1, its continued fraction above.
     """
@@ -92,15 +92,15 @@ def gamma_quantile(share: float, shape: float) -> float:
 
 
 def exceedance_interval(order: float, ratio: float, confidence: float = 0.95) -> tuple[int, int]:
-    """Between which counts the next sample exceeds the `order`-th largest point of this one, whatever their law.
+    """Return the range of counts of a new sample above the `order`-th largest point of this one, for any distribution.
 
-    With `T lambda ~ Gamma(k)` the count of a time T' is negative binomial, `P(n) = C(n + k - 1, n) p^k (1 - p)^n`,
-    `p = T / (T + T')`.
+    With `T lambda ~ Gamma(k)` the count of a time T' is negative binomial, `P(n) = C(n + k - 1, n) p^k (1 - p)^n`, `p =
+    T / (T + T')`.
 
     Args:
-        order: k, above 0; not whole where points come in groups.
+        order: k, above 0; not whole if points come in groups.
         ratio: T' / T.
-        confidence: Of the interval; at either end at most half of the rest.
+        confidence: Confidence of the interval; each end has at most half of the rest.
 
     Source: Gumbel and von Schelling 1950.
     """
@@ -119,7 +119,7 @@ def exceedance_interval(order: float, ratio: float, confidence: float = 0.95) ->
 
 
 def _root_of_falling(of: Callable[[float], float], value: float, low: float, high: float) -> float:
-    """Where a function that falls passes a value."""
+    """Return where a falling function reaches a value."""
     for _ in range(80):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if of(middle) > value else (low, middle)
@@ -139,7 +139,7 @@ def _gamma_cdf(shape: float, x: float) -> float:
             term *= x / place
             total += term
         return front * total
-    # Lentz's method.
+    # Lentz's method of continued fractions.
     b = x + 1.0 - shape
     c, d = 1e300, 1.0 / b
     fraction = d

@@ -1,4 +1,4 @@
-"""An emulated leader arm whose joints a scripted hand leads, for demonstrations."""
+"""An emulated leader arm with a scripted hand, for demonstrations."""
 
 import contextlib
 import math
@@ -23,26 +23,26 @@ Array = npt.NDArray[np.float64]
 
 LEADER: Final = "gello-ur"
 LEADER_S: Final = 2.5
-"""More than the hand's path: its grasp, until the sides engage and all torque has risen."""
+"""Extra time for the grasp, the engagement and the rise of all torques."""
 SETTLE_S: Final = 1.5
-"""Before the hand begins."""
+"""Delay before the hand begins."""
 ROW_S: Final = 0.02
-"""Between two points of the hand's path."""
+"""Time between two points of the hand's path."""
 HAND: Final = (60.0, 60.0, 60.0, 15.0, 15.0, 15.0, 2.0)
-"""Stiffness of the hand at each joint and at the trigger, N m/rad; chosen: 1 kN/m at the tool point's distance."""
+"""Stiffness of the hand at each joint and at the trigger in N m/rad; chosen as 1 kN/m at the tool's distance."""
 HAND_DAMPING: Final = (1.0, 1.0, 1.0, 0.2, 0.2, 0.2, 0.02)
-"""N m s/rad, chosen."""
+"""Damping in N m s/rad; chosen."""
 SLOW: Final = ("timeout_s=0.1", "watchdog_s=0.5")
-"""Options of drivers: several processes on one machine, which may be busy, answer late."""
+"""Driver options for several processes on one busy machine, which answer late."""
 CLUTCH: Final = ("--clutch", "auto")
-"""The scripted hand presses it: a press at the start of a process is void where that loads slowly."""
+"""Clutch option: automatic, because a press at the start of a slowly loading process is void."""
 STEPS: Final = 20
-"""Of Newton's method for one point."""
+"""Most iterations of Newton's method per point."""
 NEAR: Final = 1e-9
 
 
 class Emulated:
-    """The control line of an emulated bus."""
+    """Control line of an emulated bus."""
 
     def __init__(self, address: str) -> None:
         host, _, port = address.rpartition(":")
@@ -50,10 +50,10 @@ class Emulated:
         self._lines = self._socket.makefile("r", encoding="utf-8")
 
     def say(self, line: str) -> str:
-        """The answer to a line.
+        """Send a line and return the answer.
 
         Raises:
-            RuntimeError: It was refused.
+            RuntimeError: The bus refused the line.
         """
         self._socket.sendall(f"{line}\n".encode())
         answer = self._lines.readline().strip()
@@ -63,24 +63,24 @@ class Emulated:
         return answer.removeprefix("ok").strip()
 
     def close(self) -> None:
-        """Ends the connection."""
+        """Close the connection."""
         self._lines.close()
         self._socket.close()
 
 
 @dataclass
 class Leader:
-    """An emulated leader that a hand holds where it is started."""
+    """An emulated leader, held by a hand at its start."""
 
     arm: ArmDescription
     emulated: Emulated
     port: str
     options: tuple[str, ...]
-    """Of `haptether master`."""
+    """Options of `haptether master`."""
     folder: Path
 
     def hold(self) -> None:
-        """The hand takes hold of all joints and of the trigger."""
+        """Let the hand hold all joints and the trigger."""
         q = [joint.start_rad for joint in self.arm.joints]
         for servo, place, stiffness, damping in zip(
             self.servo_ids, self.servo_angles(np.array(q), 0.0), HAND, HAND_DAMPING, strict=True
@@ -88,11 +88,11 @@ class Leader:
             self.emulated.say(f"hand {servo} {place:.6f} {stiffness} {damping}")
 
     def prepare(self, duration_s: float) -> None:
-        """Writes down how the hand of the scene `ur_pick` leads, which takes its time."""
+        """Write the hand's path of the scene `ur_pick`; this takes long."""
         self._path.write_text(hand_path(self, duration_s), encoding="utf-8")
 
     def lead(self, stopped: "StopRequest") -> None:
-        """Begins to lead it like that."""
+        """Begin to lead the arm along the prepared path."""
         stopped.sleep(SETTLE_S)
         if not stopped:
             self.emulated.say(f"lead {self._path}")
@@ -103,12 +103,12 @@ class Leader:
 
     @property
     def servo_ids(self) -> list[int]:
-        """Joints, then trigger."""
+        """Servos of the joints, then of the trigger."""
         trigger = [] if self.arm.trigger is None else [self.arm.trigger.servo]
         return [*(joint.servo for joint in self.arm.joints), *trigger]
 
     def servo_angles(self, q: Array, closed: float) -> list[float]:
-        """Of the servos, for joint angles and a trigger, 0 open to 1 closed."""
+        """Return servo angles for joint angles and a trigger, 0 open to 1 closed."""
         angles = [joint.sign * float(at) + joint.offset_rad for joint, at in zip(self.arm.joints, q, strict=True)]
         if (trigger := self.arm.trigger) is not None:
             angles.append(trigger.open_rad + closed * (trigger.closed_rad - trigger.open_rad))
@@ -116,7 +116,7 @@ class Leader:
 
 
 def led_leader(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest", kind: str = "pose") -> Leader:
-    """Starts an emulated leader for `limit` s, held by a hand."""
+    """Start an emulated leader for `limit` s, held by a hand."""
     leader = emulated_arm(limit, stack, stopped)
     leader.hold()
     arm = leader.arm
@@ -126,7 +126,7 @@ def led_leader(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest", 
         "master.driver=dynamixel", f"master.options.port={leader.port}", f"master.options.arm={LEADER}",
         f"master.options.offsets={[joint.offset_rad for joint in leader.arm.joints]}",
         f"master.options.signs={[joint.sign for joint in leader.arm.joints]}",
-        # As those of the emulated servos are known.
+        # Torque constants of the emulated servos.
         f"master.options.torque_constant={[joint.servo_model.nominal_nm_per_a for joint in arm.joints]}",
         f"master.options.kind={kind}", "run.period_s=0.004", *(f"master.options.{key}" for key in SLOW),
     ]  # fmt: skip
@@ -140,7 +140,7 @@ def led_leader(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest", 
 
 
 def emulated_arm(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest", *more: str) -> Leader:
-    """Starts an emulated bus with the leader's servos for `limit` s."""
+    """Start an emulated bus with the leader's servos for `limit` s."""
     from haptether.studies.processes import child_process
 
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -156,14 +156,14 @@ def emulated_arm(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest"
 
 
 def free_port() -> int:
-    """A port of this machine that nobody has now."""
+    """Return a free port of this machine."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def hand_path(leader: Leader, duration_s: float) -> str:
-    """The hand's path of the scene as angles of the servos: a CSV for the control line's `lead`."""
+    """Return the hand's path of the scene as servo angles: a CSV for the control line's `lead`."""
     scene = load_scene("ur_pick")
     operator = scene.operator
     assert operator is not None
@@ -186,7 +186,7 @@ def hand_path(leader: Leader, duration_s: float) -> str:
 
 
 def along(legs: list[tuple[float, Array]], at_s: float, *, absolute: bool) -> Array:
-    """Where minimum-jerk legs from 0 are at a time; `absolute` ones end at a place, others are added."""
+    """Return the position on minimum-jerk legs from 0 at a time; ends are positions if `absolute`, else offsets."""
     at, begun_s = np.zeros(3), 0.0
     for duration_s, end in legs:
         goal = end if absolute else at + end
@@ -199,10 +199,10 @@ def along(legs: list[tuple[float, Array]], at_s: float, *, absolute: bool) -> Ar
 
 
 def solved(kinematics: ArmKinematics, q: Array, place: Array, quat: Array) -> Array:
-    """Joint angles near q that bring the tool there, by Newton's method.
+    """Return joint angles near q that bring the tool to a pose, by Newton's method.
 
     Raises:
-        RuntimeError: None nearby does.
+        RuntimeError: There are none nearby.
     """
     still = np.zeros(len(q))
     for _ in range(STEPS):
@@ -220,13 +220,13 @@ def solved(kinematics: ArmKinematics, q: Array, place: Array, quat: Array) -> Ar
 
 
 def product(one: Array, other: Array) -> Array:
-    """Hamilton's product of quaternions w, x, y, z."""
+    """Return Hamilton's product of quaternions w, x, y, z."""
     w, v, s, u = one[0], one[1:], other[0], other[1:]
     return np.concatenate(([w * s - v @ u], w * u + s * v + np.cross(v, u)))
 
 
 def turn_quat(turn: Array) -> Array:
-    """The quaternion of an axis times an angle in rad."""
+    """Return the quaternion of an axis times an angle in rad."""
     angle = float(np.linalg.norm(turn))
     axis = turn / angle if angle > 0.0 else np.zeros(3)
     return np.concatenate(([math.cos(0.5 * angle)], math.sin(0.5 * angle) * axis))

@@ -1,4 +1,4 @@
-"""What a live run says of its loop and of the link: the lines at the end of `master`, `slave` and `check-link`."""
+"""Summary of loop and link of a live run: the last lines of `master`, `slave` and `check-link`."""
 
 import math
 from collections.abc import Sequence
@@ -10,61 +10,61 @@ from haptether.bridge import LoopReport, MasterTrace, SlaveTrace
 
 
 class LinkSummary(msgspec.Struct, frozen=True, kw_only=True):
-    """One side's view of a run. Times in s; none where nothing arrived."""
+    """Summary of a run at one side. Times in s; None if nothing arrived."""
 
     realtime: str
-    """What the loop's thread got of the system."""
+    """Real-time resources granted to the loop's thread."""
     rate_hz: float
     """Ticks per second."""
     late_cycles: int
-    """Wakes later than a whole period, after which ticks were left out."""
+    """Wakes late by more than a period, after which ticks were skipped."""
     skipped_ticks: int
     overshoot_p50_s: float
     overshoot_p99_s: float
     overshoot_max_s: float
-    """How late the loop woke."""
+    """Lateness of the loop's wakes."""
     round_trip_p01_s: float | None
     round_trip_p50_s: float | None
     round_trip_p99_s: float | None
     round_trip_max_s: float | None
-    """As the coupling has it: the waits of both loops for their next ticks are part of it."""
+    """Round trips as the coupling sees them, including the waits of both loops for their next ticks."""
     jitter_s: float | None
     """Standard deviation of the round trip."""
     sent: int
     arrived: int
     lost: int
-    """Frames of the peer that never arrived, up to the newest one."""
+    """Frames of the peer, up to the newest one, that never arrived."""
     loss: float | None
-    """Their share."""
+    """Lost frames as a fraction."""
     worst_gap_s: float | None
     """Longest time between two arrivals."""
     silence_at_end_s: float | None
-    """From the newest arrival to the end of the run."""
+    """Time from the newest arrival to the end of the run."""
     interarrival_jitter_s: float | None
-    """Of the peer's frames (RFC 3550)."""
+    """Interarrival jitter of the peer's frames (RFC 3550)."""
     loss_bursts: int
     longest_burst: int
-    """Runs of lost frames, and the longest of them."""
+    """Number of runs of lost frames, and length of the longest."""
     reordered: int
     """Frames that arrived after a newer one."""
     usual_age_s: float | None
-    """Age of the peer's frames that the link is used to, as a bound; none before any echo."""
+    """Usual age of the peer's frames, as a bound; None before any echo."""
     offset_s: float | None
     offset_bound_s: float | None
-    """The peer's clock less ours, and how wrong that may be; none before it is known."""
+    """Peer's clock minus own clock, and bound of its error; None while unknown."""
     clock_faults: int
     last_clock_fault: str | None
-    """Exchanges that no healthy clocks make, and the last of them."""
+    """Exchanges that healthy clocks cannot produce, and the last of them."""
     recorded: int | None
-    """Records in the recording; none without one."""
+    """Records in the recording; None without one."""
     unrecorded: int | None
-    """Records that the disk did not take."""
+    """Records that the disk did not accept."""
     recording_end: str | None
-    """Why the recording ended before the run, if it did."""
+    """Reason why the recording ended before the run; None otherwise."""
 
 
 def summarise_link(trace: MasterTrace | SlaveTrace, report: LoopReport, period_s: float = 1e-3) -> LinkSummary:
-    """Summarises a run of one side whose loop has the period `period_s`."""
+    """Summarise a run of one side whose loop has the period `period_s`."""
     time_s, overshoot_s = trace.time_s, trace.overshoot_s
     fresh = trace.age_s == 0.0
     round_trips = trace.round_trip_s[fresh & np.isfinite(trace.round_trip_s)]
@@ -114,21 +114,21 @@ def summarise_link(trace: MasterTrace | SlaveTrace, report: LoopReport, period_s
 
 
 class LinkVerdict(msgspec.Struct, frozen=True, kw_only=True):
-    """Whether a link is good enough for a coupling."""
+    """Judgement whether a link suits a coupling."""
 
     bearable_delay_s: float | None
-    """Least sum of both delays at which contact begins to oscillate while a hand holds; none if at none."""
+    """Least total delay at which contact oscillates while a hand holds; None if there is none."""
     stable_delays_s: list[tuple[float, float]]
-    """Intervals of that sum in which it does not; empty where they were not looked for."""
+    """Intervals of the total delay without oscillation; empty if they were not computed."""
     delay_s: float | None
-    """What the loop has: the p99 of the round trip, and half a period at each side that holds what it was sent."""
+    """Total delay of the loop: p99 of the round trip, plus half a period of hold at each side."""
     bearable_gap_s: float
     """Longest gap between arrivals without a hold."""
     gap_s: float | None
-    """What the link has."""
+    """Longest gap of the link."""
     good: bool
     is_between: bool
-    """Whether it is good enough at a delay beyond one at which contact oscillates."""
+    """True if the link is good only at a delay beyond one at which contact oscillates."""
     complaints: list[str]
 
 
@@ -140,15 +140,15 @@ def judge_link(
     *,
     stable_delays_s: Sequence[tuple[float, float]] = (),
 ) -> LinkVerdict:
-    """Holds what a link has against what a coupling and the ladder bear.
+    """Compare a link with the limits of coupling and ladder.
 
     Args:
-        summary: What the link has.
-        bearable_delay_s: Of `largest_delay_s`.
-        bearable_gap_s: Longest silence in s that the ladder bears.
+        summary: Summary of the link.
+        bearable_delay_s: Result of `largest_delay_s`.
+        bearable_gap_s: Longest silence in s without a hold.
         period_s: dT, the longer of the two sides' periods in s.
-        stable_delays_s: Of `stable_together`: a link is borne, too, whose round trips
-            lie in one of these, all but the shortest and the longest 1 %.
+        stable_delays_s: Result of `stable_together`; a link also passes if its round trips, except the shortest and
+            longest 1 %, lie in one of these intervals.
     """
     complaints = []
     delay_s = None
@@ -156,9 +156,9 @@ def judge_link(
     if summary.round_trip_p99_s is None:
         complaints.append("no answer carried an echo")
     else:
-        # The round trip runs from the tick that sampled x to the tick that takes the answer, waits for ticks included.
-        # At its tick the slave samples F_e and then commands x, so this answer shows the commands up to the one before:
-        # a command is held for dT, which is dT / 2 late, and the force on the device is held for dT likewise.
+        # The round trip runs from the tick that sampled x to the tick that takes the answer, including waits for ticks.
+        # In its tick the slave samples F_e before it commands x, so the answer shows commands up to the previous one.
+        # Each command is held for dT, which adds dT / 2; so is the force on the device.
         delay_s = summary.round_trip_p99_s + period_s
         early_s = None if summary.round_trip_p01_s is None else summary.round_trip_p01_s + period_s
         is_later = delay_s >= bearable_delay_s
@@ -193,7 +193,7 @@ def judge_link(
 
 
 def bearable_text(bearable_delay_s: float | None, stable_delays_s: Sequence[tuple[float, float]]) -> str:
-    """The delays that contact bears, in ms: up to the first at which it oscillates, and between later ones."""
+    """Return the delays in ms that contact tolerates: up to the first oscillation, and in later intervals."""
     if bearable_delay_s is None or math.isinf(bearable_delay_s):
         return "any delay"
     later = [f"{low * 1e3:.1f} to {high * 1e3:.1f} ms" for low, high in stable_delays_s if low >= bearable_delay_s]

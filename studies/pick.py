@@ -1,4 +1,4 @@
-"""The demonstration of a whole hand: something is picked up, turned and put down, as processes on one machine."""
+"""Demonstration of a whole hand that picks up, turns and puts down an object, as processes on one machine."""
 
 import contextlib
 import secrets
@@ -22,60 +22,60 @@ from haptether.view.style.legend import legend_above
 
 SCENE = "ur_pick"
 CARRIED_M = 0.1
-"""How far the hand of the scene carries it, aside."""
+"""Lateral displacement by the hand of the scene."""
 TURNED_RAD = 1.0471975511965976
 WITHIN_M = 2e-3
-"""How near to that the arm must come: what it trails behind a hand that moves, where it has come to rest."""
+"""Tolerance of the arm's displacement: its lag once the hand rests."""
 WITHIN_RAD = 0.02
 
 
 class PickScene(msgspec.Struct, frozen=True, kw_only=True):
-    """How the demonstration goes."""
+    """Settings of the demonstration."""
 
     delay_s: float = 0.02
     jitter_s: float = 0.001
     loss: float = 0.01
     seed: int = 1
     slave: Literal["simulated", "ur"] = "ur"
-    """A model, or an emulated UR controller with a Robotiq gripper, led by the vendor's client library."""
+    """A model, or an emulated UR controller with a Robotiq gripper, driven by the vendor's client library."""
     master: Literal["simulated", "dynamixel"] = "simulated"
-    """A model, or an emulated leader arm of Dynamixel servos, whose joints a scripted hand leads."""
+    """A model, or an emulated leader arm of Dynamixel servos with a scripted hand."""
 
 
 class PickResult(msgspec.Struct, frozen=True, kw_only=True):
-    """What the arm and its gripper did, by the slave's own recording."""
+    """Results of arm and gripper, from the slave's recording."""
 
     grips: int
-    """How often the gripper took hold of something."""
+    """Number of grips."""
     carried_m: float
-    """How far the tool moved across while it held it."""
+    """Lateral displacement of the tool while holding."""
     turned_rad: float
-    """By how much it was turned meanwhile."""
+    """Rotation of the tool meanwhile."""
     lifted_m: float
-    """How high it was lifted meanwhile."""
+    """Height of the lift meanwhile."""
     open_at_end: bool
-    """Whether the gripper had let go of it in the end."""
+    """True if the gripper had released at the end."""
     holds: int
-    """How often the two sides fell apart."""
+    """Number of losses of the coupling."""
     final_state: str
-    """Of the slave's ladder."""
+    """Final state of the slave's ladder."""
 
     @property
     def is_done(self) -> bool:
-        """Whether it was picked up once, carried and turned as far as the hand did, and put down."""
+        """True if the object was picked up once, carried and turned as far as the hand did, and put down."""
         near = abs(self.carried_m - CARRIED_M) < WITHIN_M and abs(self.turned_rad - TURNED_RAD) < WITHIN_RAD
         return self.grips == 1 and self.open_at_end and near and self.holds == 0
 
 
 def run_pick(scene: PickScene, folder: Path, show: Callable[[str, float], None], stopped: StopRequest) -> PickResult:
-    """Runs slave, network and master once, and returns what the arm did; arguments as of `run_demo`.
+    """Run slave, network and master once; return the arm's results. Arguments as of `run_demo`.
 
     Raises:
         Interrupted: A stop was requested; all processes have ended.
-        RuntimeError: A process failed; the message holds what it said.
+        RuntimeError: A process failed; the message holds its output.
     """
     local, duration_s = "127.0.0.1:0", load_scene(SCENE).run.duration_s
-    # Of each process, from its own start on: the others may take their time until the last begins.
+    # Each process counts from its own start, so the limit covers the start of the later ones.
     limit = str(duration_s + 5 * START_TIMEOUT_S + END_TIMEOUT_S)
     recording, trace = folder / "pick.mcap", folder / "pick.npz"
     with contextlib.ExitStack() as stack:
@@ -98,7 +98,7 @@ def run_pick(scene: PickScene, folder: Path, show: Callable[[str, float], None],
         if leader is not None:
             leader.prepare(duration_s)
         led = () if leader is None else leader.options
-        # Its driver goes through the checklist, and its torque rises, before the hand begins.
+        # The leader's checklist and the rise of its torque precede the hand's start.
         lasts_s = duration_s + (0.0 if leader is None else LEADER_S)
         master = stack.enter_context(child_process(
             "master", "--scene", SCENE, "--peer", netsim_address, "--listen", local, "--key", str(key),
@@ -121,7 +121,7 @@ def run_pick(scene: PickScene, folder: Path, show: Callable[[str, float], None],
             raise Interrupted
         if master.process.returncode != 0:
             raise RuntimeError(master.failure(slave))
-        # Its recording is whole once it has ended.
+        # The recording is complete once the slave has ended.
         slave.end()
         signals = read_recording(recording).signals
     return picked(signals)
@@ -132,8 +132,8 @@ SIMULATED = ("--set", "slave.device=simulated", "--set", "slave.options={}", "--
 
 
 def _ur_arm(limit: str, stack: contextlib.ExitStack, stopped: StopRequest) -> tuple[str, ...]:
-    """Starts an emulated controller with a gripper for `limit` s; the options of the slave for both."""
-    # The ports of a controller are fixed: an address of its own, so that several demos get on.
+    """Start an emulated controller with a gripper for `limit` s; return the slave's options for both."""
+    # A controller has fixed ports; a separate address lets several demos run at once.
     host = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
     emulator = stack.enter_context(child_process(
         "ur-emulator", "--host", host, "--duration-s", limit, "--gripper", "2f-85", "--gripper-object-mm", "40",
@@ -144,13 +144,13 @@ def _ur_arm(limit: str, stack: contextlib.ExitStack, stopped: StopRequest) -> tu
 
 
 def angles(quat_wxyz: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """By how much each orientation, shape `(n, 4)`, is turned from the first, in rad."""
+    """Return the rotation of each orientation, shape `(n, 4)`, from the first, in rad."""
     between: npt.NDArray[np.float64] = np.abs(quat_wxyz @ quat_wxyz[0])
     return np.asarray(2.0 * np.arccos(np.minimum(between, 1.0)))
 
 
 def picked(signals: dict[str, npt.NDArray[Any]]) -> PickResult:
-    """What the recording of the slave says of it."""
+    """Measure a run from the slave's recording."""
     held = signals["holds_object"].astype(bool)
     position = signals["position"]
     begins = int(np.count_nonzero(held[1:] & ~held[:-1])) + int(held[0])
@@ -162,7 +162,7 @@ def picked(signals: dict[str, npt.NDArray[Any]]) -> PickResult:
         lifted = float(from_there[:, 2].max())
         turned = float(angles(signals["orientation"][held])[-1])
     holds = sum(now == "hold" and before in {"engaged", "stale"} for before, now in pairwise(states))
-    # The master's end is no fall.
+    # The end of the master is no loss of the coupling.
     ended = sum("ended" in reason for reason in set(signals["reason"].tolist()))
     return PickResult(
         grips=begins,
@@ -176,16 +176,16 @@ def picked(signals: dict[str, npt.NDArray[Any]]) -> PickResult:
 
 
 def draw_pick(scene: PickScene, folder: Path, path: Path, columns: Columns = 2) -> None:
-    """Draws height, way aside, turn and gripper of hand and arm over time, from the files of the run in `folder`.
+    """Draw height, lateral displacement, rotation and gripper of hand and arm from the files in `folder`.
 
     Raises:
-        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
     """
     far = read_recording(folder / "pick.mcap").signals
     with np.load(folder / "pick.npz") as arrays:
         near = {name: arrays[name] for name in ("time_s", "position", "orientation", "trigger", "state")}
     far_s = far["time_ns"] * 1e-9
-    # Each side has a clock of its own: from its engagement on.
+    # The sides have separate clocks; both count from engagement.
     far_s = far_s - far_s[np.flatnonzero(np.isin(far["state"], ("engaged", "stale")))[0]]
     near_s = near["time_s"] - near["time_s"][np.flatnonzero(near["state"] == 2)[0]]
     arm = "an emulated UR5e with a 2F-85" if scene.slave == "ur" else "a model"

@@ -1,4 +1,4 @@
-"""Our own commands as child processes of a demonstration, which end with it."""
+"""Haptether commands as child processes of a demonstration, which end with it."""
 
 import contextlib
 import os
@@ -16,28 +16,28 @@ if TYPE_CHECKING:
     from subprocess import Popen
 
 START_TIMEOUT_S = 20.0
-"""A process that has not opened its socket by then has failed."""
+"""Longest wait for a process to open its socket; then it counts as failed."""
 END_TIMEOUT_S = 5.0
 NICE = -10
-"""Of the processes of a demonstration, before others of the machine, until their loops have real time."""
+"""Priority of the processes, above others of the machine, until their loops have real time."""
 
 
-class Interrupted(Exception):  # noqa: N818  # not an error: somebody pressed Ctrl-C
+class Interrupted(Exception):  # noqa: N818  # not an error: the user pressed Ctrl-C
     """A stop of the run was requested."""
 
 
 class StopRequest(Protocol):
-    """Whether a stop was requested, and a sleep that ends when they do."""
+    """A stop request, with a sleep that it ends."""
 
     def __bool__(self) -> bool:
         """True once a stop was requested."""
 
     def sleep(self, seconds: float) -> None:
-        """Waits up to `seconds`."""
+        """Wait up to `seconds`, or until a stop is requested."""
 
 
 class Process:
-    """One of our own commands as a child process, and what it says."""
+    """A Haptether command as a child process, and its output."""
 
     def __init__(self, name: str, process: "Popen[str]", says: str) -> None:
         self.name = name
@@ -45,7 +45,7 @@ class Process:
         self.process = process
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._all: list[str] = []
-        # The pipe is read all the time: a child must never block on a full one.
+        # Read the pipe at all times: a child must never block on a full one.
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
@@ -56,11 +56,11 @@ class Process:
                 self._lines.put(line.strip())
 
     def headline(self, stopped: StopRequest) -> str:
-        """The line that says that its socket is open.
+        """Return the line that reports the open socket.
 
         Raises:
             Interrupted: A stop was requested.
-            RuntimeError: It ended or said nothing in time.
+            RuntimeError: The process ended, or reported nothing in time.
         """
         deadline = time.monotonic() + START_TIMEOUT_S
         while time.monotonic() < deadline:
@@ -80,17 +80,17 @@ class Process:
         raise RuntimeError(message)
 
     def last(self) -> str:
-        """What it has said last of what went wrong, or at all."""
+        """Return its last line about a failure, or else its last line."""
         lines = [line for line in self._all if line]
         wrong = [line for line in lines if "fault:" in line or line.startswith(("haptether:", "hold", "stop"))]
         return next(reversed(wrong or lines), f"{self.name} said nothing")
 
     def said(self) -> str:
-        """All that it has said so far, in one line."""
+        """Return its output so far in one line."""
         return " / ".join(line for line in self._all if line)
 
     def failure(self, other: "Process") -> str:
-        """What it and the other side said last, and whether the machine was too busy for them."""
+        """Describe a failure: last lines of both sides, and whether the machine was overloaded."""
         said = f"the {self.name} ended with status {self.process.returncode}: {self.last()}; {other.last()}"
         load, processors = os.getloadavg()[0], os.cpu_count() or 1
         if load <= processors:
@@ -99,7 +99,7 @@ class Process:
         return f"{said}; {busy}: run it again with less beside it"
 
     def end(self) -> None:
-        """Requests it to end cleanly, and ends it by force if it does not."""
+        """Terminate the process; kill it if it does not end."""
         if self.process.poll() is None:
             self.process.terminate()
             try:
@@ -114,9 +114,9 @@ class Process:
 
 @contextlib.contextmanager
 def child_process(name: str, *arguments: str, says: str | None = None) -> Iterator[Process]:
-    """One of our own commands as a child process, which is ended with the block; `says` begins its first line.
+    """Run a Haptether command as a child process within the block; `says` begins its first line.
 
-    It ends with this process, too, where that is killed and `setpriv` of util-linux is there.
+    If `setpriv` of util-linux is present, the child also ends when this process is killed.
     """
     ends_with_this = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
     process = subprocess.Popen(
@@ -127,7 +127,7 @@ def child_process(name: str, *arguments: str, says: str | None = None) -> Iterat
         text=True,
         env=child_environment(),
     )
-    # They load for seconds, each before the next begins; where that is not allowed they take their time.
+    # Each process loads for seconds before the next begins; without the permission they load at normal priority.
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, process.pid, NICE)
     child = Process(name, process, says or name)

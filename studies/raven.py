@@ -1,6 +1,6 @@
-"""What somebody on the path can do to a teleoperation: the attacks of the RAVEN II study, with a key and without.
+"""Attacks on the path of a teleoperation: those of the RAVEN II study, with a key and without.
 
-Each attack is a shipped scene. One run of it is compared with one of the same scene in which nobody attacks.
+Each attack is a shipped scene. Its run is compared with a run of the same scene without the attack.
 
 Source: arXiv 1504.04339 (Bonaci et al. 2015).
 """
@@ -19,14 +19,14 @@ Array: TypeAlias = npt.NDArray[np.float64]
 Flags: TypeAlias = npt.NDArray[np.bool_]
 
 SECURITY: dict[Security, tuple[str, ...]] = {"off": ("security.secure=false",), "on": ("security.secure=true",)}
-"""Overrides of a scene by which its frames go in the clear or are authenticated."""
+"""Overrides of a scene that turn authentication of frames off or on."""
 
 COASTING_S = 0.02
-"""How long the arm follows a velocity that is not renewed; the ladder then holds."""
+"""Time for which the arm follows a velocity that is not renewed; then the ladder holds."""
 COMMAND_SPEED = 3.0
-"""Bound in m/s on the command of an arm."""
+"""Bound in m/s on an arm's command."""
 FADE_S = 0.1
-"""Within which a force has faded out after the ladder has left ENGAGED."""
+"""Time for a force to fade out after the ladder has left ENGAGED."""
 
 WORKS: dict[Effect, Literal["yes", "denies", "delays", "no"]] = {
     "moved": "yes",
@@ -44,38 +44,38 @@ class RavenRow(msgspec.Struct, frozen=True, kw_only=True):
     kind: str
     security: Security
     effect: Effect
-    """What the attack did."""
+    """Effect of the attack."""
     expected: Effect
-    """What it is known to do."""
+    """Known effect of the attack."""
     because: str
-    """Why no more than this."""
+    """Reason why it does no more."""
     astray_mm: float
-    """Farthest that the command of the arm was from all places to which the hand had led it until then."""
+    """Largest distance of the arm's command from all places to which the hand had led it so far."""
     astray_limit_mm: float
-    """How far it may be without anybody's doing: coasting for 20 ms, and one tick at the speed bound."""
+    """Largest such distance without an attack: coasting for 20 ms, and one tick at the speed bound."""
     lag_mm: float
-    """Largest difference of the command of the arm from the run that nobody attacks, while both sides were coupled."""
+    """Largest difference of the arm's command from the run without the attack, while both sides were coupled."""
     extra_force_n: float
-    """By how much the largest force on the hand exceeded that of the run that nobody attacks."""
+    """Excess of the largest force on the hand over the run without the attack."""
     extra_force_limit_n: float
-    """How much that may be without anybody's doing: what is touched, pressed as far as the arm may stray."""
+    """Largest such excess without an attack: the touched stiffness times the allowed distance."""
     moved_in_hold_mm: float
-    """How far the command of the arm travelled while its ladder held or stopped."""
+    """Travel of the arm's command while its ladder held or stopped."""
     force_in_hold_n: float
     """Largest force on the hand later than 100 ms after its ladder had left ENGAGED."""
     refused: int
-    """Datagrams that were none of the peer's, or no frame, and changed nothing."""
+    """Datagrams that were not from the peer, or no frames; they changed nothing."""
     final_states: tuple[str, str]
-    """Of master and slave."""
+    """Final states of master and slave."""
 
     @property
     def works(self) -> Literal["yes", "denies", "delays", "no"]:
-        """Whether arm or hand obeyed somebody else, or only the connection was taken from them, or slowed."""
+        """Outcome: arm or hand was led ("yes"), the link was cut ("denies") or slowed ("delays"), or none ("no")."""
         return WORKS[self.effect]
 
     @property
     def is_safe(self) -> bool:
-        """Whether whatever held, held still."""
+        """True if each held side stayed at rest."""
         return self.moved_in_hold_mm == 0.0 and self.force_in_hold_n == 0.0
 
 
@@ -86,20 +86,20 @@ class RavenReport(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_as_expected(self) -> bool:
-        """Whether each attack did what it is known to do, and what held, held still."""
+        """True if each attack has its known effect and held sides stayed at rest."""
         return all(row.effect == row.expected and row.is_safe for row in self.rows)
 
     def as_json(self) -> bytes:
-        """The report as JSON."""
+        """Return the report as JSON."""
         rows = [{**msgspec.to_builtins(row), "works": row.works, "is_safe": row.is_safe} for row in self.rows]
         return msgspec.json.format(msgspec.json.encode({"rows": rows, "is_as_expected": self.is_as_expected}), indent=2)
 
 
 def raven_suite(*, progress: Callable[[int, int], None] | None = None) -> RavenReport:
-    """Runs every attack on every kind of frames, beside runs that nobody attacks.
+    """Run every attack on every kind of frames, with reference runs without attacks.
 
     Args:
-        progress: Called after each with how many are done, and of how many.
+        progress: Called after each attack with the number done and the total.
     """
     pairs = [(attack, security) for attack in RAVEN_ATTACKS for security in SECURITY]
     rows = []
@@ -111,12 +111,12 @@ def raven_suite(*, progress: Callable[[int, int], None] | None = None) -> RavenR
 
 
 def measure_attack(attack: RavenAttack, security: Security) -> RavenRow:
-    """Runs one attack on one kind of frames and measures what it did."""
+    """Run one attack on one kind of frames and measure its effect."""
     scene = load_scene(attack.scene, SECURITY[security])
     attacked, alone = simulate(scene), simulate(scene, overrides=_nobody(scene))
     near, far = _coupled(attacked, "state"), _coupled(attacked, "slave_state")
     command = _signal(attacked, "slave_command")
-    # The hand's speed is that of the run in which nobody leads or pushes it.
+    # The hand's speed comes from the run without the attack.
     speed = float(abs(_signal(alone, "velocity")).max())
     astray_limit = speed * COASTING_S + COMMAND_SPEED * scene.run.period_s
     extra_limit = _stiffness(scene) * astray_limit
@@ -155,38 +155,37 @@ def measure_attack(attack: RavenAttack, security: Security) -> RavenRow:
 
 
 def _nobody(scene: Scene) -> list[str]:
-    """Overrides by which nobody attacks."""
+    """Return overrides that remove the attacks."""
     links = {} if scene.link is None else {"forward": scene.link.forward, "backward": scene.link.backward}
     return [f"link.{direction}.attacks=[]" for direction, link in links.items() if link is not None and link.attacks]
 
 
 def _stiffness(scene: Scene) -> float:
-    """Of the stiffest that the arm can touch, in N/m."""
+    """Return the largest stiffness that the arm can touch in N/m."""
     objects = () if scene.environment is None else scene.environment.objects
     return max((item.contact.stiffness for item in objects), default=0.0)
 
 
 def _signal(run: Run, name: str) -> Array:
-    """A signal of one axis."""
     return np.asarray(run.signals[name], dtype=np.float64).reshape(-1)
 
 
 def _coupled(run: Run, name: str) -> Flags:
-    """Whether a side was coupled, at each tick."""
+    """Return a mask of the ticks at which a side was coupled."""
     codes = _signal(run, name)
     coupled = [code for code in np.unique(codes) if ladder_state_name(int(code)) in ("engaged", "stale")]
     return np.isin(codes, coupled)
 
 
 def _parted(coupled: Flags) -> bool:
-    """Whether a side that was coupled ceased to be."""
+    """Return True if a coupled side was decoupled."""
     return bool((coupled[:-1] & ~coupled[1:]).any())
 
 
 def _astray(hand: Array, command: Array, coupled: Flags) -> float:
-    """Farthest in m that the command was from all places to which the hand had led it until then.
+    """Return the largest distance in m of the command from all places to which the hand had led it so far.
 
-    On one axis those are an interval, for a hand does not leap.
+    On one axis these places are an interval, because the hand's path is continuous.
     """
     if not coupled.any():
         return 0.0
@@ -199,7 +198,7 @@ def _astray(hand: Array, command: Array, coupled: Flags) -> float:
 
 
 def _lag(attacked: Run, alone: Run) -> float:
-    """Largest difference in m of the command from that of the other run, while all sides of both were coupled."""
+    """Return the largest difference in m between the commands of two runs while all their sides were coupled."""
     both = [_coupled(run, side) for run in (attacked, alone) for side in ("state", "slave_state")]
     commands = [_signal(run, "slave_command") for run in (attacked, alone)]
     ticks = min(map(len, [*both, *commands]))
@@ -208,14 +207,14 @@ def _lag(attacked: Run, alone: Run) -> float:
 
 
 def _travel(command: Array, coupled: Flags) -> float:
-    """How far in m the command travelled between ticks at which the side was no longer coupled."""
+    """Return the travel in m of the command between ticks at which the side was no longer coupled."""
     ever = np.logical_or.accumulate(coupled)
     held = (ever & ~coupled)[:-1] & ~coupled[1:]
     return float(abs(np.diff(command))[held].sum())
 
 
 def _force_in_hold(run: Run, coupled: Flags) -> float:
-    """Largest force in N on the hand later than `FADE_S` after its side ceased to be coupled."""
+    """Return the largest force in N on the hand later than `FADE_S` after its side was decoupled."""
     time_s, force = _signal(run, "time_s"), _signal(run, "device_force")
     newest = np.maximum.accumulate(np.where(coupled, time_s, -np.inf))
     later = np.isfinite(newest) & (time_s - newest > FADE_S + 1e-9)
@@ -223,7 +222,7 @@ def _force_in_hold(run: Run, coupled: Flags) -> float:
 
 
 def _refused(run: Run) -> int:
-    """Datagrams that either side refused, as the texts of the run's events state them."""
+    """Return the number of datagrams that either side refused, from the texts of the run's events."""
     details = [event.detail for event in run.events if event.kind == "refused"]
     return sum(int(word) for detail in details for word in detail.split() if word.isdigit())
 

@@ -1,4 +1,4 @@
-"""The attacks of the RAVEN II study as shipped scenes, and the effect of each.
+"""Attacks of the RAVEN II study as shipped scenes, with their effects.
 
 Source: T. Bonaci, J. Herron, T. Yusuf, J. Yan, T. Kohno, H. J. Chizeck, "To make a robot secure: an experimental
 analysis of cyber security threats against teleoperated surgical robotics", arXiv 1504.04339, 2015.
@@ -9,25 +9,26 @@ from typing import Literal, TypeAlias
 import msgspec
 
 Security: TypeAlias = Literal["off", "on"]
-"""Whether frames go in the clear or are authenticated."""
+"""Authentication of frames."""
 Effect: TypeAlias = Literal["moved", "pushed", "late", "stopped", "none"]
-"""`moved`: the arm was led to where the hand was not. `pushed`: the hand felt what nobody measured. `late`: the arm
-followed, late. `stopped`: the two sides were parted, and held. `none`: no more than chance does."""
+"""`moved`: the arm was led to a place where the hand was not. `pushed`: the hand felt a force that was not measured.
+`late`: the arm followed late. `stopped`: the sides were decoupled and held. `none`: no more than chance.
+"""
 
 
 class RavenAttack(msgspec.Struct, frozen=True, kw_only=True):
-    """An attack and its effect."""
+    """An attack and its effects."""
 
     scene: str
-    """Which shipped scene it is."""
+    """Name of the shipped scene."""
     kind: str
-    """Its class in the study."""
+    """Class of the attack in the study."""
     without: Effect
-    """What it does to frames in the clear."""
+    """Effect on frames in the clear."""
     protected: Effect
-    """What it does to frames that are authenticated."""
+    """Effect on authenticated frames."""
     because: str
-    """Why no more than this."""
+    """Reason why it does no more."""
 
 
 RAVEN_ATTACKS = (
@@ -80,4 +81,4 @@ RAVEN_ATTACKS = (
         because="refused at the door, before the sequence counts",
     ),
 )  # fmt: skip
-"""All of them."""
+"""All attacks."""

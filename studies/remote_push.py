@@ -1,4 +1,4 @@
-"""What a remote push does to a hand: the figures that `haptether master` and `haptether demo` report."""
+"""Effects of a remote push on a hand: the figures of `haptether master` and `haptether demo`."""
 
 from pathlib import Path
 
@@ -33,30 +33,30 @@ TRACE_SIGNALS = (
 FINGER_SIGNALS = (
     "trigger_velocity", "trigger_rendered_force", "trigger_safety_force", "trigger_device_force", "trigger_tripped",
 )  # fmt: skip
-"""What a trigger that is felt has besides."""
+"""Additional signals of a trigger with feedback."""
 ROTATION_SIGNALS = (
     "orientation", "angular_velocity", "hand_torque", "rendered_torque", "grasp_torque", "safety_torque",
     "device_torque",
 )  # fmt: skip
-"""What a trace of kind "pose" has besides."""
+"""Additional signals of a trace of kind "pose"."""
 
 
 class PushResult(msgspec.Struct, frozen=True, kw_only=True):
-    """One run of a master. Times in s, forces in N, speeds in m/s; none where it does not apply or was not measured."""
+    """Results of a master's run. Times in s, forces in N, speeds in m/s; None if not applicable or not measured."""
 
     controller: str
     security: str
-    """secure, or insecure: frames in the clear."""
+    """"secure", or "insecure" for frames in the clear."""
     engaged_s: float | None
-    """When the two sides engaged, since the start."""
+    """Time of engagement since the start."""
     release_s: float | None
-    """When the hand let go, since the start; none if it never did."""
+    """Time of the release since the start; None without one."""
     peak_hand_speed: float | None
-    """Largest speed away from the wall: after the release, or over the whole run if the hand is never to let go."""
+    """Largest speed away from the wall after the release, or over the whole run without one."""
     peak_force_n: float | None
-    """Largest force that the device exerted."""
+    """Largest force of the device."""
     time_to_trip_s: float | None
-    """From the release to the first intervention after it; 0 if one was on."""
+    """Time from the release to the next intervention; 0 if one was active."""
     trips_before_release: int | None
     """Interventions that began while the hand held."""
     intervention_s: float | None
@@ -67,36 +67,36 @@ class PushResult(msgspec.Struct, frozen=True, kw_only=True):
     late: int
     """Frames of the slave that arrived after a newer one."""
     refused: int
-    """Datagrams that were none of the slave's."""
+    """Datagrams that were not from the slave."""
     round_trip_s: float | None
-    """Of the newest echo."""
+    """Round trip of the newest echo."""
     overshoot_p50_s: float
     overshoot_p99_s: float
-    """How late the loop woke."""
+    """Lateness of the loop's wakes."""
     ticks: int
     skipped_ticks: int
     holds: int
-    """How often the slave was silent for more than 20 ms."""
+    """Number of silences of the slave longer than 20 ms."""
     outliers: int
-    """Samples that left their path and were replaced."""
+    """Samples that deviated from their path and were replaced."""
     dropped_records: int
-    """Ticks that are missing from these figures, because only the last of a run are kept."""
+    """Ticks missing from these figures, because only the last of a run are kept."""
     unsent: int
     """Frames that the system refused to send."""
     force_at_release_n: float | None
-    """Force that the device exerted when the hand let go; none if it never did."""
+    """Force of the device at the release; None without one."""
     final_state: str
     fault: str | None
-    """Why it stands in `fault`."""
+    """Reason for the state `fault`."""
 
 
 def _along(signal: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """A signal of one axis as it is, of several axes its norm."""
+    """Return a signal of one axis unchanged, or the norm of several axes."""
     return signal if signal.ndim == 1 else np.sqrt((signal**2).sum(axis=1))
 
 
 def measure_push(controller: str, trace: MasterTrace, report: LoopReport, release_after_s: float | None) -> PushResult:
-    """Measures a run whose hand let go `release_after_s` after engaging (never if none)."""
+    """Measure a run with a release `release_after_s` after engagement; None for no release."""
     time_s, velocity, force = trace.time_s, _along(trace.velocity), _along(trace.device_force)
     on = trace.tripped > 0
     period_s = float(time_s[-1]) / max(len(trace) - 1, 1) if len(trace) else 0.0
@@ -124,7 +124,7 @@ def measure_push(controller: str, trace: MasterTrace, report: LoopReport, releas
         lost=report.link.missing,
         late=report.link.late,
         refused=report.link.refused,
-        # 0 is what the link says before the first.
+        # The link reports 0 before the first echo.
         round_trip_s=report.link.round_trip_s or None,
         overshoot_p50_s=float(np.percentile(trace.overshoot_s, 50)) if len(trace) else 0.0,
         overshoot_p99_s=float(np.percentile(trace.overshoot_s, 99)) if len(trace) else 0.0,
@@ -141,10 +141,10 @@ def measure_push(controller: str, trace: MasterTrace, report: LoopReport, releas
 
 
 def save_master_trace(trace: MasterTrace, path: Path) -> None:
-    """Writes every signal of a run as an array of a NumPy `.npz` file, for its owner alone.
+    """Write every signal of a run as an array of a NumPy `.npz` file with mode 0600.
 
     Raises:
-        OSError: It cannot be written; a symbolic link.
+        OSError: The file cannot be written, or is a symbolic link.
     """
     refuse_link(path)
     signals = {name: getattr(trace, name) for name in TRACE_SIGNALS}

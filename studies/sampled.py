@@ -1,4 +1,4 @@
-"""What the samples of each combination of a sweep come to: means and shares with intervals, and paired differences."""
+"""Statistics over the samples of each combination of a sweep: means, shares, intervals, and paired differences."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ from haptether.studies.intervals import binomial_interval
 Array = npt.NDArray[np.float64]
 RESAMPLES = 4000
 MOST_AT_ONCE = 1 << 20
-"""Numbers that are resampled at once."""
+"""Numbers resampled at once."""
 SHARE = re.compile(r"(?P<metric>\w+)\s*(?P<relation>[<>=])\s*(?P<value>\S+)")
 
 
@@ -23,25 +23,25 @@ class SummaryRow(Struct, frozen=True, kw_only=True):
     """One quantity in one combination."""
 
     group: dict[str, Any]
-    """What the combination consists of."""
+    """Values of the combination."""
     quantity: str
-    """A metric, of which this is the mean, or a condition on one, of which it is the share of rows that meet it."""
+    """A metric, for its mean, or a condition on one, for the share of rows that meet it."""
     rows: int
     """Rows of the combination."""
     measured: int
-    """Those in which it was measured."""
+    """Rows in which the quantity was measured."""
     diverged: int
-    """Those that diverged: what was measured of them ends there, and counts in the mean."""
+    """Diverged rows: their measurements end there and count in the mean."""
     mean: float | None
-    """Mean or share; none where it was measured in no row."""
+    """Mean or share; None if measured in no row."""
     interval: tuple[float, float] | None
-    """95 %: of a mean by bootstrap, none of fewer than two; of a share exact, of Clopper and Pearson 1934."""
+    """95 % interval: bootstrap for a mean, None below two values; exact for a share (Clopper and Pearson 1934)."""
     pairs: int | None = None
-    """Samples that were measured here and in the baseline, too; none without one."""
+    """Samples measured here and in the baseline; None without a baseline."""
     difference: float | None = None
-    """Mean difference to the baseline over these."""
+    """Mean difference to the baseline over these samples."""
     difference_interval: tuple[float, float] | None = None
-    """95 % of that, by bootstrap over the pairs."""
+    """95 % interval of the difference, by bootstrap over the pairs."""
 
 
 def sweep_summary(
@@ -52,29 +52,29 @@ def sweep_summary(
     baseline: tuple[str, Any] | None = None,
     seed: int = 1,
 ) -> tuple[SummaryRow, ...]:
-    """Each quantity in each combination of the columns `by`.
+    """Summarise each quantity in each combination of the columns `by`.
 
     Args:
         sweep: All rows; those of a combination differ in their samples, such as `run.seed`.
         quantities: Metrics, or conditions on one: "max_ejection_velocity > 0.5", "outcome = complete".
-        by: Columns of what varies, whose combinations are the groups.
-        baseline: A column of `by` and a value of it: each combination is compared with that which differs from it in
-            this column alone, sample by sample.
-        seed: Of the bootstrap, 0 or more.
+        by: Varied columns whose combinations are the groups.
+        baseline: A column of `by` and one of its values. Each combination is compared, sample by sample, with the one
+            that differs only in this column.
+        seed: Seed of the bootstrap, 0 or more.
 
     Raises:
-        ValueError: A column that there is not, a condition that cannot be, samples that do not pair.
+        ValueError: A column does not exist, a condition is invalid, or samples do not pair.
 
     Source: Efron 1979 (bootstrap), Clopper and Pearson 1934.
     """
     for name in by:
-        sweep[name]  # says what there is
+        sweep[name]  # raises if there is no such column
         if name in METRICS:
             message = f"by: {name} is what was measured, not what varies"
             raise ValueError(message)
     labels = {name: sweep[name].tolist() for name in by}
     groups: dict[tuple[Any, ...], list[int]] = {}
-    # Where nothing but samples varies all rows are one combination.
+    # If only samples vary, all rows are one combination.
     for row, key in enumerate(zip(*labels.values(), strict=True) if by else [()] * len(sweep)):
         groups.setdefault(key, []).append(row)
     others = [name for name in sweep.columns if name not in METRICS and name not in by]
@@ -109,9 +109,9 @@ def sweep_summary(
 
 
 def bootstrap_interval(values: Array, rng: np.random.Generator) -> tuple[float, float] | None:
-    """95 % of a mean by the percentiles of resampled means; none of fewer than two.
+    """Return the 95 % interval of a mean by the percentiles of resampled means; None for fewer than two values.
 
-    Of few values it is too narrow: of ten normal ones it holds the mean in 90 %.
+    The interval is too narrow for few values: for ten normal values it holds the mean in 90 %.
 
     Source: Efron 1979.
     """
@@ -135,17 +135,17 @@ def check_summary(
     by: Mapping[str, Sequence[Any]],
     baseline: tuple[str, Any] | None = None,
 ) -> None:
-    """Refuses before a sweep what `sweep_summary` would refuse after it.
+    """Check before a sweep the arguments of `sweep_summary`.
 
     Args:
         quantities: As of `sweep_summary`.
-        metrics: What is measured.
-        columns: Some values of what varies.
-        by: All values of each column that makes a combination.
+        metrics: Names of the measured metrics.
+        columns: Some values of each varied column.
+        by: All values of each column of the combinations.
         baseline: As of `sweep_summary`.
 
     Raises:
-        ValueError: A column that there is not, a condition that cannot be, a baseline that is no combination.
+        ValueError: A column does not exist, a condition is invalid, or the baseline is no combination.
     """
     kinds: dict[str, str] = {name: column.dtype.kind for name, column in columns.items()}
     kinds |= {name: _KINDS.get(name, "f") for name in metrics}
@@ -156,17 +156,17 @@ def check_summary(
 
 
 _KINDS = {"outcome": "U", "reason": "U", "diverged": "b", "ticks": "u"}
-"""Kinds of the columns of what is measured that are no floating-point numbers."""
+"""Kinds of the measured columns other than floating-point numbers."""
 
 
 def metric_of(quantity: str) -> str:
-    """The column that a quantity of `sweep_summary` is of."""
+    """Return the column of a quantity of `sweep_summary`."""
     condition = SHARE.fullmatch(quantity.strip())
     return condition["metric"] if condition else quantity.strip()
 
 
 def _parsed(quantity: str, kinds: Mapping[str, str]) -> tuple[str, str | None, Any]:
-    """The column of a quantity, and of a condition its relation and limit."""
+    """Return the column of a quantity, and of a condition its relation and limit."""
     condition = SHARE.fullmatch(quantity.strip())
     name = metric_of(quantity)
     if condition is None and re.search("[<>=]", quantity):
@@ -209,12 +209,12 @@ def _shown(value: object) -> str:
 
 
 def _level(baseline: tuple[str, Any], levels: Mapping[str, Sequence[Any]]) -> tuple[int, Any]:
-    """The place of the column that a baseline names, and its value of that column."""
+    """Return the index of the baseline's column, and the baseline's value."""
     column, value = baseline
     if column not in levels:
         message = f"baseline: {column} is none of {', '.join(levels) or 'what varies: nothing but samples does'}"
         raise ValueError(message)
-    # As tables show them, for nobody writes out the middle of a range to its last digit.
+    # Compare values as tables show them: users do not write all digits.
     shown = {_shown(one): one for one in reversed(levels[column])}
     chosen = next((one for one in levels[column] if one == value), shown.get(_shown(value)))
     if chosen is None:
@@ -225,7 +225,7 @@ def _level(baseline: tuple[str, Any], levels: Mapping[str, Sequence[Any]]) -> tu
 
 
 def _values(sweep: Sweep, quantity: str) -> tuple[Array, bool]:
-    """A quantity in each row, NaN where it was not measured; and whether it is a share."""
+    """Return a quantity in each row, NaN if not measured, and whether it is a share."""
     name, relation, limit = _parsed(quantity, {name: column.dtype.kind for name, column in sweep.columns.items()})
     column = sweep[name]
     if column.dtype.kind == "U":
@@ -240,7 +240,7 @@ def _values(sweep: Sweep, quantity: str) -> tuple[Array, bool]:
 def _beside(
     baseline: tuple[str, Any], by: Sequence[str], groups: Mapping[tuple[Any, ...], list[int]]
 ) -> dict[tuple[Any, ...], tuple[Any, ...]]:
-    """The combination that each is compared with."""
+    """Return the baseline combination of each combination."""
     levels = {name: list(dict.fromkeys(key[place] for key in groups)) for place, name in enumerate(by)}
     place, chosen = _level(baseline, levels)
     beside = {key: (*key[:place], chosen, *key[place + 1 :]) for key in groups}
@@ -251,7 +251,7 @@ def _beside(
 
 
 def _paired(values: Array, rows: Sequence[int], baseline: Sequence[int], samples: Sequence[tuple[Any, ...]]) -> Array:
-    """Differences to the baseline, sample by sample, where both are measured."""
+    """Return differences to the baseline, sample by sample, where both are measured."""
     of_baseline = {samples[row]: row for row in baseline}
     if len(of_baseline) < len(baseline):
         message = "baseline: several rows of one combination have the same samples: vary run.seed"

@@ -1,4 +1,4 @@
-"""A bundled scene as a task: the same work by many hands, held throughout or let go under force, at any round trip."""
+"""A bundled scene as a task: the same work by many hands, with or without a release under force, at any round trip."""
 
 import os
 from collections.abc import Iterable, Iterator
@@ -60,93 +60,95 @@ THRESHOLD_TASKS = (
     "pick_and_place",
     "valve",
 )
-"""Bundled scenes in which a hand works."""
+"""Bundled scenes with a working hand."""
 ROUND_TRIPS_S = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5)
-"""Round trips in s by default."""
+"""Default round trips in s."""
 HANDS = 8
-"""How many hands do each task by default."""
+"""Default number of hands per task."""
 RELEASES = 4
-"""At how many places of what they feel hands let go by default."""
+"""Default number of release times per task."""
 DIRECTIONS: tuple[Direction, Direction] = ("forward", "backward")
 MEASURED_S, LONGEST_MEASURED_S = 60.0, 600.0
-"""Time in s for which packets are sent at 1 kHz to have the mean delay of a network."""
+"""Time in s over which packets at 1 kHz give the mean delay of a network."""
 WITHIN_S = 0.5
-"""Time in s after the grip is gone within which the device is watched."""
+"""Time in s after the end of the grip within which the device is watched."""
 
 COUPLED = frozenset({LADDER_STATES.index("engaged"), LADDER_STATES.index("stale")})
-"""Codes of the ladder in which forces are rendered."""
+"""Codes of the ladder states with rendered forces."""
 FIXED = (
     "safety.controllers", "safety.rotation.controllers", "safety.gripper.controllers", "link.forward.delay_s",
     "link.backward.delay_s", "environment.delay_ticks", "run.duration_s", "run.seed", "operator.stiffness",
     "operator.damping", "operator.tremor", "operator.grip_strength_n", "operator.release", "operator.rotation.release",
     "operator.finger.release", "record", "security",
 )  # fmt: skip
-"""What a task sets, whatever the scene says."""
+"""Fields that a task sets, whatever the scene has."""
 
 DECAY_S = 0.05
-"""Time in s in which a grip gives way: what a hand that loses a stylus takes (paper section 4.3)."""
+"""Time in s in which a grip gives way, as for a hand that loses a stylus (paper section 4.3)."""
 STRENGTH_N = 12.0
 """Grip strength in N until then, above all caps."""
 JITTER_OF_DELAY = 0.1
-"""Standard deviation of a delay over itself, of a scene whose link has jitter."""
+"""Standard deviation of a delay relative to its mean, if the scene's link has jitter."""
 HELD_SHARE = 0.5
-"""Share of the largest force that a hand feels while it holds, above which it lets go."""
+"""Fraction of the largest force felt while holding, above which a hand releases."""
 STROKES = 3
-"""Out of contact, in again and out again: a hand that withdraws before a late force is what trips falsely."""
+"""Strokes out of contact, in again and out again: a hand that withdraws before a late force causes false trips."""
 STIFFER = 1.25
-"""Stiffness of a hand over what it feels, at least: below 1 the loop with delay rings whoever watches."""
+"""Least stiffness of a hand relative to the felt stiffness; below 1 the delayed loop rings with any controller."""
 DRAWN_PER_HAND = 64
-"""Hands of a population that are drawn for each that a task takes, most of which may be too soft."""
+"""Hands drawn from a population per hand of a task; most of them may be too soft."""
 
 
 class HandBounds(Struct, frozen=True, kw_only=True):
-    """What hands may be; numbers are drawn evenly, stiffness, damping and pace evenly in their logarithm."""
+    """Ranges of hands, drawn uniformly; stiffness, damping and pace uniformly in their logarithm."""
 
     stiffness: tuple[float, float] = (200.0, 600.0)
-    """K in N/m; from 1.25 times what is felt on."""
+    """K in N/m; at least 1.25 times the felt stiffness."""
     damping: tuple[float, float] = (8.0, 25.0)
     """B in N s/m."""
     pace: tuple[float, float] = (0.75, 1.4)
-    """Duration of each stroke over that of the scene; 1 where a gripper has a course of its own."""
+    """Duration of each stroke relative to the scene; 1 if a gripper has its own course."""
     withdrawal_s: tuple[float, float] = (0.3, 1.2)
     """Duration in s of a stroke back to the start, and of the next one in."""
     tremor_m: tuple[float, float] = (2e-5, 2e-4)
     """Amplitude of the tremor in m."""
     tremor_hz: tuple[float, float] = (8.0, 12.0)
-    """Its frequency in Hz (Elble and Koller 1990)."""
+    """Frequency of the tremor in Hz (Elble and Koller 1990)."""
     population: str | None = None
-    """Name or file of a population whose hands have stiffness, damping and tremor instead, as far as it has them; those
-    softer than 1.25 times what is felt are passed over."""
+    """Name or file of a population that provides stiffness, damping and tremor where it has them. Hands softer than
+    1.25
+    times the felt stiffness are skipped.
+    """
 
 
 class Network(Struct, frozen=True, kw_only=True):
-    """What a network does beside its mean delay, the same in both directions."""
+    """Properties of a network other than its mean delay, equal in both directions."""
 
     name: str
     jitter: float = 0.0
-    """Standard deviation of a delay over itself, of a gamma law that forgets itself within 0.1 s."""
+    """Standard deviation of a delay relative to its mean; gamma distributed, with a memory of 0.1 s."""
     loss: float = 0.0
-    """Share of packets that are lost."""
+    """Fraction of lost packets."""
     mean_burst: float = 1.0
-    """Mean number of packets that are lost together."""
+    """Mean length of a loss burst in packets."""
     title: str = ""
-    """Where one with a delay of its own comes from."""
+    """Origin of a network with its own delay."""
     own: tuple[LinkSettings, LinkSettings] | None = None
-    """Of a network with a delay of its own: forward and backward."""
+    """Forward and backward link of a network with its own delay."""
     own_delay_s: tuple[float, float] | None = None
-    """Mean delays in s of these two."""
+    """Mean delays in s of these two links."""
 
     @property
     def round_trip_s(self) -> float | None:
-        """Its own round trip in s, to 0.1 ms; none of a network that takes any."""
+        """Own round trip in s, to 0.1 ms; None for a network that takes any."""
         return None if self.own_delay_s is None else round(sum(self.own_delay_s), 4)
 
     def links(self, delay_s: float) -> tuple[LinkSettings, LinkSettings]:
-        """Forward and backward; `delay_s` is that of each, unless the network has its own."""
+        """Return forward and backward links; `delay_s` is the delay of each, unless the network has its own."""
         return self.own or (self.link(delay_s),) * 2
 
     def link(self, delay_s: float) -> LinkSettings:
-        """One direction of a network without a delay of its own."""
+        """Return one direction of a network without its own delay."""
         settings = LinkSettings(delay_s=delay_s)
         if self.jitter > 0.0 and delay_s > 0.0:
             settings = replace(settings, jitter_s=self.jitter * delay_s, distribution="gamma")
@@ -156,13 +158,13 @@ class Network(Struct, frozen=True, kw_only=True):
 
 
 def network_of(name: str) -> Network:
-    """A preset of `haptether netsim list`, or a recording of `haptether netsim record` or IRTT, with its own delays.
+    """Return a preset of `haptether netsim list`, or a recording of `haptether netsim record` or IRTT.
 
     Args:
-        name: Of the preset, or the path of the .csv or .json file.
+        name: Name of the preset, or path of the .csv or .json file.
 
     Raises:
-        ValueError: Neither, a file that cannot be read, or a network through which nothing arrives.
+        ValueError: There is no such preset or readable file, or no packet passes the network.
     """
     if name in PRESETS:
         title, settings = f"the preset {name}, {PRESETS[name].title}", LinkSettings(preset=name)
@@ -182,7 +184,7 @@ def network_of(name: str) -> Network:
 
 
 def _mean_delay_s(settings: LinkSettings, direction: Direction) -> float | None:
-    """Mean delay in s of the packets that arrive, of a minute or as long as the link's recording lasts."""
+    """Return the mean delay in s of arriving packets over a minute, or over the length of the link's recording."""
     if (known := asked(settings, direction).mean_s) is not None:
         return known
     lasts_s = repeats_every_s(settings, direction) or MEASURED_S
@@ -191,36 +193,36 @@ def _mean_delay_s(settings: LinkSettings, direction: Direction) -> float | None:
 
 
 class HeldRun(Struct, frozen=True, kw_only=True):
-    """A run of one hand that never lets go."""
+    """A run of one hand without a release."""
 
     metrics: Metrics
     engaged_s: float | None
-    """When the master's side engaged first, in s; 0 without an arm, none if the two never did."""
+    """First engagement of the master's side in s; 0 without an arm, None if it never engaged."""
     coupled_s: float
-    """Time in s for which the two were coupled; without an arm all of it."""
+    """Coupled time in s; the whole run without an arm."""
     holds: int
-    """How often the coupling ended: HOLD, STOP or a fault."""
+    """Number of times that the coupling ended: HOLD, STOP or a fault."""
     intervention_s: float
-    """Time in s under intervention while they were coupled."""
+    """Time in s under intervention while coupled."""
     pressed_s: Array
-    """Times in s since then at which more than half of the largest force is felt that this hand feels."""
+    """Times in s since engagement at which the hand feels more than half of its largest force."""
 
 
 class Releases(Struct, frozen=True, kw_only=True):
-    """Hands that let go, each while it feels much."""
+    """Hands that each release under a large force."""
 
     scene: Scene
-    """As the first of them does."""
+    """Scene of the first of them."""
     rows: dict[str, Array]
-    """The hands as rows of a sweep, and when each lets go."""
+    """Hands as rows of a sweep, with their release times."""
 
 
 def refuse_fixed(overrides: Iterable[str], fixed: Iterable[str], why: str) -> None:
-    """Refuses overrides of what is set anyway: by their path, of a table by each of its fields.
+    """Reject overrides of fixed fields by path, of a table by each of its fields.
 
     Raises:
-        ValueError: One of them, with `why`.
-        SceneError: No `table.key=value` of the schema.
+        ValueError: An override is of a fixed field; the text has `why`.
+        SceneError: An override is no `table.key=value` of the schema.
     """
     paths = [path_of(name) for name in fixed]
     for override in overrides:
@@ -241,14 +243,14 @@ def _leaf_paths(path: tuple[str | int, ...], value: object) -> Iterator[tuple[st
 
 
 class Task:
-    """A scene as a task, at one round trip.
+    """A scene as a task at one round trip.
 
     Args:
-        name: Of a bundled scene, the path of one, or a scene.
-        round_trip_s: Both delays of a link together, or by how much a force without an arm is late.
+        name: Name of a bundled scene, path of a scene, or a scene.
+        round_trip_s: Sum of both link delays, or the delay of a force without an arm.
         overrides: Fields of the scene to change first.
-        network: What the link does; by default what the scene's does, with a jitter of a tenth of its delay.
-        by_time: Whether an intervention ends by time, so that each is an event, instead of as the scene says.
+        network: Network; by default that of the scene, with a jitter of a tenth of its delay.
+        by_time: True to end interventions by time, so that each is an event; False to follow the scene.
     """
 
     def __init__(
@@ -272,15 +274,15 @@ class Task:
         self.network, self.by_time = network, by_time
         self.strokes = 0
         self.undrawn: tuple[str, ...] = ()
-        """What else a population has of its hands."""
+        """Further properties of the population's hands."""
         self.selection: str | None = None
-        """Which share of a population does it, where some of its hands are too soft."""
+        """Share of a population that does the task, if some of its hands are too soft."""
         self.held = self._delayed(self._held())
         self.can_push = scene.slave is not None or scene.environment is not None
-        """Whether anything can be felt: there is an arm, or something to touch."""
+        """True if forces can be felt: there is an arm, or something to touch."""
 
     def replaced(self) -> tuple[str, ...]:
-        """What of the scene itself the task does not have."""
+        """Return remarks on parts of the scene that the task does not use."""
         remarks: list[str] = []
         links, ours = self.base.link or LinksTable(), {"delay_s", "jitter_s", "distribution", "jitter_correlation_s"}
         dropped = {
@@ -302,7 +304,7 @@ class Task:
         return tuple(remarks)
 
     def _held(self) -> Scene:
-        """It with a hand that never lets go, and nothing recorded."""
+        """Return the scene with a hand that never releases, and without recording."""
         operator = replace(self.operator, release=None, grip_strength_n=None, tremor=TremorTable(), legs=self._legs())
         if operator.rotation is not None:
             operator = replace(operator, rotation=replace(operator.rotation, release=None))
@@ -315,7 +317,7 @@ class Task:
         return replace(self.base, operator=operator, safety=safety, run=run, record=None, security=None)
 
     def _legs(self) -> tuple[LegTable, ...]:
-        """The path of the scene, and where it only goes in, back out and in and out again."""
+        """Return the path of the scene; if it only goes in, add strokes out, in and out again."""
         legs = self.operator.legs
         self.strokes = 0
         if not legs or self.operator.trigger or legs[-1].end == self.operator.start:
@@ -325,7 +327,7 @@ class Task:
         return legs + tuple(LegTable(duration_s=1.0, end=ends[place % 2]) for place in range(STROKES))
 
     def _delayed(self, scene: Scene) -> Scene:
-        """It with forces that come back after the round trip."""
+        """Return the scene with forces that return after the round trip."""
         delay_s = 0.5 * self.round_trip_s
         if scene.slave is not None and self.network is not None:
             forward, backward = self.network.links(delay_s)
@@ -346,9 +348,9 @@ class Task:
         return replace(scene, environment=replace(scene.environment, delay_ticks=ticks))
 
     def with_controllers(self, scene: Scene, controllers: str | None, fixed: dict[str, float | str]) -> Scene:
-        """A scene with controllers of force, torque and trigger, separated by commas, or with none.
+        """Return a scene with controllers of force, torque and trigger, separated by commas, or with none.
 
-        One in Python has the options that the scene gives it.
+        A Python controller has the options that the scene gives it.
         """
         given = (controllers or "").split(",")
         built_in = {name for name, _, _ in CONTROLLERS}
@@ -362,7 +364,7 @@ class Task:
         if options is None or options.controller != research:
             options = None if research is None else ResearchTable(controller=research)
         safety = replace(scene.safety, research=options)
-        # By default those of torque and trigger are those of the force.
+        # By default torque and trigger have the controllers of the force.
         if safety.rotation is not None:
             safety = replace(safety, rotation=replace(safety.rotation, controllers=None))
         if safety.gripper is not None:
@@ -372,7 +374,7 @@ class Task:
         return override_scene(scene, [f"safety.controllers=[{names}]", *changes])
 
     def felt_stiffness(self) -> float:
-        """Stiffness in N/m that the hand feels at most: of what is touched, or of an arm's servo if that is softer."""
+        """Return the largest stiffness in N/m that the hand feels: of objects, or of a softer arm servo."""
         felt = touched(self.base, scene_numbers(self.base)).stiffness
         if (slave := self.base.slave) is None:
             return felt
@@ -382,7 +384,7 @@ class Task:
         return felt if coupling is None else felt * coupling.force_scale * coupling.position_scale
 
     def hands(self, count: int, seed: int, bounds: HandBounds) -> dict[str, Array]:
-        """Hands as rows of a sweep: the same for the same seed, whatever the round trip."""
+        """Return hands as rows of a sweep; equal seeds give equal hands at any round trip."""
         rng = np.random.default_rng([seed, *Path(self.name).stem.encode()])
         softest = max(bounds.stiffness[0], STIFFER * self.felt_stiffness())
         pace = _log_uniform(rng, bounds.pace, count)
@@ -406,11 +408,11 @@ class Task:
         return rows
 
     def _people(self, population: str, count: int, seed: int) -> dict[str, Array]:
-        """The first hands of a population that are as stiff as `STIFFER` asks for.
+        """Return the first hands of a population that satisfy `STIFFER`.
 
         Raises:
-            SceneError: No such population.
-            ValueError: Too few of `DRAWN_PER_HAND` times as many are.
+            SceneError: There is no such population.
+            ValueError: Too few of `DRAWN_PER_HAND` times as many draws are stiff enough.
         """
         drawn = load_population(population).draws(DRAWN_PER_HAND * count, seed)
         softest = STIFFER * self.felt_stiffness()
@@ -426,20 +428,20 @@ class Task:
         return {path: column[stiff][:count] for path, column in drawn.items()}
 
     def lasting(self, bounds: HandBounds) -> Scene:
-        """The held task, as long as its slowest hand needs."""
+        """Return the held task, as long as its slowest hand needs."""
         slowest = 1.0 if self.operator.trigger or not self.operator.legs else bounds.pace[1]
         longest_s = self.base.run.duration_s * slowest + self.strokes * bounds.withdrawal_s[1]
         duration_s = round(longest_s + 2.0 * self.round_trip_s, 3)
         return replace(self.held, run=replace(self.held.run, duration_s=duration_s))
 
     def alone(self, scene: Scene, hands: dict[str, Array], hand: int) -> Scene:
-        """One hand of a sweep as a scene of its own."""
+        """Return one hand of a sweep as a scene."""
         values = {path: float(column[hand]) for path, column in hands.items()}
         fields = [f"{path}={int(value) if path == 'run.seed' else repr(value)}" for path, value in values.items()]
         return override_scene(scene, fields)
 
     def hold(self, scene: Scene, hands: dict[str, Array], threads: int | None) -> tuple[HeldRun, ...]:
-        """What each hand does in a scene in which nobody lets go."""
+        """Run each hand in a scene without a release."""
         recorded = replace(scene, record=RecordTable())
         lever_m = (scene.safety.rotation or RotationSafetyTable()).lever_m
 
@@ -452,16 +454,16 @@ class Task:
     def releases(
         self, hands: dict[str, Array], held: Iterable[HeldRun], places: int, after_s: float = WITHIN_S
     ) -> Releases | None:
-        """Hands that let go, each while more than half of the largest force is felt that it feels where nobody watches.
+        """Return hands that release under more than half of the largest force that they feel without a controller.
 
         Args:
-            hands: As rows of a sweep.
-            held: What each of them does where nobody watches and it holds.
-            places: At how many places of that time they let go; the hands share them.
-            after_s: Time in s after the grip is gone for which the run goes on.
+            hands: Hands as rows of a sweep.
+            held: Held runs of these hands without a controller.
+            places: Number of release times within that force; the hands share them.
+            after_s: Time in s for which the run continues after the end of the grip.
 
         Returns:
-            None where nothing is felt.
+            None if no force is felt.
         """
         count = len(hands["run.seed"])
         places = min(places, count)
@@ -478,7 +480,7 @@ class Task:
         rows = {path: values[chosen] for path, values in hands.items()}
         rows["operator.release.at_s"] = np.array(at_s)
         operator = self.held.operator or self.operator
-        # The grip of a hand that turns as well is of its rotation, too.
+        # The grip of a hand in a pose scene also covers its rotation.
         release = ReleaseTable(at_s=at_s[0], decay_s=DECAY_S)
         operator = replace(operator, release=release, grip_strength_n=STRENGTH_N)
         if operator.rotation is not None:
@@ -490,14 +492,14 @@ class Task:
 
 
 def held_run(run: Run, period_s: float, lever_m: float) -> HeldRun:
-    """What a run comes to in which nobody lets go.
+    """Measure a run without a release.
 
-    What is felt is the larger of |F| and |tau| / r in N, r the lever: what a torque is at the hand.
+    The felt force is the larger of |F| and |tau| / r in N; r is the lever of the hand.
 
     Args:
-        run: With its signals at each tick.
-        period_s: Of a tick, in s.
-        lever_m: r in m, how far from the middle of a handle the hand is.
+        run: Run with its signals at each tick.
+        period_s: Tick length in s.
+        lever_m: r in m, distance of the hand from the middle of a handle.
     """
     signals = run.signals
     time_s = np.asarray(signals["time_s"])
@@ -515,7 +517,7 @@ def held_run(run: Run, period_s: float, lever_m: float) -> HeldRun:
     coupled, engaged_s = np.ones(ticks, dtype=bool), 0.0 if ticks else None
     if "state" in signals:
         coupled = np.isin(signals["state"], sorted(COUPLED))
-        # Releases count from where the master's side engages.
+        # Releases count from the engagement of the master's side.
         engaged = np.flatnonzero(coupled)
         engaged_s = float(time_s[engaged[0]]) if engaged.size and run.metrics.outcome != "never-engaged" else None
     ended = coupled[:-1] & ~coupled[1:]
@@ -532,12 +534,12 @@ def held_run(run: Run, period_s: float, lever_m: float) -> HeldRun:
 
 
 def ejection_metrics(scene: Scene) -> list[str]:
-    """What `ejection_speeds` needs of a sweep."""
+    """Return the metrics that `ejection_speeds` needs from a sweep."""
     return ["max_ejection_velocity", *(["max_ejection_rate"] if scene.master.kind == "pose" else [])]
 
 
 def ejection_speeds(scene: Scene, found: Sweep) -> Array:
-    """Largest speed in m/s after each release of a sweep: of the device, or of a handle that turns at its lever."""
+    """Return the largest speed in m/s after each release of a sweep: of the device, or of a handle at its lever."""
     speed = np.nan_to_num(np.asarray(found["max_ejection_velocity"], dtype=np.float64))
     if "max_ejection_rate" in found.columns:
         lever_m = (scene.safety.rotation or RotationSafetyTable()).lever_m

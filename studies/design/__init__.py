@@ -1,4 +1,4 @@
-"""What a set-up bears by design, before anything moves: delay, stiffness, thresholds, limits."""
+"""Design limits of a set-up, before anything moves: delay, stiffness, thresholds, limits."""
 
 from haptether.studies.design.check import check_at_once, check_scene
 from haptether.studies.design.delay import ContactLoop, Follower, largest_delay_s, stable_delays, stable_together

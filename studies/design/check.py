@@ -1,4 +1,4 @@
-"""Inequalities that a set-up must meet before anything moves, with this scene's numbers."""
+"""Inequalities that a set-up must satisfy before anything moves, with the numbers of a scene."""
 
 from collections.abc import Iterator
 from math import ceil, hypot, inf, sqrt
@@ -25,36 +25,36 @@ from haptether.studies.design.remedy import OWN_CONTROLLER, with_remedies
 from haptether.studies.design.wall import largest_wall_stiffness
 
 SHOWN_DELAY_S = 0.5
-"""Delays that are looked at, or twice what the link has."""
+"""Largest delay analysed; at least twice that of the link."""
 MAX_HOLDS_PER_H = 1.0
 MOST_NAMED = 3
-"""Of what a link does once, and of when it makes the ladder hold."""
+"""Most single events of a link, and most times of holds, that a text lists."""
 PEAK_SPEED, PEAK_ACCELERATION = 1.875, 10.0 / sqrt(3.0)
-"""Of a minimum-jerk stroke, in units of D/T and D/T² (Flash and Hogan 1985)."""
+"""Peaks of a minimum-jerk stroke, in units of D/T and D/T² (Flash and Hogan 1985)."""
 
 
 def check_scene(scene: Scene, *, speed: float | None = None, remedies: bool = True) -> DesignCheck:
-    """Holds a scene against the design-time inequalities of its loop, observers, limits and link.
+    """Check a scene against the design-time inequalities of its loop, observers, limits and link.
 
     Args:
-        scene: Of any kind; what turns counts by its translation.
-        speed: In m/s, of joints in rad/s, above which a device that was let go has been thrown. By default
-            `haptether.safety.THROWN_SPEED`; of joints none, for what a rad/s is at the hand depends on its lever.
-        remedies: Whether what would mend a finding is looked for, which takes most of the time.
+        scene: Scene of any kind; a pose counts by its translation.
+        speed: Speed in m/s (joints: rad/s) above which a released device counts as thrown. By default
+            `haptether.safety.THROWN_SPEED`; None for joints, because the hand's speed depends on the lever.
+        remedies: True to search for remedies, which takes most of the time.
 
     Raises:
-        ValueError: A speed that is none.
-        SceneError: A scene that cannot be built.
+        ValueError: The speed is invalid.
+        SceneError: The scene cannot be built.
     """
     limit = _limit(scene, speed)
-    research_of(scene)  # a controller that there is not would have no force
+    research_of(scene)  # raises for an unknown controller
 
     bounds: dict[str, EjectionBound] = {}
 
     def judge(changed: Scene, *, link: bool) -> tuple[Finding, ...]:
         spec = scene_numbers(changed)
         settings = changed.ejection_settings()
-        # Most changes leave what the bound depends on.
+        # Cache the bound: most changes do not affect it.
         key = repr(settings)
         if key not in bounds:
             bounds[key] = ejection_bound(settings, free_s=inf)
@@ -66,20 +66,20 @@ def check_scene(scene: Scene, *, speed: float | None = None, remedies: bool = Tr
 
 
 def check_at_once(scene: Scene, bound: EjectionBound | None = None) -> tuple[Finding, ...]:
-    """The findings of `check_scene` that cost no analysis of the delay, no run of the link, and no remedy.
+    """Return the findings of `check_scene` without delay analysis, runs of the link, and remedies.
 
     Args:
-        scene: Of any kind.
-        bound: That of `ejection_bound`, where it is known already.
+        scene: Scene of any kind.
+        bound: Result of `ejection_bound`, if known.
 
     Raises:
-        SceneError: A scene that cannot be built.
+        SceneError: The scene cannot be built.
     """
     return tuple(_at_once(scene, scene_numbers(scene), _limit(scene, None), bound))
 
 
 def _limit(scene: Scene, speed: float | None) -> float | None:
-    """The speed above which a release has thrown the device, in m/s or rad/s; none of joints by default."""
+    """Return the speed limit after a release in m/s or rad/s; None for joints by default."""
     unit = Units.of(scene_numbers(scene)).speed
     if speed is None:
         return THROWN_SPEED if unit == "m/s" else None
@@ -108,7 +108,7 @@ def _at_once(
 
 
 def _round_trip(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
-    """Delay margin of contact, and the intervals beyond it."""
+    """Check the delay margin of contact, and the stable intervals beyond it."""
     if spec["slave"] is None:
         return
     units, beyond = Units.of(spec), "; ".join(touched(scene, spec).beyond)
@@ -168,7 +168,7 @@ def _intervals(stable: tuple[tuple[float, float], ...], up_to_s: float) -> str:
 
 
 def _wall(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
-    """Stiffness that a servo loop renders: stable and, more than that, passive."""
+    """Check the stiffness of a sampled wall for stability and for passivity."""
     environment = spec["environment"]
     if spec["slave"] is not None or environment is None or environment["rendering"] != "sampled":
         return
@@ -218,7 +218,7 @@ def _wall(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
 def _ejection(
     scene: Scene, spec: dict[str, Any], limit: float | None, bound: EjectionBound | None
 ) -> Iterator[Finding]:
-    """What a device may reach once it is let go, and what of that no threshold changes."""
+    """Check the speed that a released device may reach, also independently of thresholds."""
     what = rendered(scene, spec)
     if not what:
         text = "nothing pushes the device, so that nothing can be thrown"
@@ -241,7 +241,7 @@ def _ejection(
 
 
 def _unknown(controller: str, limit: float | None, unit: str) -> Finding:
-    """Of a controller of one's own: its force is known by what it does alone."""
+    """Return the finding for a Python controller, for which no bound is known."""
     text = f"no bound on the speed after a release is known of {controller}, a controller of your own"
     return Finding(
         name="ejection",
@@ -299,7 +299,7 @@ def _vfc(spec: dict[str, Any], limit: float | None) -> Iterator[Finding]:
 
 
 def _strokes(spec: dict[str, Any]) -> tuple[float, float]:
-    """Largest speed in m/s and acceleration in m/s² of the hand's path."""
+    """Return the largest speed in m/s and acceleration in m/s² of the hand's path."""
     operator = spec["operator"]
     if operator is None:
         return 0.0, 0.0
@@ -316,7 +316,7 @@ def _strokes(spec: dict[str, Any]) -> tuple[float, float]:
 
 
 def _hsc(spec: dict[str, Any]) -> Iterator[Finding]:
-    """F_t between what a hand that moves needs and what the limiter lets pass (docs/thresholds.md, Eq. 1)."""
+    """Check that F_t lies between the force of a moving hand and the limiter's cap (docs/thresholds.md, Eq. 1)."""
     safety, master, units = spec["safety"], spec["master"], Units.of(spec)
     if "hsc" not in safety["controllers"]:
         return
@@ -346,7 +346,7 @@ def _hsc(spec: dict[str, Any]) -> Iterator[Finding]:
 
 
 def _wsc(spec: dict[str, Any]) -> Iterator[Finding]:
-    """Speeds at which WSC trips in free motion (docs/thresholds.md)."""
+    """Check the speeds at which WSC trips in free motion (docs/thresholds.md)."""
     safety, master, units = spec["safety"], spec["master"], Units.of(spec)
     if "wsc" not in safety["controllers"] or safety["wsc_force_threshold_n"] > 0.0:
         return
@@ -377,7 +377,7 @@ def _grip(spec: dict[str, Any]) -> Iterator[Finding]:
 
 
 def _holds(spec: dict[str, Any]) -> Iterator[Finding]:
-    """Bursts of losses that the ladder does not bear: runs of at least k lost packets, of a chain of two states."""
+    """Check the rate of loss bursts of at least k packets, which the ladder does not tolerate (two-state chain)."""
     if spec["slave"] is None or spec["link"] is None:
         return
     hold_s = spec["safety"]["ladder"]["hold_after_s"]
@@ -389,7 +389,7 @@ def _holds(spec: dict[str, Any]) -> Iterator[Finding]:
             continue
         loss = direction["loss"]
         if loss >= 1.0:
-            # The idle link says so.
+            # The finding on the idle link covers total loss.
             return
         burst = direction["mean_burst"] or 1.0 / (1.0 - loss)
         packets = ceil(hold_s / period_s)
@@ -405,7 +405,7 @@ def _holds(spec: dict[str, Any]) -> Iterator[Finding]:
 
 
 def _idle(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
-    """What the ladder makes of this link while nobody moves, whatever the link is made of."""
+    """Check the ladder on this link while nobody moves."""
     if spec["slave"] is None or scene.link is None:
         return
     idle = idle_link(scene)
@@ -424,7 +424,7 @@ def _idle(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
 
 
 def _once(scene: Scene) -> Iterator[Finding]:
-    """What the ladder makes of what this link does once: that has no rate."""
+    """Check the ladder against single events of this link, which have no rate."""
     events = single_events(scene)
     if later := [event for event in events if event.begin_s >= MAX_ONCE_S]:
         yield Finding(
@@ -465,7 +465,7 @@ def _named(events: list[SingleEvent]) -> str:
 
 
 def _once_on_link(scene: Scene) -> tuple[State, str, int]:
-    """State, text, and holds and stops, of what is borne over the delay alone, over the link with all that it does."""
+    """Return state, text, and count of holds and stops, of events that a pure delay tolerates, over the whole link."""
     both = single_events_on_link(scene)
     assert both is not None, "something happens once"
     found, without = both

@@ -1,4 +1,4 @@
-"""What a scene touches and renders: the stiffness of its loop, and what one spring does not stand for."""
+"""Contact of a scene: the stiffness of its loop, and parts that a single spring does not represent."""
 
 from math import sqrt
 from typing import Any, Literal
@@ -9,37 +9,36 @@ from msgspec import Struct
 from haptether.bridge import Scene, scene_json
 
 DEFAULT_FORCE_N = 7.9
-"""Where a scene bounds no force: what a PHANTOM Desktop exerts."""
+"""Force bound of a scene without one: that of a PHANTOM Desktop."""
 
 Rendered = Literal["force", "torque", "trigger"]
 
 
 class Touched(Struct, frozen=True, kw_only=True):
-    """What is touched, as `F = K d + B d'` to a ground that does not yield."""
+    """Contact as `F = K d + B d'` with a rigid ground."""
 
     stiffness: float
-    """K in N/m of what is stiffest, and of the springs that act all the time; of joints in N m/rad."""
+    """K in N/m of the stiffest object plus permanent springs; for joints in N m/rad."""
     damping: float
-    """B in N s/m of the same; of joints in N m s/rad."""
+    """B in N s/m of the same; for joints in N m s/rad."""
     beyond: tuple[str, ...]
-    """What is touched that is more than such a spring, each with the reason."""
+    """Parts that such a spring does not represent, with reasons."""
 
 
 def scene_numbers(scene: Scene) -> dict[str, Any]:
-    """All numbers of a scene, with presets and defaults filled in."""
+    """Return all numbers of a scene, with presets and defaults."""
     spec: dict[str, Any] = msgspec.json.decode(scene_json(scene))
     return spec
 
 
 def touched(scene: Scene, spec: dict[str, Any]) -> Touched:
-    """What a scene touches: objects, holes and handles by their K and B, and what of it is more than a spring.
+    """Return the contact of a scene: K and B of objects, holes and handles, and parts beyond a spring.
 
-    A law that is not linear counts with its slope where it pushes with the largest force that is rendered,
-    `dF/dd = n F / d` of `F = K d^n`.
+    A nonlinear law counts with its slope at the largest rendered force, `dF/dd = n F / d` for `F = K d^n`.
 
     Args:
-        scene: Of any kind.
-        spec: Its numbers, of `scene_numbers`.
+        scene: Scene of any kind.
+        spec: Result of `scene_numbers`.
 
     Source: Hunt and Crossley 1975.
     """
@@ -55,7 +54,7 @@ def touched(scene: Scene, spec: dict[str, Any]) -> Touched:
             damping *= force_n
         is_spring = "shape" in part and part["shape"]["kind"] == "spring"
         (springs if is_spring else contacts).append((stiffness, damping))
-    # Held, a handle yields along its circle alone; critically damped with the tool's mass (slave/src/tool/handle.rs).
+    # A held handle yields only along its circle; critically damped with the tool's mass (slave/src/tool/handle.rs).
     contacts += [
         (part["hold_stiffness"], 2.0 * sqrt(part["hold_stiffness"] * slave["mass_kg"]))
         for part in environment.get("handles", ())
@@ -69,20 +68,20 @@ def touched(scene: Scene, spec: dict[str, Any]) -> Touched:
 
 
 def _largest_force_n(spec: dict[str, Any]) -> float:
-    """Largest force in N at what is touched that a limiter lets be rendered."""
+    """Return the largest force in N at the contact that a limiter lets through."""
     limiter, device_n = spec["safety"]["limiter"], spec["master"]["max_force_n"]
     force_n: float = (device_n or DEFAULT_FORCE_N) if limiter is None else limiter["max_force_n"]
     return force_n / largest_scale(spec, "force_scale") if spec["slave"] is not None else force_n
 
 
 def largest_scale(spec: dict[str, Any], key: str) -> float:
-    """The largest of a scale of the coupling, its changes included."""
+    """Return the largest value of a scale of the coupling, including its changes."""
     coupling = spec["coupling"]
     return float(max(state[key] for state in (coupling, *coupling["changes"]) if state[key] is not None))
 
 
 def _beyond(scene: Scene, environment: dict[str, Any]) -> list[str]:
-    """What is touched that one spring along an axis does not stand for."""
+    """Return the contacts that one spring along an axis does not represent."""
     slave = scene.slave
     assert slave is not None
     said = []
@@ -104,9 +103,9 @@ def _beyond(scene: Scene, environment: dict[str, Any]) -> list[str]:
 
 
 def rendered(scene: Scene, spec: dict[str, Any]) -> frozenset[Rendered]:
-    """What can push the device: a force, a torque on a handle that turns, a force at its trigger; or nothing.
+    """Return the loads that can act on the device: force, torque on the handle, force at the trigger.
 
-    A real arm may touch whatever is there; attacks on the way back may say anything.
+    A real arm may touch anything; attacks on the backward link may send anything.
     """
     slave, master, coupling = scene.slave, scene.master, spec["coupling"]
     environment = spec["environment"] or {}
@@ -132,7 +131,7 @@ def rendered(scene: Scene, spec: dict[str, Any]) -> frozenset[Rendered]:
 
 
 def felt_axes(spec: dict[str, Any]) -> frozenset[int]:
-    """The axes of the arm whose force is felt at some time: those that are not locked from the first change on."""
+    """Return the axes of the arm with a felt force: those not locked in every state of the coupling."""
     coupling = spec["coupling"]
     states = [state["locked_axes"] for state in (coupling, *coupling["changes"]) if state["locked_axes"] is not None]
     return frozenset(range(spec["master"]["axes"])) - set.intersection(*map(set, states))

@@ -1,4 +1,4 @@
-"""How much delay a position-force coupling bears."""
+"""Delay that a position-force coupling tolerates."""
 
 from collections.abc import Iterable
 from typing import TypeAlias
@@ -19,22 +19,22 @@ class Follower(msgspec.Struct, frozen=True, kw_only=True):
     stiffness: float
     """K_s in N/m."""
     follows_velocity: bool = False
-    """rho = 1, else 0: whether the velocity of the set position is part of the command."""
+    """True for rho = 1, else 0: the command includes the velocity of the set position."""
 
 
 class ContactLoop(msgspec.Struct, frozen=True, kw_only=True):
     """A hand and a device that press a remote environment through a position-force coupling.
 
-    `m x'' + b x' + k x = -lambda_f (K_e y + B_e y')(t - T)`, where y is what the slave makes of `lambda_p x` and T the
-    sum of both delays: that itself without a `follower`, else the position of an arm on K_e and B_e.
+    `m x'' + b x' + k x = -lambda_f (K_e y + B_e y')(t - T)`, T the sum of both delays. y is `lambda_p x` itself without
+    a `follower`, else the position of an arm on K_e and B_e that follows `lambda_p x`.
     """
 
     mass_kg: float
-    """m, of device and hand."""
+    """m of device and hand."""
     damping: float
-    """b in N s/m, of device and hand."""
+    """b in N s/m of device and hand."""
     hand_stiffness: float = 0.0
-    """k in N/m: 0 where the hand only follows."""
+    """k in N/m; 0 if the hand only follows."""
     environment_stiffness: float
     """K_e in N/m."""
     environment_damping: float = 0.0
@@ -47,15 +47,15 @@ class ContactLoop(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def largest_delay_s(loop: ContactLoop) -> float:
-    """Smallest sum of both delays in s at which contact begins to oscillate: infinite if at none, 0 if it does anyway.
+    """Return the least sum of both delays in s at which contact oscillates; infinite if none, 0 if without delay.
 
-    The delay margin `min (pi + arg L(jw)) / w` over all w with `|L(jw)| = 1`, of
+    The delay margin is `min (pi + arg L(jw)) / w` over all w with `|L(jw)| = 1`, for
     `L(s) = lambda_f lambda_p (K_e + B_e s) G(s) / (m s² + b s + k)`.
 
-    Linear: Coulomb friction is left out, and so are limiter and safety controllers.
+    The model is linear, without Coulomb friction, limiter and safety controllers.
 
-    Source: without a follower and a hand, `w tan(w T) = b/m` and `K = b w / sin(w T)`, the delayed spring; Hulin,
-    Albu-Schäffer and Hirzinger 2014 have its sampled form.
+    Source: the delayed spring, without a follower and a hand, `w tan(w T) = b/m` and `K = b w / sin(w T)`. Its sampled
+    form is in Hulin, Albu-Schäffer and Hirzinger 2014.
     """
     top, bottom = _polynomials(loop)
     if top.size == 0:
@@ -67,13 +67,14 @@ def largest_delay_s(loop: ContactLoop) -> float:
 
 
 def stable_delays(loop: ContactLoop, up_to_s: float) -> tuple[tuple[float, float], ...]:
-    """Intervals of the sum of both delays in s, from 0 to `up_to_s`, in which contact does not oscillate.
+    """Return the intervals of the sum of both delays in s, from 0 to `up_to_s`, in which contact does not oscillate.
 
-    Roots of `bottom + top e^(-sT)` enter and leave the right half plane in pairs, at the delays `(phase + 2 pi n) / w`
-    of all w with `|top| = |bottom|`; they enter where `|bottom|² - |top|²` grows with w. Linear, as `largest_delay_s`.
+    Roots of `bottom + top e^(-sT)` cross into or out of the right half plane in pairs. They cross at the delays `(phase
+    + 2 pi n) / w` of all w with `|top| = |bottom|`, inwards if `|bottom|² - |top|²` grows with w. Linear, as in
+    `largest_delay_s`.
 
     Raises:
-        ValueError: A negative or infinite end.
+        ValueError: `up_to_s` is negative or infinite.
 
     Source: Walton and Marshall 1987, "Direct method for TDS stability analysis".
     """
@@ -103,10 +104,10 @@ def stable_delays(loop: ContactLoop, up_to_s: float) -> tuple[tuple[float, float
 
 
 def stable_together(loops: Iterable[ContactLoop], up_to_s: float) -> tuple[tuple[float, float], ...]:
-    """Intervals of the sum of both delays in s, from 0 to `up_to_s`, in which none of several loops oscillates.
+    """Return the intervals of the sum of both delays in s in which none of several loops oscillates.
 
     Raises:
-        ValueError: A negative or infinite end.
+        ValueError: `up_to_s` is negative or infinite.
     """
     common: tuple[tuple[float, float], ...] = ((0.0, up_to_s),)
     for loop in loops:
@@ -117,7 +118,7 @@ def stable_together(loops: Iterable[ContactLoop], up_to_s: float) -> tuple[tuple
 
 
 def _polynomials(loop: ContactLoop) -> tuple[Array, Array]:
-    """Of the characteristic equation `bottom(s) + top(s) e^(-sT) = 0`; no `top` where nothing is touched."""
+    """Return the polynomials of `bottom(s) + top(s) e^(-sT) = 0`; `top` is empty without contact."""
     gain = loop.force_scale * loop.position_scale
     contact = [loop.environment_damping, loop.environment_stiffness]
     top = np.trim_zeros(gain * np.array(contact), "f")
@@ -130,7 +131,7 @@ def _polynomials(loop: ContactLoop) -> tuple[Array, Array]:
 
 
 def _crossings(top: Array, bottom: Array) -> tuple[Array, Array, "npt.NDArray[np.bool_]"]:
-    """Each w in rad/s with `|top| = |bottom|`, `w T` in rad of its first delay, and whether roots enter there."""
+    """Return each w in rad/s with `|top| = |bottom|`, `w T` in rad of its first delay, and the sense of crossing."""
     # |top|² = |bottom|² is a polynomial in w².
     excess = np.polysub(_squared(bottom), _squared(top))
     crossings = np.roots(excess)
@@ -142,7 +143,7 @@ def _crossings(top: Array, bottom: Array) -> tuple[Array, Array, "npt.NDArray[np
 
 
 def _squared(polynomial: Array) -> Array:
-    """`|p(jw)|²` as a polynomial in w²."""
+    """Return `|p(jw)|²` as a polynomial in w²."""
     mirrored = polynomial * (-1.0) ** np.arange(polynomial.size)[::-1]
     even = np.polymul(polynomial, mirrored)[::-1][::2]
     # s² = -w².

@@ -1,4 +1,4 @@
-"""What a design check finds, and in which units."""
+"""Findings of a design check, and their units."""
 
 from math import sqrt
 from typing import Any, Literal
@@ -6,9 +6,9 @@ from typing import Any, Literal
 from msgspec import Struct
 
 Z99 = 2.326
-"""Quantile of a normal law that 1 % exceed."""
+"""99 % quantile of the normal distribution."""
 MARGIN = 1.25
-"""Of delay and stiffness, below which a margin is small."""
+"""Ratio to the limit of delay or stiffness below which a margin is small."""
 
 State = Literal["bad", "warning", "not judged", "good", "note"]
 
@@ -17,21 +17,24 @@ class Finding(Struct, frozen=True, kw_only=True):
     """One inequality with its numbers."""
 
     name: str
-    """What it is about."""
+    """Subject of the finding."""
     state: State
-    """Whether it holds: bad, warning (little room, or with a price), not judged (what it would be judged by does not
-    cover the scene), good, or a note."""
+    """Result: bad, warning (small margin, or at a price), not judged (the method does not cover the scene), good, or a
+    note.
+    """
     text: str
-    """In one sentence, with numbers and units."""
+    """One sentence with numbers and units."""
     value: float | None = None
     limit: float | None = None
-    """What `value` is held against, where it is one number."""
+    """Limit of `value`, if it is one number."""
     unit: str = ""
     remedy: str | None = None
-    """What would mend it."""
+    """Remedy in words."""
     changes: tuple[str, ...] = ()
-    """Fields of the scene that mend it, as `override_scene` takes them: applied, the finding was better or gone, and no
-    other worse. None where no field was found that does."""
+    """Overrides that improve or remove the finding and worsen no other, as `override_scene` takes them. Empty if no
+    such
+    field was found.
+    """
 
 
 class DesignCheck(Struct, frozen=True, kw_only=True):
@@ -40,12 +43,12 @@ class DesignCheck(Struct, frozen=True, kw_only=True):
     findings: tuple[Finding, ...]
 
     def of(self, state: State) -> tuple[Finding, ...]:
-        """The findings in that state."""
+        """Return the findings in a state."""
         return tuple(finding for finding in self.findings if finding.state == state)
 
 
 class Units(Struct, frozen=True, kw_only=True):
-    """Those of a device's axes."""
+    """Units of a device's axes."""
 
     speed: str
     force: str
@@ -54,14 +57,14 @@ class Units(Struct, frozen=True, kw_only=True):
 
     @classmethod
     def of(cls, spec: dict[str, Any]) -> "Units":
-        """Of a scene's numbers: of joints angles and torques."""
+        """Return the units of a scene: for joints those of angles and torques."""
         if spec["master"]["kind"] == "joints":
             return cls(speed="rad/s", force="N m", stiffness="N m/rad", damping="N m s/rad")
         return cls(speed="m/s", force="N", stiffness="N/m", damping="N s/m")
 
 
 def link_delays_s(spec: dict[str, Any]) -> tuple[float, float] | None:
-    """Mean of both delays together and what 1 % exceed, in s, ticks included; none where a recording has them."""
+    """Return mean and 99 % quantile of the sum of both delays in s, ticks included; None for a recorded delay."""
     delay_s, variance = 2.0 * max(spec["run"]["period_s"], spec["slave"]["period_s"]), 0.0
     for direction in (spec["link"] or {}).values():
         if direction is None or "delay_s" not in direction:

@@ -12,86 +12,86 @@ from haptether.studies.design.contact import scene_numbers
 IDLE_S = 60.0
 """Simulated time in s."""
 EPISODE_S = 0.45
-"""Holds closer than that in s are one: both sides hold in turn, and the simulated hand re-engages 0.5 s after."""
+"""Holds closer than this in s count as one episode: both sides hold in turn, and the hand re-engages 0.5 s later."""
 MAX_ONCE_S = 600.0
-"""What happens once is run if it begins before, in s."""
+"""Single events are run only if they begin before this time in s."""
 MAX_RUN_S = 1200.0
-"""No run is longer, in s."""
+"""Longest run in s."""
 ONCE_SEEDS = 4
-"""Seeds with which what happens once is run over the whole link."""
+"""Number of seeds for runs of single events over the whole link."""
 SETTLED_S = 3.0
-"""Within that time in s after what happened once the two are coupled again: reaction, handshake and fade."""
+"""Time in s after a single event by which the sides must be coupled again: reaction, handshake and fade."""
 DIRECTIONS = ("forward", "backward")
 EventKind: TypeAlias = Literal["outage", "delay", "clock"]
 
 
 class SingleEvent(Struct, frozen=True, kw_only=True):
-    """What a link does once, at a given time."""
+    """A single event of a link at a given time."""
 
     kind: EventKind
     text: str
-    """In a few words."""
+    """Description in a few words."""
     begin_s: float
     end_s: float
-    """In s since the link began."""
+    """Start and end in s since the link began."""
 
 
 class IdleLink(Struct, frozen=True, kw_only=True):
-    """An idle pair over a link."""
+    """Result of an idle pair of sides on a link."""
 
     seconds: float
     engaged: bool
-    """Whether the two ever were coupled."""
+    """True if the sides were ever coupled."""
     coupled: bool
-    """Whether they were at the end."""
+    """True if they were coupled at the end."""
     holds_s: tuple[float, ...]
-    """When the coupling ended, as episodes, in s."""
+    """Times in s at which the coupling ended, as episodes."""
     stops: int
-    """How often a side went to STOP."""
+    """Number of transitions to STOP."""
     reason: str
-    """Why the coupling first ended or never began; empty where it lasted."""
+    """Reason why the coupling first ended or never began; empty if it lasted."""
 
     @property
     def holds(self) -> int:
-        """How often the coupling ended, as episodes."""
+        """Number of episodes in which the coupling ended."""
         return len(self.holds_s)
 
 
 def idle_link(scene: Scene, *, seconds: float = IDLE_S) -> IdleLink:
-    """Runs link, ladder and periods of a scene with a resting hand, an arm that touches nothing, and no controller.
+    """Run link, ladder and periods of a scene with a resting hand, an arm in free space, and no controller.
 
-    Loss, jitter, outages and order of the link count, as the ladder judges them: by silence and by age. What the link
-    does once, at a given time, does not: it has no rate.
+    Loss, jitter, outages and reordering act through the ladder's limits on silence and age. Single events of the link
+    are left out, because they have no rate.
 
     Args:
-        scene: With an arm and a link.
-        seconds: Simulated.
+        scene: Scene with an arm and a link.
+        seconds: Simulated time.
     """
     return _run(scene, _without_single_events(scene.link), seconds)
 
 
 class OnceOnLink(Struct, frozen=True, kw_only=True):
-    """Runs of the whole link with what it does once, against runs without it, over the same seeds."""
+    """Runs of the whole link with its single events, over several seeds."""
 
     runs: int
     held: int
-    """Runs in which the ladder holds between beginning and end of what happens, or until `SETTLED_S` later."""
+    """Runs in which the ladder holds between the start of an event and `SETTLED_S` after its end."""
     holds: int
-    """Such holds, as episodes."""
+    """Number of such holds, as episodes."""
     stops: int
-    """How often a side went to STOP in the whole runs."""
+    """Number of transitions to STOP in all runs."""
     uncoupled: int
-    """Runs at whose end the two were not coupled."""
+    """Runs that ended decoupled."""
 
 
 def link_with_single_events(scene: Scene) -> IdleLink | None:
-    """The same of what the link does once: outages, changes of delay and of a clock, over a link that only delays.
+    """Run the single events of the link (outages, changes of delay and of a clock) over a link that only delays.
 
     Args:
-        scene: With an arm.
+        scene: Scene with an arm.
 
     Returns:
-        None where nothing happens once before `MAX_ONCE_S`.
+        None without a single event before `MAX_ONCE_S`.
     """
     if (seconds := _seconds_with(scene)) is None:
         return None
@@ -99,13 +99,13 @@ def link_with_single_events(scene: Scene) -> IdleLink | None:
 
 
 def single_events_on_link(scene: Scene) -> tuple[OnceOnLink, OnceOnLink] | None:
-    """The whole link, with its jitter, loss and order, with what it does once and without.
+    """Run the whole link, with jitter, loss and reordering, with its single events and without.
 
     Args:
-        scene: With an arm.
+        scene: Scene with an arm.
 
     Returns:
-        None where nothing happens once before `MAX_ONCE_S`.
+        None without a single event before `MAX_ONCE_S`.
     """
     if (seconds := _seconds_with(scene)) is None:
         return None
@@ -114,7 +114,7 @@ def single_events_on_link(scene: Scene) -> tuple[OnceOnLink, OnceOnLink] | None:
 
 
 def single_events(scene: Scene) -> tuple[SingleEvent, ...]:
-    """What the link of a scene does once, in the order of time."""
+    """Return the single events of a scene's link in the order of time."""
     links, found = scene.link, list[SingleEvent]()
     for direction in DIRECTIONS:
         settings: LinkSettings | None = getattr(links, direction, None)
@@ -142,13 +142,13 @@ def _run_events(scene: Scene) -> tuple[SingleEvent, ...]:
 
 
 def _seconds_with(scene: Scene) -> float | None:
-    """How long a run is that has what happens once, in s; none where nothing does."""
+    """Return the length in s of a run with the single events; None without events."""
     ends_s = [event.end_s for event in _run_events(scene)]
     return min(max(ends_s) + SETTLED_S, MAX_RUN_S) if ends_s else None
 
 
 def _runs_with(scene: Scene, link: LinksTable | None, events: tuple[SingleEvent, ...], seconds: float) -> OnceOnLink:
-    """Runs of a link over `ONCE_SEEDS` seeds from the scene's on, with the holds while any of the events lasts."""
+    """Run a link over `ONCE_SEEDS` seeds, from the scene's on, and count holds during the events."""
     runs = [_run(scene, link, seconds, seed=scene.run.seed + more) for more in range(ONCE_SEEDS)]
     holds = [
         sum(1 for at_s in run.holds_s if any(one.begin_s <= at_s <= one.end_s + SETTLED_S for one in events))
@@ -164,7 +164,7 @@ def _runs_with(scene: Scene, link: LinksTable | None, events: tuple[SingleEvent,
 
 
 def _without_single_events(links: LinksTable | None) -> LinksTable | None:
-    """The links without what they do once."""
+    """Return the links without single events."""
     if links is None:
         return None
     changed = links
@@ -185,7 +185,7 @@ def _without_single_events(links: LinksTable | None) -> LinksTable | None:
 
 
 def _single_events_over_delay(scene: Scene) -> LinksTable:
-    """Of the links their delay and what they do once."""
+    """Return the links with only delay and single events."""
     changed = LinksTable() if scene.link is None else scene.link
     delays = scene_numbers(scene)["link"] or {}
     for direction in DIRECTIONS:

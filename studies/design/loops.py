@@ -1,4 +1,4 @@
-"""A scene as the loops that its design is judged by: device, hand, arm and what is stiffest in it."""
+"""Loops of a scene for its design check: device, hand, arm and stiffest contact."""
 
 import math
 from typing import Any
@@ -9,14 +9,14 @@ from haptether.studies.design.delay import ContactLoop, Follower
 
 
 def scene_loops(scene: Scene, wall_stiffness: float | None = None, *, held: bool = True) -> list[ContactLoop]:
-    """The contact of a scene's device, hand and arm with what is stiffest in it, one loop for each axis that is felt.
+    """Return one loop per felt axis: device, hand, arm and the stiffest contact.
 
-    A law that is not linear counts with its slope where it pushes with the largest force that is rendered.
+    A nonlinear law counts with its slope at the largest rendered force.
 
     Args:
-        scene: One with a [slave].
-        wall_stiffness: In N/m, of what is touched instead; where the scene touches nothing, nothing oscillates.
-        held: Whether the scene's hand holds the device.
+        scene: Scene with a [slave].
+        wall_stiffness: Stiffness in N/m that replaces the contact. A scene without contact does not oscillate.
+        held: True if the scene's hand holds the device.
     """
     spec = scene_numbers(scene)
     master, operator, coupling = spec["master"], spec["operator"] if held else None, spec["coupling"]
@@ -42,7 +42,7 @@ def scene_loops(scene: Scene, wall_stiffness: float | None = None, *, held: bool
 
 
 def _arm(slave: dict[str, Any]) -> Follower:
-    """K_s and B_s that a control amounts to, as `slave/src/arm/model.rs` has them."""
+    """Return an arm with the equivalent K_s and B_s of its control, as in `slave/src/arm/model.rs`."""
     mass_kg, pole = slave["mass_kg"], 2.0 * math.pi * slave["bandwidth_hz"]
     stiffness, damping = {
         "position": (mass_kg * pole**2, 2.0 * mass_kg * pole),
@@ -55,6 +55,6 @@ def _arm(slave: dict[str, Any]) -> Follower:
 
 
 def scene_times(scene: Scene) -> tuple[float, float]:
-    """The longer of the two sides' periods, and the silence in s after which the ladder holds."""
+    """Return the longer of both periods, and the silence in s after which the ladder holds."""
     spec = scene_numbers(scene)
     return max(spec["run"]["period_s"], spec["slave"]["period_s"]), spec["safety"]["ladder"]["hold_after_s"]

@@ -1,4 +1,4 @@
-"""What mends a finding: changes of a scene's fields that were applied and held against it again."""
+"""Remedies of findings: changes of a scene's fields, verified against all inequalities."""
 
 from collections.abc import Callable, Iterator
 from math import ceil, floor, inf, isfinite, log10, sqrt
@@ -17,16 +17,16 @@ from haptether.studies.design.loops import scene_loops
 
 Changes = tuple[str, ...]
 RANKS: dict[State, int] = {"bad": 0, "warning": 1, "not judged": 2, "good": 3, "note": 3}
-"""The better the greater."""
+"""Ranks of states; greater is better."""
 HOLDS_AFTER_S = (0.03, 0.05, 0.1)
-"""Of a ladder, the longest that there is last."""
+"""Silences in s before a hold; the last is the longest allowed."""
 HALVINGS = 40
 SECANTS = 4
-"""Steps in which cap or threshold are looked for: the bound on speed is all but linear in their root."""
+"""Secant steps for cap or threshold; the bound on speed is almost linear in their root."""
 LEAST_ENERGY_J = 0.003
-"""A tenth of the paper's |delta|: below it WSC trips in almost any motion."""
+"""A tenth of the paper's |delta|; below it WSC trips in almost any motion."""
 LEAST_SHARE_OF_CAP = 0.5
-"""Of the cap: below it little is felt."""
+"""Smallest fraction of the cap; below it little is felt."""
 
 ADVICE = {
     "delay margin": "a softer contact, more damping, less delay",
@@ -41,40 +41,40 @@ ADVICE = {
     "losses": "a better link",
     "link": "less delay, jitter and loss; a delay_s is in seconds: 0.05 is 50 ms",
 }
-"""What helps besides, by what a finding is about: not all of it is a field."""
+"""Further advice per finding; not all of it is a field."""
 ONCE_ADVICE: dict[EventKind, str] = {
     "outage": "a shorter outage: safety.ladder.hold_after_s bears at most 0.1 s, and what is longer ends in HOLD",
     "delay": "a smaller change of the delay, or a slower one (ramp_s)",
     "clock": "a clock that is not set while the two are coupled",
 }
-"""What helps against what a link does once, by its kind."""
+"""Advice per kind of single event."""
 OWN_CONTROLLER = (
     "measure it: `haptether falsify` on this scene finds the release after which it is worst, `haptether evaluate"
     " --controller none {name}` how often it throws and trips falsely"
 )
-"""What helps where no bound is known."""
+"""Advice if no bound is known."""
 
 
 class Judge(Protocol):
-    """Holds a scene against all inequalities."""
+    """Check of a scene against all inequalities."""
 
     def __call__(self, scene: Scene, /, *, link: bool) -> tuple[Finding, ...]:
-        """Its findings, with those of the idle link or without."""
+        """Return the findings, optionally with those of the idle link."""
 
 
 def with_remedies(
     scene: Scene, findings: tuple[Finding, ...], judge: Judge, limit: float | None
 ) -> tuple[Finding, ...]:
-    """The findings, and to each that is bad or a warning what mends it.
+    """Return the findings, with a remedy for each bad one and each warning.
 
-    Of the changes that are tried the first that leave neither is taken, else those that mend most, without those of
-    them that are not needed. Changes count only if the finding is better with them or gone, and no other worse.
+    The first change that leaves neither is taken; otherwise those that improve most, without unnecessary parts. A
+    change counts only if it improves or removes the finding and worsens no other.
 
     Args:
-        scene: That was judged.
-        findings: What was found.
-        judge: By what.
-        limit: Speed in m/s or rad/s above which a release has thrown the device; none where there is no such limit.
+        scene: Judged scene.
+        findings: Its findings.
+        judge: Check of changed scenes.
+        limit: Speed in m/s or rad/s above which a release has thrown the device; None without a limit.
     """
     return tuple(
         _mended(scene, finding, findings, judge, limit) if finding.state in {"bad", "warning"} else finding
@@ -83,7 +83,7 @@ def with_remedies(
 
 
 def is_better(after: Finding | None, before: Finding) -> bool:
-    """Whether a finding is gone, in a better state, or in the same with more room below its limit."""
+    """Return True if a finding is gone, in a better state, or in the same state with less excess."""
     if after is None:
         return True
     rank, old = RANKS[after.state], RANKS[before.state]
@@ -91,7 +91,7 @@ def is_better(after: Finding | None, before: Finding) -> bool:
 
 
 def is_worse(after: Finding, before: Finding | None) -> bool:
-    """Whether a finding is in a worse state than it was; one that is new counts as worse where it is bad or warns."""
+    """Return True if a finding is in a worse state; a new one counts as worse if it is bad or a warning."""
     old = RANKS["good"] if before is None else RANKS[before.state]
     return RANKS[after.state] < min(old, RANKS["not judged"]) or (
         before is not None
@@ -101,7 +101,7 @@ def is_worse(after: Finding, before: Finding | None) -> bool:
 
 
 def _excess(finding: Finding) -> float:
-    """Value over limit, infinite without a value."""
+    """Return value over limit; infinite without a value."""
     if finding.value is None:
         return inf
     return finding.value / finding.limit if finding.limit else finding.value
@@ -114,7 +114,7 @@ def _mended(
     on_link = finding.name in {"link", "outage"}
 
     def tried(changes: Changes) -> Finding | bool | None:
-        """The finding with these changes, none if it is gone; false if they cannot be, or do not mend it."""
+        """Return the finding after changes, None if it is gone, False if they are invalid or no remedy."""
         try:
             found = {one.name: one for one in judge(override_scene(scene, changes), link=on_link)}
         except SceneError:
@@ -180,22 +180,22 @@ def _shown(value: float) -> str:
 
 
 def rounded_down(value: float) -> float:
-    """To two digits: what is printed is no more than what was found."""
+    """Round down to two digits, so that the printed value does not exceed the computed one."""
     return _rounded(value, floor)
 
 
 def rounded_up(value: float) -> float:
-    """To two digits: what is printed is no less than what was found."""
+    """Round up to two digits, so that the printed value is not below the computed one."""
     return _rounded(value, ceil)
 
 
 def _rounded(value: float, whole: Callable[[float], int]) -> float:
     digits = 1 - floor(log10(value))
-    # Of 0.3 that is 0.29999999999999999 the step below is another number.
+    # Without this, 0.3 as 0.29999999999999999 would round to the step below.
     return float(f"{whole(round(value * 10.0**digits, 9)) / 10.0**digits:.12g}")
 
 
-# ------------------------------------------------------------------------------------- candidates, the mildest first
+# ------------------------------------------------------------------------------------- candidates, mildest first
 
 
 def _candidates(scene: Scene, finding: Finding, limit: float | None) -> Iterator[Changes]:
@@ -225,7 +225,7 @@ def _candidates(scene: Scene, finding: Finding, limit: float | None) -> Iterator
 
 
 def _softer(scene: Scene, spec: dict[str, Any]) -> Iterator[Changes]:
-    """The force scale at which the delay of this link is borne with room, by halving."""
+    """Yield the force scale with a sufficient delay margin on this link, found by halving."""
     delays = link_delays_s(spec)
     if delays is None:
         return
@@ -261,7 +261,7 @@ def _softer_wall(spec: dict[str, Any], finding: Finding) -> Iterator[Changes]:
 
 
 def _slower(scene: Scene, spec: dict[str, Any], limit: float | None) -> Iterator[Changes]:
-    """What a bound needs that there is none of, then VFC, a quicker estimator, a smaller |delta| or cap on top."""
+    """Yield missing requirements of the bound, then also VFC, a faster estimator, a smaller |delta| or cap."""
     safety, master = spec["safety"], spec["master"]
     kind, is_exact = safety["estimator"]["kind"], safety["signals"] == "true" or master["measures_velocity"]
     changes = _within_assumptions(spec)
@@ -300,13 +300,13 @@ def _slower(scene: Scene, spec: dict[str, Any], limit: float | None) -> Iterator
 
 
 def _measured(scene: Scene, changes: list[str]) -> Iterator[Changes]:
-    """The thresholds of the other preset, which has none of joints."""
+    """Yield the thresholds of the other preset; joints have none."""
     if scene.safety.preset == "paper" and side_kind(scene.master) != "joints":
         yield (*changes, "safety.preset=measured")
 
 
 def _within_assumptions(spec: dict[str, Any]) -> list[str]:
-    """What brings a scene under the assumptions of the bound (docs/ejection_bound.md, A1)."""
+    """Return changes that satisfy the assumptions of the bound (docs/ejection_bound.md, A1)."""
     limiter, device_n, environment = spec["safety"]["limiter"], spec["master"]["max_force_n"], spec["environment"]
     changes = []
     if limiter is None:
@@ -324,7 +324,7 @@ def _within_assumptions(spec: dict[str, Any]) -> list[str]:
 def _held_to(
     scene: Scene, changes: Changes, limit: float, by: Literal["energy_threshold_j", "max_force_n"]
 ) -> Iterator[Changes]:
-    """The largest cap, or |delta|, at which the bound on speed is the limit, by secants over its root.
+    """Yield the largest cap, or |delta|, at which the bound on speed equals the limit, by secants over its root.
 
     None below `LEAST_ENERGY_J` and `LEAST_SHARE_OF_CAP`.
     """

@@ -1,4 +1,4 @@
-"""How stiff a wall a servo loop can render before device and hand oscillate."""
+"""Largest stiffness of a wall that a servo loop renders without oscillation of device and hand."""
 
 from math import pi
 
@@ -8,25 +8,25 @@ import numpy.typing as npt
 Complex = npt.NDArray[np.complex128]
 
 GRID = 20_000
-"""Frequencies among which the edge of stability is looked for."""
+"""Number of frequencies in the search for the stability limit."""
 HALVINGS = 60
 
 
 def largest_wall_stiffness(
     *, mass_kg: float, damping: float, hand_stiffness: float, wall_damping: float, period_s: float, late_ticks: int
 ) -> float:
-    """Largest K in N/m of a sampled wall at which device and hand are stable; 0 where they are not without it.
+    """Return the largest K in N/m of a sampled wall with stable device and hand; 0 if unstable without it.
 
-    `1 + (K + B (1 - 1/z) / T) G(z) / z^d = 0` with G(z) of `1 / (m s² + b s + k)` behind a zero-order hold: the least K
-    that is real and positive on `z = e^(jwT)`. Linear: Coulomb friction and quanta are left out.
+    `1 + (K + B (1 - 1/z) / T) G(z) / z^d = 0` with G(z) of `1 / (m s² + b s + k)` behind a zero-order hold. The result
+    is the least real, positive K on `z = e^(jwT)`. Linear, without Coulomb friction and quantisation.
 
     Args:
         mass_kg: m of the device.
-        damping: b in N s/m, of device and hand.
-        hand_stiffness: k in N/m; 0 where nobody holds.
-        wall_damping: B in N s/m, of the difference of two positions.
+        damping: b in N s/m of device and hand.
+        hand_stiffness: k in N/m; 0 without a hand.
+        wall_damping: B in N s/m, on differences of two positions.
         period_s: T in s.
-        late_ticks: d, by how many ticks the force is late.
+        late_ticks: d, delay of the force in ticks.
 
     Source: Colgate and Schenkel 1994; Gil, Avello, Rubio and Florez 2004; D-decomposition, Neimark 1949.
     """
@@ -54,13 +54,13 @@ def largest_wall_stiffness(
         gain = float(stiffness(np.array([low]))[0].real)
         if gain > 0.0:
             least = min(least, gain)
-    # At half the rate of the ticks all is real.
+    # At half the tick rate all terms are real.
     edge = float(stiffness(np.array([pi / period_s]))[0].real)
     return min(least, edge) if edge > 0.0 else float(least)
 
 
 class _Discrete:
-    """`1 / (m s² + b s + k)` behind a zero-order hold."""
+    """Discrete form of `1 / (m s² + b s + k)` behind a zero-order hold."""
 
     def __init__(self, mass_kg: float, damping: float, stiffness: float, period_s: float) -> None:
         motion = np.array([[0.0, 1.0, 0.0], [-stiffness / mass_kg, -damping / mass_kg, 1.0 / mass_kg], [0.0] * 3])
@@ -68,7 +68,7 @@ class _Discrete:
         self.step, self.push = whole[:2, :2], whole[:2, 2]
 
     def response(self, z: Complex) -> Complex:
-        """X over F."""
+        """Return X over F."""
         (a, b), (c, d) = self.step
         first, second = self.push
         found: Complex = ((z - d) * first + b * second) / ((z - a) * (z - d) - b * c)
@@ -76,7 +76,7 @@ class _Discrete:
 
 
 def _exponential(matrix: "npt.NDArray[np.float64]") -> "npt.NDArray[np.float64]":
-    """By its series, of a matrix made small and squared again (Moler and Van Loan 2003, method 3)."""
+    """Return the matrix exponential by scaling and squaring of its series (Moler and Van Loan 2003, method 3)."""
     squarings = max(0, int(np.ceil(np.log2(max(np.abs(matrix).sum(axis=1).max(), 1e-300)))) + 4)
     small = matrix / 2.0**squarings
     term = whole = np.eye(len(matrix))

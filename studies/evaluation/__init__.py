@@ -1,4 +1,4 @@
-"""How safe a set-up is: controllers over round trips and networks, in tasks done by many hands."""
+"""Safety of a set-up: controllers over round trips and networks, in tasks by many hands."""
 
 from haptether.studies.evaluation.evaluate import evaluate
 from haptether.studies.evaluation.figure import draw_evaluation

@@ -1,4 +1,4 @@
-"""Runs tasks with many hands, held and let go, for each set of controllers at each round trip of each network."""
+"""Runs of tasks with many hands, held and released, per controller set, round trip and network."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -37,12 +37,12 @@ from haptether.studies.task import (
 Array = npt.NDArray[np.float64]
 
 PRESSED_SHARE = 0.1
-"""Share of the largest force above which a hand counts as pressing, for the transmitted impedance."""
+"""Fraction of the largest force above which a hand counts as pressing, for the transmitted impedance."""
 MIN_PRESSED_TICKS = 100
 MOST_UNEXPLAINED = 0.2
-"""Share of the variance of the force that K x + B V may leave."""
+"""Fraction of the force's variance that K x + B V may leave unexplained."""
 REPLACED = ("link.forward", "link.backward")
-"""What networks set beside what a task does."""
+"""Fields that networks set in addition to those of a task."""
 
 
 def evaluate(
@@ -60,39 +60,39 @@ def evaluate(
     threads: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Evaluation:
-    """How safe each set of controllers is at each round trip, through each network, in each task.
+    """Evaluate the safety of each controller set at each round trip, through each network, in each task.
 
-    Held throughout, each intervention that begins is a false trip. Let go under force, over 50 ms, a release throws if
-    the device exceeds the limit within 0.5 s after; one that happens under an intervention is not counted. All sets of
-    controllers have the same hands, releases and draws of the network. Device, arm, coupling, estimator, limits and
-    release law are those of the scene.
+    With a hand that holds, each intervention is a false trip. With a release under force over 50 ms, the device is
+    thrown if it exceeds the limit within 0.5 s; releases during an intervention are not counted. All controller sets
+    have the same hands, releases and network draws. Device, arm, coupling, estimator, limits and release law are those
+    of the scene.
 
     Args:
-        tasks: Names of bundled scenes, or paths of scenes, in which a hand works.
-        controllers: Sets of controllers, their names joined by "+", at most one of them in Python; "none" for nobody.
-        round_trips_s: In s: both delays of a link together, or by how much a force without an arm is late. A network
-            with a delay of its own is met at that alone.
-        networks: What the network does beside its delay, or one of `network_of`; a scene without an arm meets the first
-            one of each round trip only.
-        hands: How many hold each task.
-        releases: Places, of the time in which much is felt, at which hands let go; they share them.
-        seed: Of hands and networks.
-        limits: What is called safe.
-        bounds: What hands may be; by default `HandBounds()`.
+        tasks: Names of bundled scenes, or paths of scenes, with a working hand.
+        controllers: Controller sets, names joined by "+", at most one of them in Python; "none" for no controller.
+        round_trips_s: Sum of both link delays in s, or the delay of a force without an arm. A network with its own
+            delay runs only at that delay.
+        networks: Network properties beside the delay, or results of `network_of`. A scene without an arm runs only
+            the first network of each round trip.
+        hands: Number of hands that hold each task.
+        releases: Number of release times within the period of large force; the hands share them.
+        seed: Seed of hands and networks.
+        limits: Limits of safety.
+        bounds: Ranges of hands; by default `HandBounds()`.
         overrides: Fields of each scene to change first, `table.key=value`.
-        threads: Of the runs; by default as many as there are processors.
-        progress: Called with what is run.
+        threads: Threads of the runs; by default one per processor.
+        progress: Called with a text for each part.
 
     Raises:
-        ValueError: No hand, no task, a controller that there is not, or a scene without a hand.
-        SceneError: A scene that cannot be built.
+        ValueError: There is no hand, task or such controller, or a scene has no hand.
+        SceneError: A scene cannot be built.
     """
     _check(tasks, controllers, round_trips_s, networks, {"hands": hands, "releases": releases})
     overrides, bounds, limits = tuple(overrides), bounds or HandBounds(), limits or EvaluationLimits()
     refuse_fixed(overrides, (*FIXED, *REPLACED), "is what an evaluation varies")
     at = {network.name: round_trips_of(network, round_trips_s) for network in networks}
     if any(network.own for network in networks):
-        # Of their own round trips, in order with those that are asked for.
+        # Merge the networks' own round trips, in order, with the requested ones.
         round_trips_s = sorted({round_trip_s for trips in at.values() for round_trip_s in trips})
     assumed: dict[str, None] = {}
     cells: list[EvaluationCell] = []
@@ -102,7 +102,7 @@ def evaluate(
             met = [network for network in networks if round_trip_s in at[network.name]]
             for place, network in enumerate(met):
                 if network.links(0.5 * round_trip_s) in [one.links(0.5 * round_trip_s) for one in met[:place]]:
-                    continue  # jitter of no delay
+                    continue  # equal links, for example jitter of a zero delay
                 if progress is not None:
                     progress(f"{name}, {round_trip_s * 1e3:g} ms, {network.name}")
                 task = Task(name, round_trip_s, overrides, network=network, by_time=False)
@@ -133,7 +133,7 @@ def evaluate(
 
 
 def round_trips_of(network: Network, round_trips_s: Sequence[float]) -> Sequence[float]:
-    """At which of the round trips that are asked for a network is met: one of its own at that alone."""
+    """Return the requested round trips at which a network runs; only its own if it has one."""
     return round_trips_s if network.round_trip_s is None else (network.round_trip_s,)
 
 
@@ -175,7 +175,7 @@ def _check(
 
 
 class _Runs:
-    """One task at one round trip, through one network."""
+    """Runs of one task at one round trip through one network."""
 
     def __init__(
         self,
@@ -194,7 +194,7 @@ class _Runs:
         self.uncontrolled_speeds = self._speeds(self.releases, None)[0] if self.releases else np.empty(0)
 
     def _speeds(self, releases: Releases, controllers: str | None) -> tuple[Array, Array]:
-        """After each release the largest speed in m/s, NaN if the run did not come to it, and the time to a trip."""
+        """Return per release the largest speed in m/s, NaN if the run did not reach it, and the time to a trip."""
         scene = self.task.with_controllers(releases.scene, controllers, {})
         metrics = [*ejection_metrics(scene), "time_to_trip_s"]
         found = sweep(scene, samples=releases.rows, threads=self.threads, metrics=metrics)
@@ -204,7 +204,7 @@ class _Runs:
         return speeds, trip if controllers else np.full(len(speeds), np.nan)
 
     def cell(self, names: str) -> tuple[EvaluationCell, WorstRelease | None]:
-        """What one set of controllers does, and the worst release."""
+        """Return the results of one controller set, and its worst release."""
         controllers = None if names == "none" else names.replace("+", ",")
         watched = self.task.with_controllers(self.lasting, controllers, {})
         held = self.task.hold(watched, self.hands, self.threads) if controllers else self.uncontrolled
@@ -260,14 +260,14 @@ class _Runs:
         return self.task.network
 
     def _released(self, names: str, controllers: str | None) -> tuple[Array, Array, Array, int, WorstRelease | None]:
-        """Of the releases: the largest speed, that where nobody watches, when a controller tripped; and the worst.
+        """Return speeds, speeds without a controller and trip times; the count already tripped; the worst release.
 
-        Without those under an intervention that had begun while the hand still held, of which it has the number.
+        Releases under an intervention that began while the hand held are excluded and only counted.
         """
         if self.releases is None:
             return np.empty(0), np.empty(0), np.empty(0), 0, None
         speeds, detected = self._speeds(self.releases, controllers)
-        # A grip that begins to loosen in this tick is whole in it.
+        # A grip that begins to loosen in this tick is still whole in it.
         already_tripped = np.isfinite(speeds) & (detected < 0.5 * self.lasting.run.period_s)
         counted = np.flatnonzero(np.isfinite(speeds) & ~already_tripped)
         of = speeds[counted], self.uncontrolled_speeds[counted], detected[counted], int(already_tripped.sum())
@@ -287,19 +287,19 @@ class _Runs:
         return *of, release
 
     def _transmitted(self, controllers: str | None) -> tuple[float | None, float | None]:
-        """Stiffness in N/m and damping in N s/m that the hand of the scene feels while it presses."""
+        """Return stiffness in N/m and damping in N s/m that the scene's hand feels while it presses."""
         scene = self.task.with_controllers(self.task.held, controllers, {})
         return transmitted_impedance(simulate(replace(scene, record=RecordTable())))
 
 
 def transmitted_impedance(run: Run) -> tuple[float | None, float | None]:
-    """K in N/m and B in N s/m of `-F_device = K x + B V + F_0` while a hand presses, along the mean force.
+    """Return K in N/m and B in N s/m of `-F_device = K x + B V + F_0` while a hand presses, along the mean force.
 
-    Least squares over the ticks in which the force is above a tenth of its largest; none where too few are, or where
-    less than 80 % of the variance of the force are explained.
+    Least squares over the ticks with a force above a tenth of the largest. None for too few ticks, or if the fit
+    explains less than 80 % of the force's variance.
 
     Args:
-        run: With `position`, `velocity` and `device_force` recorded at each tick.
+        run: Run with `position`, `velocity` and `device_force` recorded at each tick.
     """
     named = (np.asarray(run.signals[name]) for name in ("position", "velocity", "device_force"))
     x, v, force = (values.reshape(len(values), -1) for values in named)

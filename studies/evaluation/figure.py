@@ -1,4 +1,4 @@
-"""The figure of an evaluation: verdicts as a map, and what they come from over the round trip."""
+"""Figure of an evaluation: a map of verdicts, and the underlying values over the round trip."""
 
 from os import PathLike
 from typing import TYPE_CHECKING
@@ -25,7 +25,7 @@ VERDICT_COLOURS: dict[Verdict, str] = {
     "thrown": "#f2b48c",
     "diverged": "#d98fb8",
 }
-"""Pale, for numbers stand on them; each has its word as well."""
+"""Pale colours, because numbers stand on them; each verdict also has its word."""
 MIN_RATE_PER_H = 100.0
 VERDICT_WORDS: dict[Verdict, str] = {
     "safe": "safe",
@@ -39,11 +39,11 @@ VERDICT_WORDS: dict[Verdict, str] = {
 
 
 HATCH = "//////"
-"""Over a cell that is safe, and unconfirmed."""
+"""Hatch of a cell that is safe but unconfirmed."""
 
 
 def words_of(found: Evaluation, cells: "Sequence[EvaluationCell]") -> str:
-    """A verdict in words, with the hands that an unconfirmed one needs."""
+    """Return a verdict in words, with the hands needed to confirm it."""
     verdict = found.verdict(cells)
     if verdict != "safe" or found.is_confirmed(cells):
         return VERDICT_WORDS[verdict]
@@ -52,26 +52,26 @@ def words_of(found: Evaluation, cells: "Sequence[EvaluationCell]") -> str:
 
 
 def trip_words(found: Evaluation, round_trip_s: float) -> list[str]:
-    """A round trip, with the networks whose own it is."""
+    """Return a round trip with the names of the networks that have it as their own."""
     own = [network.name for network in found.networks if network.round_trip_s == round_trip_s]
     return [f"{round_trip_s * 1e3:g} ms", *own]
 
 
 def draw_evaluation(found: Evaluation, path: str | PathLike[str] | None = None, columns: Columns = 2) -> "Figure":
-    """Draws verdicts over controllers and round trips, and speeds, throws and false trips over the round trip.
+    """Draw verdicts over controllers and round trips, and speeds, throws and false trips over the round trip.
 
-    All tasks together: the worst verdict, the largest speed, and counts of the worst network with 95 % intervals. A
-    safe cell that the intervals do not confirm is hatched and has the hands that would.
+    All tasks together: worst verdict, largest speed, and counts of the worst network with 95 % intervals. A safe cell
+    without confirmation is hatched and shows the number of hands needed.
 
     Args:
-        found: What is drawn.
-        path: Of a .png, .pdf or .svg that is written.
-        columns: Width, in columns of a page.
+        found: Evaluation to draw.
+        path: Path of a .png, .pdf or .svg to write.
+        columns: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
-        ValueError: Another ending.
-        OSError: The file cannot be written; a symbolic link.
+        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ValueError: The ending is invalid.
+        OSError: The file cannot be written, or is a symbolic link.
     """
     with styled():
         several = f"{len(found.tasks)} tasks" if len(found.tasks) > 1 else found.tasks[0]
@@ -155,7 +155,7 @@ def _false_trips(panel: "Axes", found: Evaluation) -> None:
         ]
         _with_intervals(panel, found, number, rates)
     panel.axhline(found.limits.false_trips_per_h, color=THRESHOLD, lw=0.8, ls=":")
-    # As far as rates are those of single trips it is linear.
+    # Linear up to the rates of single trips.
     panel.set_yscale("symlog", linthresh=MIN_RATE_PER_H)
     panel.set_ylim(bottom=0.0)
     panel.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
@@ -168,7 +168,7 @@ def _with_intervals(
     number: int,
     values: "Sequence[tuple[float, ...] | None]",
 ) -> None:
-    """Points with their 95 % intervals, a little beside each other, joined by a line."""
+    """Draw points with 95 % intervals, slightly offset from each other and joined by a line."""
     known = [(trip, value) for trip, value in zip(_over_trips(found), values, strict=True) if value is not None]
     if not known:
         return

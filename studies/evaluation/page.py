@@ -1,4 +1,4 @@
-"""An evaluation as one page, in HTML with its figure inside or in Markdown: verdicts, numbers, what was assumed."""
+"""An evaluation as one page, in HTML with its figure or in Markdown: verdicts, numbers, assumptions."""
 
 import io
 import re
@@ -14,9 +14,9 @@ from haptether.view.style.colours import controller_title
 
 Cell: TypeAlias = "str | tuple[str, str]"
 UNCONFIRMED = "unconfirmed"
-"""Class of a cell that is safe, and unconfirmed."""
+"""Class of a cell that is safe but unconfirmed."""
 MOST_NAMED = 3
-"""Tasks that a statement names."""
+"""Most tasks named in a statement."""
 
 
 class Table(Struct, frozen=True):
@@ -27,7 +27,7 @@ class Table(Struct, frozen=True):
 
 
 class Section(Struct, frozen=True):
-    """A heading, what is said below it, and a table."""
+    """A heading, text, and a table."""
 
     title: str
     text: str = ""
@@ -37,7 +37,7 @@ class Section(Struct, frozen=True):
 
 
 def sections(found: Evaluation, worst: str | None) -> Iterator[Section]:
-    """What the page says, part by part."""
+    """Yield the sections of the page."""
     limits = found.limits
     yield Section(
         "Which set-up is safe up to which round trip",
@@ -72,7 +72,7 @@ def sections(found: Evaluation, worst: str | None) -> Iterator[Section]:
 
 
 def confirmation(found: Evaluation) -> str:
-    """When a safe cell is confirmed, and how many are."""
+    """Return the condition of confirmation, and the number of confirmed cells."""
     cells = [
         found.of(controllers=name, round_trip_s=trip_s) for name in found.controllers for trip_s in found.round_trips_s
     ]
@@ -87,23 +87,23 @@ def confirmation(found: Evaluation) -> str:
 
 
 def statements(found: Evaluation) -> tuple[str, ...]:
-    """Of each set of controllers, up to which round trip it is safe."""
+    """Return for each controller set the round trip up to which it is safe."""
     return tuple(_statement(found, controllers) for controllers in found.controllers)
 
 
 def verdict_rows(found: Evaluation) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-    """Head and rows of the table of verdicts, all tasks together, as text."""
+    """Return head and rows of the table of verdicts, all tasks together, as text."""
     table = _verdict_table(found, None)
     return table.head, tuple(tuple(_text(cell) for cell in row) for row in table.rows)
 
 
 def evaluation_markdown(found: Evaluation, *, command: str = "", worst: str | None = None) -> str:
-    """The page as Markdown.
+    """Return the page as Markdown.
 
     Args:
-        found: What is shown.
-        command: That made it.
-        worst: Name of the file that has the worst release.
+        found: Evaluation to show.
+        command: Command that made it.
+        worst: Name of the file with the worst release.
     """
     parts = [f"# {_plain(_title(found))}", _plain(_made_by(found, command))]
     for section in sections(found, worst):
@@ -116,10 +116,10 @@ def evaluation_markdown(found: Evaluation, *, command: str = "", worst: str | No
 
 
 def evaluation_html(found: Evaluation, *, command: str = "", worst: str | None = None) -> str:
-    """The page as one HTML file that loads nothing.
+    """Return the page as one self-contained HTML file.
 
     Raises:
-        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
     """
     drawn = io.StringIO()
     draw_evaluation(found).savefig(drawn, format="svg", metadata={"Date": None})
@@ -169,7 +169,7 @@ def _made_by(found: Evaluation, command: str) -> str:
 
 
 def _statement(found: Evaluation, controllers: str) -> str:
-    """Up to which round trip a set of controllers is safe, and what ends that."""
+    """Return the round trip up to which a controller set is safe, and the reason for its end."""
     safe_s, unthrown_s = found.safe_up_to_s(controllers), found.unthrown_up_to_s(controllers)
     parts = [_up_to("safe", safe_s)]
     if unthrown_s != safe_s:
@@ -196,7 +196,7 @@ def _statement(found: Evaluation, controllers: str) -> str:
 
 
 def _confirmed(found: Evaluation, controllers: str) -> str:
-    """Up to which round trip the intervals confirm that a set of controllers is safe, where that is not as far."""
+    """Return the round trip up to which safety is confirmed; empty if that is the whole safe range."""
     safe_s, confirmed_s = found.safe_up_to_s(controllers), found.confirmed_up_to_s(controllers)
     if safe_s is None or confirmed_s == safe_s:
         return ""
@@ -358,7 +358,7 @@ def _text(cell: Cell) -> str:
 
 
 def _plain(text: str) -> str:
-    """A text whose names are no HTML, link or code of Markdown, on one line."""
+    """Escape a text for Markdown, on one line."""
     return re.sub(r"[\\`*\[\]]", r"\\\g<0>", escape(" ".join(text.split()), quote=False))
 
 

@@ -1,4 +1,4 @@
-"""What an evaluation finds: cells, what they say of a set-up at a delay, and the worst release."""
+"""Results of an evaluation: cells, verdicts at a delay, and the worst release."""
 
 from collections.abc import Iterable, Sequence
 from math import ceil, inf
@@ -14,93 +14,93 @@ from haptether.studies.task import Network
 
 Verdict: TypeAlias = Literal["diverged", "thrown", "not-engaged", "uncoupled", "trips", "not-measured", "safe"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
-"""The worst first."""
+"""All verdicts, worst first."""
 UNSAFE: frozenset[Verdict] = frozenset({"diverged", "thrown", "not-engaged", "not-measured"})
 """Verdicts that do not exclude a thrown device."""
 MOST_HANDS = 100_000
-"""Hands that nobody runs: as many are needed, or more."""
+"""Cap of the number of hands needed; nobody runs as many."""
 INTERFERING: frozenset[Verdict] = frozenset({"uncoupled", "trips"})
-"""Verdicts of a loop that interrupts the task and throws no device."""
+"""Verdicts of a loop that interrupts the task but throws no device."""
 
 EVALUATED_CONTROLLERS = ("none", "vfc", "hsc", "wsc", "hsc+wsc", "vfc+hsc+wsc")
-"""Sets of controllers that are compared by default."""
+"""Controller sets compared by default."""
 EVALUATED_NETWORKS = (
     Network(name="steady"),
     Network(name="jitter", jitter=0.1),
     Network(name="loss", loss=0.02, mean_burst=4.0),
     Network(name="jitter+loss", jitter=0.1, loss=0.02, mean_burst=4.0),
 )
-"""Networks by default: delay alone; with a jitter of a tenth of it; with 2 % of loss, in bursts of four; with both."""
+"""Default networks: delay only; jitter of a tenth of it; 2 % loss in bursts of four; both."""
 
 
 class EvaluationLimits(Struct, frozen=True, kw_only=True):
-    """What is called safe."""
+    """Limits of safety."""
 
     speed: float = THROWN_SPEED
     """Speed in m/s above which a release has thrown the device."""
     false_trips_per_h: float = 60.0
-    """Interventions per hour while a hand holds, above which a controller interferes with the task."""
+    """Interventions per hour under a holding hand above which a controller interferes with the task."""
     thrown_share: float = 0.1
-    """Share of releases that throw, which the 95 % interval must exclude before "safe" is confirmed."""
+    """Share of thrown releases that the 95 % interval must exclude to confirm "safe"."""
 
 
 class EvaluationCell(Struct, frozen=True, kw_only=True):
-    """One set of controllers in one task, at one round trip, through one network. None is what was not measured."""
+    """One controller set in one task, at one round trip, through one network. None marks values not measured."""
 
     task: str
     controllers: str
-    """Their names, joined by "+"; "none" without any."""
+    """Names joined by "+"; "none" without a controller."""
     round_trip_s: float
     network: str
     held: dict[str, int]
-    """How many runs of hands that held ended how, by the names of `Metrics.outcome`."""
+    """Number of held runs per `Metrics.outcome`."""
     hours: float
-    """Time in h for which hands held and the two were coupled."""
+    """Time in h for which hands held while coupled."""
     holds: int
-    """How often the coupling ended meanwhile: HOLD, STOP or a fault, also where it resumed."""
+    """Number of times that the coupling ended meanwhile: HOLD, STOP or a fault, even if it resumed."""
     false_trips: int | None
     """Interventions that began meanwhile."""
     intervention_share: float | None
-    """Share of that time under intervention."""
+    """Fraction of that time under intervention."""
     can_push: bool
-    """Whether anything can be felt: there is an arm, or something to touch."""
+    """True if forces can be felt: there is an arm, or something to touch."""
     releases: int
-    """Hands that let go, without those that did under an intervention."""
+    """Releases, without those during an intervention."""
     already_tripped: int
-    """Those: what a controller does of them says nothing of a release."""
+    """Releases during an intervention; they do not test the controller."""
     dangerous: int
-    """Those after which the device exceeds the limit, here or where nobody watches."""
+    """Releases after which the device exceeds the limit, here or without a controller."""
     thrown: int
-    """Those after which it does here."""
+    """Releases after which it does so here."""
     speeds: tuple[float, ...]
-    """Largest speeds in m/s after the dangerous ones."""
+    """Largest speeds in m/s after dangerous releases."""
     speed: float | None
-    """Median of the largest speeds in m/s after the dangerous ones, MEV."""
+    """Median of these speeds in m/s, MEV."""
     speed_interval: tuple[float, float] | None
-    """95 % interval of that median, distribution-free; none of fewer than six."""
+    """95 % interval of that median, distribution-free; None for fewer than six."""
     max_speed: float | None
     """Largest speed in m/s after any release."""
     detections_s: tuple[float, ...]
-    """Times in s from where the grip begins to loosen to the first intervention, of dangerous ones with one."""
+    """Times in s from the start of the release to the first intervention, for detected dangerous releases."""
     detection_s: float | None
-    """Median of them."""
+    """Median of these times."""
     undetected: int
-    """Dangerous releases without an intervention within the time that was watched."""
+    """Dangerous releases without an intervention within the watched time."""
     peak_force_n: float | None
     """Largest |F_device| in N while hands held."""
     energy_j: float | None
-    """Largest energy in J that a hand that held was given, over what it had put in."""
+    """Largest energy in J that a holding hand received beyond what it had put in."""
     position_rmse_m: float | None
-    """Median position error of the arm in m while hands held, RMS."""
+    """Median RMS position error of the arm in m while hands held."""
     force_rmse_n: float | None
-    """Median error of the force in N, RMS."""
+    """Median RMS error of the force in N."""
     stiffness: float | None
-    """Transmitted stiffness in N/m, what one hand that holds feels: `F = K x + B V + F_0`, by least squares."""
+    """Transmitted stiffness in N/m that a holding hand feels: `F = K x + B V + F_0`, by least squares."""
     damping: float | None
-    """Transmitted damping in N s/m, of the same fit."""
+    """Transmitted damping in N s/m of the same fit."""
 
     def verdict(self, limits: EvaluationLimits) -> Verdict:
-        """The worst of its findings; without a release it is not measured whether one is safe."""
+        """Return the worst finding; without a release the verdict is "not-measured"."""
         rate = self.false_trips_per_h
         applies: dict[Verdict, bool] = {
             "diverged": self.held.get("diverged", 0) > 0,
@@ -114,7 +114,7 @@ class EvaluationCell(Struct, frozen=True, kw_only=True):
 
     @property
     def false_trips_per_h(self) -> float | None:
-        """Rate in 1/h; none where nobody held."""
+        """Rate in 1/h; None if nobody held."""
         return None if self.false_trips is None or not self.hours else self.false_trips / self.hours
 
 
@@ -130,7 +130,7 @@ class Totals(Struct, frozen=True, kw_only=True):
     undetected: int
     max_speed: float | None
     speeds: tuple[float, ...]
-    """After the dangerous ones."""
+    """Speeds after dangerous releases."""
     detections_s: tuple[float, ...]
 
     @property
@@ -140,12 +140,12 @@ class Totals(Struct, frozen=True, kw_only=True):
 
     @property
     def speed_interval(self) -> tuple[float, float] | None:
-        """Its distribution-free 95 % interval; none of fewer than six."""
+        """Distribution-free 95 % interval of that median; None for fewer than six."""
         return median_interval(self.speeds)
 
     @property
     def detection_s(self) -> float | None:
-        """Median time in s to the first intervention, of dangerous releases with one."""
+        """Median time in s to the first intervention, for detected dangerous releases."""
         return median(self.detections_s) if self.detections_s else None
 
     @property
@@ -158,14 +158,14 @@ class Totals(Struct, frozen=True, kw_only=True):
 
     @property
     def thrown_share(self) -> tuple[float, float, float] | None:
-        """Share of dangerous releases that still threw, and its 95 % interval (Wilson 1927)."""
+        """Fraction of dangerous releases that threw the device, and its 95 % interval (Wilson 1927)."""
         if not self.dangerous:
             return None
         return self.thrown / self.dangerous, *wilson_interval(self.thrown, self.dangerous)
 
 
 class WorstRelease(Struct, frozen=True, kw_only=True):
-    """The release after which a device was fastest, of one set of controllers."""
+    """The release of a controller set with the largest device speed."""
 
     controllers: str
     task: str
@@ -174,7 +174,7 @@ class WorstRelease(Struct, frozen=True, kw_only=True):
     speed: float
     """In m/s."""
     scene: Scene
-    """A scene of it by itself, which has that speed."""
+    """Scene of this release alone, with the same speed."""
 
 
 class Evaluation(Struct, frozen=True, kw_only=True):
@@ -191,14 +191,14 @@ class Evaluation(Struct, frozen=True, kw_only=True):
     seed: int
     version: str
     assumed: tuple[str, ...]
-    """What of its scenes was changed or left out."""
+    """Parts of the scenes that were changed or left out."""
     worst: tuple[WorstRelease, ...]
-    """One a set of controllers after which a device was let go, the fastest first."""
+    """Worst release of each controller set, fastest first."""
 
     def of(
         self, *, task: str | None = None, controllers: str | None = None, round_trip_s: float | None = None
     ) -> tuple[EvaluationCell, ...]:
-        """The cells of what is given."""
+        """Return the cells that match the arguments."""
         return tuple(
             cell
             for cell in self.cells
@@ -208,12 +208,12 @@ class Evaluation(Struct, frozen=True, kw_only=True):
         )
 
     def verdict(self, cells: Iterable[EvaluationCell]) -> Verdict:
-        """The worst of several; false trips of all tasks are counted together, for a single cell has few.
+        """Return the worst verdict of several cells. False trips are counted over all tasks, because a cell has few.
 
-        A task in which nothing can be felt has no release to be measured, and says nothing of those of others.
+        A task without felt forces has no releases and does not affect the verdict of the others.
 
         Raises:
-            ValueError: No cell.
+            ValueError: There is no cell.
         """
         cells = tuple(cells)
         if not cells:
@@ -230,10 +230,10 @@ class Evaluation(Struct, frozen=True, kw_only=True):
         return "safe" if has_releases(cells) else "not-measured"
 
     def hands_needed(self, cells: Sequence[EvaluationCell]) -> int:
-        """How many hands each task takes until the 95 % intervals confirm that the cells are safe, at most 100 000.
+        """Return the hands per task needed for the 95 % intervals to confirm safety, at most 100 000.
 
-        The intervals are Wilson's of the share of releases that throw and Garwood's of the false trips per hour, of
-        counts that grow with the hands. Neither may reach its limit. `hands` where those that ran are enough.
+        The intervals are Wilson's for the share of thrown releases and Garwood's for false trips per hour, with counts
+        that grow with the hands. Neither may reach its limit. The result is `hands` if those that ran suffice.
         """
         counted = totals(cells)
 
@@ -257,11 +257,11 @@ class Evaluation(Struct, frozen=True, kw_only=True):
         return high
 
     def is_confirmed(self, cells: Sequence[EvaluationCell]) -> bool:
-        """Whether the cells are safe, and the hands that ran are enough to say so."""
+        """Return True if the cells are safe and enough hands ran to confirm it."""
         return self.verdict(cells) == "safe" and self.hands_needed(cells) <= self.hands
 
     def unconfirmed(self, controllers: str, task: str | None = None) -> tuple[float, ...]:
-        """Round trips in s at which cells are safe, and too few hands ran to say so."""
+        """Return the round trips in s with safe cells but too few hands to confirm it."""
         trips = (
             (trip_s, self.of(task=task, controllers=controllers, round_trip_s=trip_s)) for trip_s in self.round_trips_s
         )
@@ -270,28 +270,28 @@ class Evaluation(Struct, frozen=True, kw_only=True):
         )
 
     def confirmed_up_to_s(self, controllers: str, task: str | None = None) -> float | None:
-        """As `safe_up_to_s`, as far as each round trip is confirmed.
+        """Return `safe_up_to_s`, limited to confirmed round trips.
 
         Raises:
-            ValueError: A set of controllers or a task that was not evaluated.
+            ValueError: The controller set or task was not evaluated.
         """
         safe_s, unconfirmed = self.safe_up_to_s(controllers, task), self.unconfirmed(controllers, task)
         trips = [trip_s for trip_s in self.round_trips_s if safe_s is not None and trip_s <= safe_s]
         return max((trip_s for trip_s in trips if trip_s < min(unconfirmed, default=inf)), default=None)
 
     def safe_up_to_s(self, controllers: str, task: str | None = None) -> float | None:
-        """Largest round trip in s up to which each one that was tried is safe; none if already the least is not.
+        """Return the largest round trip in s up to which all are safe; None if the least is not.
 
         Raises:
-            ValueError: A set of controllers or a task that was not evaluated.
+            ValueError: The controller set or task was not evaluated.
         """
         return self._up_to_s(controllers, task, UNSAFE | INTERFERING)
 
     def unthrown_up_to_s(self, controllers: str, task: str | None = None) -> float | None:
-        """The same of what throws or diverges alone: a controller that trips falsely interferes, and is safe.
+        """Return the same for throws and divergence only; false trips interfere but are safe.
 
         Raises:
-            ValueError: A set of controllers or a task that was not evaluated.
+            ValueError: The controller set or task was not evaluated.
         """
         return self._up_to_s(controllers, task, UNSAFE)
 
@@ -310,15 +310,15 @@ class Evaluation(Struct, frozen=True, kw_only=True):
 
 
 def has_releases(cells: Iterable[EvaluationCell]) -> bool:
-    """Whether releases were measured in each cell in which there is something to be felt, and in one at least."""
+    """Return True if each cell with felt forces has releases, and at least one has."""
     cells = tuple(cells)
     return all(cell.releases > 0 or not cell.can_push for cell in cells) and any(cell.releases > 0 for cell in cells)
 
 
 def totals(cells: Sequence[EvaluationCell]) -> Totals:
-    """Counts of several cells at one round trip: of each task those of its worst network.
+    """Return counts of several cells at one round trip: of each task those of its worst network.
 
-    The same hands meet every network, so that counts over networks would say more than they know.
+    The same hands meet every network, so sums over networks would overstate the evidence.
     """
     tasks = {cell.task: [each for each in cells if each.task == cell.task] for cell in cells}
     tripping = [max(of, key=lambda cell: cell.false_trips_per_h or 0.0) for of in tasks.values()]

@@ -1,4 +1,4 @@
-"""The release that throws a device fastest: searched for, made simple, written as a scene."""
+"""Search for the release that throws a device fastest, simplified and written as a scene."""
 
 from haptether.studies.falsifier.release import Release, ReleaseBounds
 from haptether.studies.falsifier.search import Falsified, falsify

@@ -1,4 +1,4 @@
-"""A release as numbers within stated bounds, as a row of a sweep, and as a scene."""
+"""A release as bounded numbers, as a row of a sweep, and as a scene."""
 
 import itertools
 from collections.abc import Sequence
@@ -25,42 +25,42 @@ from haptether.netsim import LinkSettings
 Array = npt.NDArray[np.float64]
 
 HAND_RATE = 138.0
-"""In rad/s: how stiff the hand is, beside the device; it then rests within 0.1 s."""
+"""Natural frequency of hand and device in rad/s; the hand then rests within 0.1 s."""
 RESTS_AFTER_S = 0.15
 ENGAGED_AFTER_S = 0.6
-"""With an arm: from engagement until its force has come in and the hand rests."""
+"""Time from engagement, with an arm, until its force has risen and the hand rests."""
 AFTER_S = 0.1
-"""How long a run goes on after the last step of the push."""
+"""Time for which a run continues after the last step of the push."""
 TRAVEL_S = 0.5
-"""The same where nobody watches energy: a small push that is never seen works over the whole travel."""
+"""The same without an energy controller: a small push, never detected, acts over the whole travel."""
 FINENESS = 3
-"""Power of the numbers that times come from: most of their range is for short ones."""
+"""Power applied to numbers that give times, so that most of their range is short times."""
 JITTER_OF_DELAY = 0.3
 STRONGEST = 10.0
-"""Grip strength over the force that is held, where the hand lets go at once."""
+"""Largest grip strength over the held force."""
 
 
 class ReleaseBounds(Struct, frozen=True, kw_only=True):
-    """What a release may be."""
+    """Bounds of a release."""
 
     steps: int = 8
     """Steps of the push after the release."""
     shortest_s: float = 5e-4
     """Least time in s from one step to the next."""
     longest_s: float = 0.1
-    """Longest time in s from one step to the next, and to the first from when the hand has gone."""
+    """Longest time in s from one step to the next, and from the end of the grip to the first."""
     span_s: float = 0.24
-    """Longest time in s from when the hand has gone to the last step."""
+    """Longest time in s from the end of the grip to the last step."""
     decay_s: float = 0.05
-    """Longest time in s in which the grip gives way."""
+    """Longest time in s over which the grip gives way."""
     delay_s: float = 0.2
-    """Longest delay in s of a direction of the link, where the scene has one."""
+    """Longest delay in s of a link direction, if the scene has a link."""
     jitter_s: float = 0.01
     """Largest standard deviation of the delay in s."""
     loss: float = 0.05
-    """Largest share of packets that are lost."""
+    """Largest fraction of lost packets."""
     push: Literal["auto", "any", "steady"] = "auto"
-    """Any force up to the cap, or one that neither grows nor turns; "auto" is what the bound holds for."""
+    """"any" force up to the cap, or "steady": neither growing nor turning; "auto": the kind covered by the bound."""
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -80,36 +80,36 @@ class ReleaseBounds(Struct, frozen=True, kw_only=True):
 
 
 class Release(Struct, frozen=True, kw_only=True):
-    """A hand that holds a push lets go, and the push goes on in steps."""
+    """A hand holds a push and releases; the push continues in steps."""
 
     held_n: float
-    """What it holds, in N."""
+    """Held force in N."""
     decay_s: float
-    """Time in s in which its grip gives way."""
+    """Time in s over which the grip gives way."""
     margin: float
-    """Grip strength over what it holds."""
+    """Grip strength over the held force."""
     after_s: tuple[float, ...]
-    """When the push steps, in s after the release; not before the hand has gone."""
+    """Times of the steps in s after the release, not before the end of the grip."""
     level_n: tuple[float, ...]
-    """What it becomes, in N."""
+    """Push after each step in N."""
     direction: tuple[float, ...] = (1.0,)
-    """Of hold and push: a unit vector, one number an axis."""
+    """Direction of hold and push: a unit vector over the axes."""
     delay_s: tuple[float, float] = (0.0, 0.0)
-    """Delay in s of either direction of the link."""
+    """Delay in s of each direction of the link."""
     jitter_s: float = 0.0
-    """Its standard deviation."""
+    """Standard deviation of the delay in s."""
     loss: float = 0.0
-    """Share of packets that are lost."""
+    """Fraction of lost packets."""
 
 
 class Releases:
-    """All releases of a scene within bounds: its device, loop, link, arm and safety, another hand and push."""
+    """All releases of a scene within bounds: its device, loop, link, arm and safety, with another hand and push."""
 
     def __init__(self, scene: Scene, bounds: ReleaseBounds) -> None:
-        """Takes what is kept of the scene.
+        """Take the constant parts of the scene.
 
         Raises:
-            SceneError: A scene of kind "pose", or without a cap.
+            SceneError: The scene is of kind "pose", or has no cap.
         """
         self.bounds, self.scene = bounds, scene
         if scene.master.kind == "pose":
@@ -126,10 +126,10 @@ class Releases:
         self.lightest = int(np.argmin(settings.mass_kg))
         self.has_link = scene.slave is not None and scene.link is not None
         window_s = settings.window * settings.period_s if "wsc" in settings.controllers else 0.0
-        # An arm is engaged some time after the run has begun, and times count from then on.
+        # An arm engages some time after the start of the run; times count from engagement.
         self.engaged_s = 0.0 if scene.slave is None else ENGAGED_AFTER_S + 2.0 * bounds.delay_s * self.has_link
         settled_s = self.engaged_s or RESTS_AFTER_S
-        # What the window of WSC holds is then of a hand at rest.
+        # At the release, the window of WSC holds only a resting hand.
         self.at_s = round(settled_s + window_s, 3)
 
     @property
@@ -139,22 +139,22 @@ class Releases:
 
     @property
     def size(self) -> int:
-        """How many numbers describe a release."""
+        """Number of parameters of a release."""
         return 3 + 2 * self.bounds.steps + (self.axes - 1) + 4 * self.has_link
 
     def of(self, numbers: Sequence[float] | Array) -> Release:
-        """The release of numbers between 0 and 1."""
+        """Return the release of numbers between 0 and 1."""
         bounds = self.bounds
         x = np.clip(np.asarray(numbers, dtype=float), 0.0, 1.0)
         held, steps = self.cap_n * (0.05 + 0.95 * x[0]), bounds.steps
         gaps, levels = x[3 : 3 + steps], x[3 + steps : 3 + 2 * steps]
         decay_s = bounds.decay_s * float(x[1])
-        # While a hand is still there, a push that changes would have it move, and so put energy in.
+        # A changing push under a hand would move it, and the hand would put energy in.
         first = bounds.longest_s * gaps[0] ** FINENESS
         later = bounds.shortest_s + (bounds.longest_s - bounds.shortest_s) * gaps[1:] ** FINENESS
         gone = np.cumsum(np.concatenate(([first], later)))
         if gone[-1] > bounds.span_s:
-            # Each comes sooner by the same share, and none sooner than the shortest after the one before.
+            # Compress the times proportionally, but keep the shortest distance between steps.
             least = bounds.shortest_s * np.arange(steps)
             gone = least + (gone - least) * (bounds.span_s - least[-1]) / (gone[-1] - least[-1])
         after = decay_s + gone
@@ -163,7 +163,7 @@ class Releases:
         if self.has_link:
             forward, backward, jitter, lost = map(float, x[-4:])
             delay_s = (bounds.delay_s * forward, bounds.delay_s * backward)
-            # Of a normal delay that is never negative.
+            # Bound the jitter so that a normally distributed delay stays non-negative.
             jitter_s = min(bounds.jitter_s, JITTER_OF_DELAY * min(delay_s)) * jitter
             loss = bounds.loss * lost
         return Release(
@@ -179,9 +179,9 @@ class Releases:
         )
 
     def numbers(self, release: Release, *, fill: float = 0.5) -> Array:
-        """Those of a release with any number of steps, of which there may be too many.
+        """Return the numbers of a release with any number of steps; surplus steps are dropped.
 
-        `fill` stands where it says nothing of a step, and for direction and link.
+        `fill` is the value for missing steps, direction and link.
         """
         bounds, steps = self.bounds, self.bounds.steps
         x = np.full(self.size, fill)
@@ -205,7 +205,7 @@ class Releases:
         return clipped
 
     def _direction(self, numbers: Array) -> tuple[float, ...]:
-        """The unit vector of numbers between 0 and 1, at 0.5 each that of the lightest axis (slopes against it)."""
+        """Return the unit vector of numbers between 0 and 1: slopes against the lightest axis, which is at 0.5 each."""
         along = np.zeros(self.axes)
         others = [axis for axis in range(self.axes) if axis != self.lightest]
         along[self.lightest] = 1.0
@@ -214,7 +214,7 @@ class Releases:
         return tuple(map(float, along))
 
     def samples(self, releases: Sequence[Release]) -> dict[str, Array]:
-        """Releases as rows of a sweep of `scene_of` any of them with all steps."""
+        """Return releases as rows of a sweep of `scene_of` for any of them with all steps."""
         rows = [self._row(release) for release in releases]
         return {path: np.array([row[path] for row in rows]) for path in rows[0]}
 
@@ -240,14 +240,14 @@ class Releases:
         return row
 
     def _pushes(self, release: Release) -> list[tuple[float, float]]:
-        """When each step is sent, and by how much it steps: so that none arrives before the release."""
+        """Return sending time and size of each step, so that none arrives before the release."""
         early = release.delay_s[1] if self.has_link else 0.0
         steps = zip(release.after_s, itertools.pairwise((release.held_n, *release.level_n)), strict=True)
-        # In whole ns and nN: what is written is what was run.
+        # Round to ns and nN, so that the written scene equals the run.
         return [(round(self.at_s + after - early, 9), round(new - old, 9)) for after, (old, new) in steps]
 
     def scene_of(self, release: Release, title: str = "", *, whole: bool = False) -> Scene:
-        """The scene of a release; `whole` keeps steps that change nothing, for a sweep."""
+        """Return the scene of a release; `whole` keeps steps without a change, for a sweep."""
         base = self.scene
         stiffness = HAND_RATE**2 * self.mass_kg
         pushes = [(0.0, release.held_n)]
@@ -285,7 +285,7 @@ class Releases:
         )
 
     def _along(self, force_n: float, release: Release) -> "float | tuple[float, ...]":
-        """A force in the direction of a release."""
+        """Return a force in the direction of a release."""
         if self.axes == 1:
             return force_n
         return tuple(round(force_n * along, 9) for along in release.direction)

@@ -1,4 +1,4 @@
-"""The worst release that a search finds, and the simplest that is nearly as bad."""
+"""Search for the worst release, and for the simplest one that is nearly as bad."""
 
 import importlib
 import importlib.util
@@ -20,39 +20,39 @@ from haptether.studies.falsifier.release import STRONGEST, Release, ReleaseBound
 Array = npt.NDArray[np.float64]
 
 POPULATION = 48
-"""Releases of a generation: lanes of the batch engine are full."""
+"""Releases per generation; fills the lanes of the batch engine."""
 SPREAD = 0.3
-"""Of the first generation, of the range of each number."""
+"""Spread of the first generation, relative to the range of each number."""
 NEAR = 0.1
-"""The same where a search begins at a release that is known to be bad."""
+"""The same for a search that begins at a known bad release."""
 STALLED = 30
-"""Generations without a better release, after which the search starts anew elsewhere."""
+"""Generations without improvement after which the search restarts elsewhere."""
 KEPT = 0.98
-"""Share of the speed that a simpler release must keep."""
+"""Fraction of the speed that a simpler release must keep."""
 DIGITS = 3
 
 
 class Falsified(Struct, frozen=True, kw_only=True):
-    """The worst release that was found, and how near it came to the bound."""
+    """The worst release found, and its margin to the bound."""
 
     scene: Scene
-    """It as a scene, made simple."""
+    """Scene of the simplified release."""
     release: Release
-    """It in numbers."""
+    """Numbers of the simplified release."""
     speed: float
-    """Largest speed in m/s that `scene` reaches after the release."""
+    """Largest speed in m/s of `scene` after the release."""
     worst: float
-    """Largest speed in m/s of all releases that were tried."""
+    """Largest speed in m/s of all releases tried."""
     bound: EjectionBound
-    """What none may exceed."""
+    """Bound that no release may exceed."""
     margin: float | None
-    """The bound less `worst`, in m/s; below 0 it is exceeded. None without a bound."""
+    """Bound minus `worst` in m/s; negative if exceeded. None without a bound."""
     tried: int
-    """How many releases were tried."""
+    """Number of releases tried."""
     seed: int
-    """Of the search."""
+    """Seed of the search."""
     interrupted: bool
-    """Whether somebody ended it."""
+    """True if the user ended it."""
 
 
 def falsify(
@@ -66,24 +66,24 @@ def falsify(
     threads: int | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Falsified:
-    """Searches for the release after which a scene's device becomes fastest, by CMA-ES with restarts.
+    """Search for the release with the largest device speed, by CMA-ES with restarts.
 
-    Device, loop, link, arm and safety are the scene's; hand and push are searched for, within bounds.
+    Device, loop, link, arm and safety are the scene's; hand and push vary within bounds.
 
     Args:
-        scene: What is attacked.
-        controllers: Who watches; by default the scene's.
-        bounds: Of hand, push and link; by default `ReleaseBounds()`.
-        seconds: How long it searches, and for at most as long again makes simple what it found.
-        tries: Releases after which it ends, also before; then the same seed finds the same.
-        seed: Of the search, 1 or more.
-        threads: Of the runs; by default as many as there are processors.
-        progress: Called with how many were tried and the largest speed in m/s.
+        scene: Scene to attack.
+        controllers: Safety controllers; by default the scene's.
+        bounds: Bounds of hand, push and link; by default `ReleaseBounds()`.
+        seconds: Time of the search; simplification takes at most as long again.
+        tries: Releases after which the search ends early; equal seeds then give equal results.
+        seed: Seed of the search, 1 or more.
+        threads: Threads of the runs; by default one per processor.
+        progress: Called with the number tried and the largest speed in m/s.
 
     Raises:
-        SceneError: A scene that has no such releases, or cannot be built.
-        ValueError: A number out of its bounds.
-        ImportError: Without cma, of the extra `analysis`.
+        SceneError: The scene has no such releases, or cannot be built.
+        ValueError: A number is out of its bounds.
+        ImportError: cma is missing; it comes with the extra `analysis`.
 
     Source: Hansen and Ostermeier 2001 (CMA-ES); Zeller and Hildebrandt 2002 (shrinking by parts left out).
     """
@@ -136,7 +136,7 @@ def falsify(
 
 
 class _Search:
-    """The best release so far, and what it takes to find a better one."""
+    """Best release so far, and state of the search."""
 
     def __init__(self, releases: Releases, threads: int | None, progress: Callable[[int, float], None] | None) -> None:
         self.releases, self.threads, self.progress = releases, threads, progress
@@ -147,7 +147,7 @@ class _Search:
         self.rising = () if releases.bounds.push == "steady" else rising_push(releases.scene)
 
     def speeds(self, tried: list[Release]) -> Array:
-        """The speed that each leads to, in m/s; 0 where nothing was measured."""
+        """Return the speed after each release in m/s; 0 if not measured."""
         base = self.releases.scene_of(tried[0], whole=True)
         wanted = "max_ejection_velocity"
         seen = sweep(base, samples=self.releases.samples(tried), threads=self.threads, metrics=[wanted])[wanted]
@@ -161,7 +161,7 @@ class _Search:
         return found
 
     def run(self, seed: int, is_over: Callable[[], bool]) -> None:
-        """Starts again and again, each time elsewhere, until it is over."""
+        """Restart from different points until the end."""
         require("a search", "cma")
         cma: Any = importlib.import_module("cma")
         rng = np.random.default_rng(seed)
@@ -188,7 +188,7 @@ class _Search:
                 best = max(best, float(speeds.max()))
 
     def _start(self, rng: np.random.Generator) -> tuple[Array, float]:
-        """Where a search begins, and how far around: at random, to and fro, as the bound counts, or near the best."""
+        """Return start and spread of a search: random, alternating, as in the bound, or near the best."""
         kind = rng.integers(4)
         if kind == 0 and self.best is not None:
             return self._near_the_best(rng), NEAR
@@ -203,7 +203,7 @@ class _Search:
         return start, SPREAD
 
     def _near_the_best(self, rng: np.random.Generator) -> Array:
-        """The best release so far, with a step in between that may become one."""
+        """Return the best release so far with an inserted step."""
         assert self.best is not None
         release = self.best
         steps = self.releases.bounds.steps
@@ -218,18 +218,18 @@ class _Search:
         )
         numbers = self.releases.numbers(added)
         beyond = 3 + 2 * steps
-        # Direction and link as they were.
+        # Keep direction and link.
         numbers[beyond:] = self.numbers[beyond:]
         return numbers
 
     def _rising(self, rng: np.random.Generator) -> Array:
-        """A push that brings the device near its threshold, then the one after which V is farthest ahead of V^."""
+        """Return a push up to near the threshold, then the one after which V leads its estimate V^ most."""
         releases = self.releases
         cap_n, period_s = releases.cap_n, releases.scene.run.period_s
         slow_n, lasts_s = cap_n * rng.uniform(-0.1, 1.0) ** 3, rng.uniform(0.0, 0.1) ** 2 * 10.0
         times, levels = [0.0], [slow_n]
         for tick, (old, new) in enumerate(itertools.pairwise((0.0, *self.rising))):
-            # What still grows is asked for at once.
+            # A growing push is applied in full at once.
             if np.sign(new) != np.sign(old):
                 times.append(lasts_s + tick * period_s)
                 levels.append(cap_n * float(np.sign(new)))
@@ -245,11 +245,11 @@ class _Search:
         return releases.numbers(release)
 
     def simplified(self, speed: float, until_s: float) -> Release:
-        """The simplest release that keeps most of a speed: one part less, rounder numbers, as long as that goes.
+        """Return the simplest release that keeps most of a speed, by repeatedly removing a part or rounding.
 
         Args:
-            speed: In m/s.
-            until_s: When it ends with what it has, by `time.perf_counter`.
+            speed: Speed in m/s.
+            until_s: End time by `time.perf_counter`; returns the result so far.
         """
         assert self.best is not None
         release, least = self.best, KEPT * speed
@@ -268,14 +268,14 @@ class _Search:
 
 
 def _without_idle_steps(release: Release) -> Release:
-    """The same without steps that change nothing."""
+    """Return the release without steps that change nothing."""
     steps = zip(release.after_s, itertools.pairwise((release.held_n, *release.level_n)), strict=True)
     kept = [(after, new) for after, (old, new) in steps if new != old]
     return replace(release, after_s=tuple(after for after, _ in kept), level_n=tuple(new for _, new in kept))
 
 
 def _parts(release: Release) -> float:
-    """How much a release has to it: steps, then digits."""
+    """Return the complexity of a release: steps, then digits."""
     levels = (release.held_n, *release.level_n)
     steps = sum(new != old for old, new in itertools.pairwise(levels))
     numbers = (
@@ -291,11 +291,11 @@ def _parts(release: Release) -> float:
 
 
 def _simpler(release: Release, cap_n: float) -> Iterator[Release]:
-    """The releases that are one step simpler."""
+    """Yield releases that are one step simpler."""
     levels = (release.held_n, *release.level_n)
     for place in range(1, len(levels)):
         if levels[place] != levels[place - 1]:
-            # A step less: the level before lasts, and so on where the next ones were the same.
+            # Remove a step: the previous level continues, also through equal levels after it.
             changed = list(levels)
             old = changed[place]
             for later in range(place, len(levels)):
@@ -331,5 +331,5 @@ def _nearest(level: float, levels: tuple[float, ...]) -> float:
 
 
 def _rounded(value: float) -> float:
-    """To three digits."""
+    """Round to three digits."""
     return float(f"{value:.{DIGITS}g}")

@@ -1,1 +1,1 @@
-"""Mass, viscous and Coulomb friction of a haptic device, from motions that it makes itself."""
+"""Identification of a haptic device's mass, viscous and Coulomb friction from its own motions."""

@@ -1,8 +1,8 @@
-"""Small motions that a device makes itself, within bounds of force, speed and travel, to be identified by.
+"""Small motions of a device, within bounds of force, speed and travel, for identification.
 
-Along one axis after the other a sinusoidal force grows until a bound of travel or speed is near, at several
-frequencies; a weak spring and damper lead every axis back to where it began. Several frequencies tell mass, friction
-and delay apart: a delay t of the force looks like viscous friction `m w^2 t`, which grows with the frequency.
+A sinusoidal force acts along one axis after the other, at several frequencies; it grows until a bound of travel or
+speed is near. A weak spring and damper return every axis to its start. Several frequencies separate mass, friction and
+delay: a delay t of the force acts like viscous friction `m w^2 t`, which grows with the frequency.
 """
 
 import math
@@ -15,53 +15,53 @@ from haptether.bridge.devices.check.form import Kind, Reading, SampleForm
 from haptether.bridge.devices.standalone import EndOfRunError, Written
 
 ASKED_S = 2.0
-"""A person's word counts for so long."""
+"""Validity of the user's consent."""
 GAP_S = 0.02
-"""A tick that comes later ends the motion."""
+"""A gap between ticks longer than this ends the motion."""
 SPEED_OVER_S = 0.01
-"""Time over which speed is taken from positions."""
+"""Time over which speed is computed from positions."""
 NEAR = 0.6
-"""Share of a bound of travel or speed at which the force no longer grows, and at which it is taken back."""
+"""Fraction of a bound of travel or speed at which the force stops growing and is reduced."""
 GROWS_S = 3.0
-"""In which the force of a frequency grows to its bound."""
+"""Time for the force of a frequency to grow to its bound."""
 HOLD_S, PERIODS = 2.0, 4.0
-"""How long a frequency lasts then: in s, and in periods, whichever is longer."""
+"""Duration of a frequency after that: in s and in periods, the longer of the two."""
 FADE_S = 0.4
-"""In which the force of a frequency fades out."""
+"""Time for the force of a frequency to fade out."""
 SETTLE_S = 0.3
-"""Between two frequencies."""
+"""Pause between two frequencies."""
 SPRING = 0.2
-"""Share of the largest force that the spring exerts at the bound of travel."""
+"""Fraction of the largest force that the spring exerts at the bound of travel."""
 FIRST_S, WEIGHT_S = 2.5, 0.5
-"""For so long it first takes over a weight that nothing compensates, at this time constant."""
+"""Initial phase that balances an uncompensated weight, and its time constant."""
 LATER_S = 3.0
-"""The time constant after that: what friction has hidden shows while it moves."""
+"""Time constant afterwards; motion reveals the part of the weight that friction has hidden."""
 FIRST_SPRING = 0.6
-"""As `SPRING`, meanwhile."""
+"""`SPRING` during that phase."""
 WEIGHT = 0.6
-"""Share of the largest force that it takes over at most."""
+"""Largest fraction of the force bound used for the weight."""
 DAMPING_S = 0.03
-"""Damping over stiffness of the spring: more than any delay of a loop that is usable."""
+"""Damping over stiffness of the spring; longer than any delay of a usable loop."""
 FREQUENCIES_HZ = (1.3, 2.3, 4.1, 7.3, 11.9)
-"""No multiple of another."""
+"""Excited frequencies; none is a multiple of another."""
 SAMPLES_A_PERIOD = 40.0
-"""A frequency with fewer is left out."""
+"""Frequencies with fewer samples per period are skipped."""
 
 
 REMEDY = "allow less force, or more travel and speed"
-"""Where it has gone beyond a bound."""
+"""Remedy once a bound has been exceeded."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """What the motions stay within, for each axis."""
+    """Bounds of the motions on each axis."""
 
     force: float
-    """N (N m)."""
+    """Force in N (N m)."""
     travel: float
-    """m (rad) from where it was at the begin; beyond it the motion ends."""
+    """Travel in m (rad) from the start; the motion ends beyond it."""
     speed: float
-    """m/s (rad/s); beyond it the motion ends."""
+    """Speed in m/s (rad/s); the motion ends beyond it."""
 
 
 DEFAULT_BOUNDS = {"linear": Bounds(1.0, 0.02, 0.3), "joints": Bounds(0.1, 0.3, 3.0)}
@@ -70,25 +70,25 @@ LARGEST_BOUNDS = {"linear": Bounds(5.0, 0.1, 1.0), "joints": Bounds(2.0, 1.0, 10
 
 @dataclass
 class Segment:
-    """A frequency along an axis: its force grows, holds, and fades."""
+    """A frequency on an axis: its force grows, holds, and fades."""
 
     axis: int
     frequency_hz: float
     amplitude: float = 0.0
     begun_s: float | None = None
     held_s: float | None = None
-    """When it began to hold."""
+    """Start of the hold."""
     fading_s: float | None = None
     is_over: bool = False
     _recent: deque[tuple[float, float]] = field(default_factory=deque)
 
     def force(self, at_s: float, x: float, v: float, bounds: Bounds) -> float:
-        """At a time, where the axis is so far from its begin and so fast."""
+        """Return the force at a time, for displacement and speed of the axis."""
         if self.begun_s is None:
             self.begun_s = at_s + SETTLE_S
         if at_s < self.begun_s:
             return 0.0
-        # The amplitude that a swing at this place and speed has, before it is there.
+        # Amplitude of the swing through this position and speed.
         swing = math.hypot(x, v / (2.0 * math.pi * self.frequency_hz))
         near = max(swing / bounds.travel, abs(v) / bounds.speed)
         self._recent.append((at_s, near))
@@ -110,13 +110,13 @@ class Segment:
 
 
 class Excitation:
-    """A lead that writes zero until a person's word, then the motions, and ends.
+    """A lead that writes zero until the user consents, then makes the motions, and ends.
 
     Args:
         kind: "linear" or "joints".
-        bounds: Of the motions.
-        period_s: Of the loop in s: it bounds the frequencies.
-        axes: Which of them are moved; by default all.
+        bounds: Bounds of the motions.
+        period_s: Period of the loop in s; it limits the frequencies.
+        axes: Axes to move; by default all.
     """
 
     def __init__(
@@ -125,11 +125,11 @@ class Excitation:
         self.form = SampleForm("master", kind)
         self.bounds = bounds
         self.ended: str | None = None
-        """Why it is over, where it did not come to its end."""
+        """Reason of an early end; None otherwise."""
         self.is_complete = False
         self.readings: list[Reading | None] = []
         self.spans: dict[int, tuple[float, float]] = {}
-        """From when to when each axis was moved."""
+        """Start and end of the motion of each axis."""
         self._axes = axes
         self._segments: deque[Segment] = deque()
         self._frequencies = [of for of in FREQUENCIES_HZ if of * period_s * SAMPLES_A_PERIOD <= 1.0]
@@ -143,29 +143,29 @@ class Excitation:
 
     @property
     def axis(self) -> int | None:
-        """The axis that moves."""
+        """The moving axis."""
         return self._segments[0].axis if self._segments else None
 
     @property
     def begun_s(self) -> float | None:
-        """When the motions began."""
+        """Start of the motions."""
         return self._begun_s
 
     def duration_s(self, axes: int) -> float:
-        """How long the motions take at most, in s."""
+        """Return the longest duration of the motions in s."""
         count = axes if self._axes is None else len(self._axes)
         each = sum(SETTLE_S + GROWS_S + max(HOLD_S, PERIODS / of) + FADE_S for of in self._frequencies)
         return FIRST_S + count * each
 
     def request(self, at_s: float | None = None) -> None:
-        """A person's word to begin, void after 2 s."""
+        """Take the user's consent to begin, valid for 2 s."""
         self._begin_asked_s = time.monotonic() if at_s is None else at_s
 
     def step(self, sample: object, at_s: float) -> Written | None:
-        """The force after a sample.
+        """Return the force after a sample.
 
         Raises:
-            EndOfRunError: All motions were made, or something is wrong: zero is written.
+            EndOfRunError: All motions are done, or a check failed: zero is written.
         """
         reading = self.form.take(sample)
         self.readings.append(reading)
@@ -237,7 +237,7 @@ class Excitation:
             if axis == segment.axis and since_s >= FIRST_S:
                 f += segment.force(at_s, x - begin, v, bounds)
             force.append(max(-bounds.force, min(bounds.force, f)))
-        # What begins, begins from zero.
+        # Each motion starts from zero force.
         ramp = min(1.0, since_s / SETTLE_S)
         if since_s >= FIRST_S:
             self.spans[segment.axis] = (self.spans.get(segment.axis, (at_s, at_s))[0], at_s)

@@ -1,7 +1,8 @@
-"""`m A + b V + c sign(V) = F(t - delay) + F_0` along one axis, fitted in its weak form by least squares.
+"""Weak-form least-squares fit of `m A + b V + c sign(V) = F(t - delay) + F_0` along one axis.
 
-Multiplied by a smooth function phi that is zero outside a window, and integrated by parts, no derivative of the
-measured position is left: `m int x phi'' - b int x phi' + c int sign(V) phi - F_0 int phi = int F(t - delay) phi`.
+The equation is multiplied by a smooth function phi that is zero outside a window, and integrated by parts. No
+derivative of the measured position remains:
+`m int x phi'' - b int x phi' + c int sign(V) phi - F_0 int phi = int F(t - delay) phi`.
 Noise and quantisation of the position then average out instead of being amplified.
 
 Source: Shinbrot 1957 (method of moment functionals); Preisig and Rippin 1993 (modulating functions); intervals: the
@@ -17,29 +18,29 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 WINDOW_S = 0.12
-"""Length of phi: its spectrum reaches beyond the highest frequency of the motions."""
+"""Length of phi; its spectrum covers the highest frequency of the motions."""
 WINDOWS = 8
-"""So many begin within the length of one."""
+"""Windows that begin within the length of one."""
 DELAYS_S = np.arange(-0.004, 0.0301, 0.0005)
-"""Of force to position, among which the best is looked for."""
+"""Candidate delays from force to position."""
 BLOCKS = 12
-"""Of the jackknife."""
+"""Blocks of the jackknife."""
 STUDENT_95 = 2.201
 """97.5 % quantile of Student's t with 11 degrees of freedom."""
 SMOOTH_S = 0.016
-"""Length over which the velocity is taken, of which only the sign is used."""
+"""Length over which the velocity is computed; only its sign is used."""
 STUCK_S = 0.025
-"""A device that is slower than `slow` for longer may stick: friction is then anything up to c, not c sign(V)."""
+"""A device slower than `slow` for longer than this may stick; friction is then anything up to c, not c sign(V)."""
 TURN_S, MARGIN = 0.01, 1.2
-"""Within this time of a turn the force must be so much above c, or it rests there."""
+"""Within this time of a turn, the force must exceed c by this factor; otherwise the device rests there."""
 FEWEST = 100
-"""Windows, of which fewer determine nothing."""
+"""Smallest number of usable windows."""
 DETERMINED = 0.1
-"""Half an interval over its value, above which a number is said not to be determined."""
+"""Ratio of half interval to value above which a number is not determined."""
 MEANS_NOTHING = 0.3
-"""The share from which on its numbers are none."""
+"""Unexplained fraction of the squared force above which the fit is rejected."""
 EXPLAINED = 0.02
-"""Share of the squared force that the model may leave unexplained."""
+"""Unexplained fraction of the squared force above which a warning is given."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +52,13 @@ class Estimate:
 
     @property
     def is_determined(self) -> bool:
-        """Whether the data say what it is, within a tenth."""
+        """True if the half interval is within a tenth of the value."""
         return self.half <= DETERMINED * abs(self.value)
 
 
 @dataclass(frozen=True)
 class IdentifiedAxis:
-    """What one axis is."""
+    """Identified model of one axis."""
 
     mass_kg: Estimate
     """m in kg (kg m²)."""
@@ -66,30 +67,30 @@ class IdentifiedAxis:
     coulomb: Estimate
     """c in N (N m)."""
     offset_n: Estimate
-    """F_0 in N (N m): a weight, or a motor that is off zero."""
+    """F_0 in N (N m): a weight, or an offset of the motor."""
     delay_s: Estimate
-    """Of the force until it shows in the position, in s."""
+    """Delay from force to position in s."""
     unexplained: float
-    """Share of the squared force that is left over."""
+    """Unexplained fraction of the squared force."""
     peak_speed: float
-    """In m/s (rad/s)."""
+    """Largest speed in m/s (rad/s)."""
 
 
 class NotDeterminedError(RuntimeError):
-    """The data do not determine the model of an axis: why, and what to do."""
+    """The data do not determine the model of an axis; the text says why and what to do."""
 
 
 def fit_axis(time_s: Array, position: Array, written_s: Array, force: Array) -> IdentifiedAxis:
-    """The model of one axis from a recorded motion.
+    """Fit the model of one axis to a recorded motion.
 
     Args:
-        time_s: Of the samples, increasing, shape `(n,)`.
+        time_s: Times of the samples, increasing, shape `(n,)`.
         position: x in m (rad), shape `(n,)`.
-        written_s: When each force was written, shape `(k,)`; it lasts until the next.
+        written_s: Times of the writes, shape `(k,)`; a force lasts until the next.
         force: F_device in N (N m), shape `(k,)`.
 
     Raises:
-        NotDeterminedError: Too short, at rest, or no mass that can be.
+        NotDeterminedError: The motion is too short or absent, or no valid mass fits.
     """
     period_s = float(np.median(np.diff(time_s))) if len(time_s) > 2 else math.nan
     if not (len(time_s) > 2 and time_s[-1] - time_s[0] > 10.0 * WINDOW_S):
@@ -102,7 +103,7 @@ def fit_axis(time_s: Array, position: Array, written_s: Array, force: Array) -> 
     turns, is_stuck, speed = _turns(grid, x)
     rows, targets, is_used = _moving(_weak(grid, x, turns.signs(grid), is_stuck, held), speed)
     first, _ = _solved(rows[is_used], targets[is_used])
-    # Once more, with what its friction does to its turns.
+    # Repeat with turns corrected for the friction found.
     turns, is_weak = turns.refined(grid, held, first)
     rows, targets, is_used = _moving(_weak(grid, x, turns.signs(grid), is_stuck | is_weak, held), speed)
     rows, targets = rows[is_used], targets[is_used]
@@ -128,16 +129,16 @@ def fit_axis(time_s: Array, position: Array, written_s: Array, force: Array) -> 
 
 @dataclass(frozen=True)
 class _Turns:
-    """When the velocity changes its sign."""
+    """Times at which the velocity changes its sign."""
 
     time_s: Array
     before: float
-    """Its sign before the first."""
+    """Sign before the first turn."""
     half_s: float
-    """Half the length that the velocity was taken over."""
+    """Half the length over which the velocity was computed."""
 
     def signs(self, grid: Array) -> Array:
-        """Of the velocity, the mean over each step of a grid."""
+        """Return the mean sign of the velocity over each step of a grid."""
         step_s = float(grid[1] - grid[0])
         knots = np.concatenate([[grid[0] - step_s], self.time_s, [grid[-1] + step_s]])
         slopes = self.before * (-1.0) ** np.arange(len(knots) - 1)
@@ -146,11 +147,11 @@ class _Turns:
         return np.asarray((after - before) / step_s)
 
     def refined(self, grid: Array, held: "_Held", values: Array) -> "tuple[_Turns, NDArray[np.bool_]]":
-        """The same, earlier by what friction has done to the velocity; and where it rests, be it for a millisecond.
+        """Return the turns corrected for friction, and a mask of grid points at rest, even for a millisecond.
 
-        At a turn friction changes its side, and with it the acceleration, from `(F + c) / m` to `(F - c) / m`. The
-        slope of the line through x over 2 h is then zero later than V, by s with `s - 3 r s^2 / (4 h) = 3 r h / 8`,
-        `r = c / |F|`, to second order in s / h. Where |F| is not well above c, it rests.
+        At a turn friction changes its sign, and the acceleration changes from `(F + c) / m` to `(F - c) / m`. The slope
+        of the line through x over 2 h is then zero later than V. The delay is s with `s - 3 r s^2 / (4 h) = 3 r h / 8`,
+        `r = c / |F|`, to second order in s / h. If |F| is not well above c, the device rests.
         """
         _, _, coulomb, offset, delay_s = values
         pushes = np.abs(held.at(self.time_s[:, None] - delay_s + np.linspace(-TURN_S, TURN_S, 9)) + offset)
@@ -163,7 +164,7 @@ class _Turns:
 
 
 def _turns(grid: Array, x: Array) -> tuple[_Turns, NDArray[np.bool_], float]:
-    """When it turns, where it may stick, and the largest speed."""
+    """Return the turns, a mask of possible sticking, and the largest speed."""
     period_s = float(grid[1] - grid[0])
     half = max(2, round(0.5 * SMOOTH_S / period_s))
     at = np.arange(-half, half + 1)
@@ -192,30 +193,30 @@ def _turns(grid: Array, x: Array) -> tuple[_Turns, NDArray[np.bool_], float]:
 
 
 class _Held:
-    """A force that is held from one write to the next."""
+    """A force held from one write to the next."""
 
     def __init__(self, written_s: Array, force: Array) -> None:
         self.written_s, self.force = written_s, force
         self._impulse = np.concatenate([[0.0], np.cumsum(force[:-1] * np.diff(written_s))])
 
     def at(self, time_s: Array) -> Array:
-        """In N."""
+        """Return the force in N."""
         return np.asarray(self.force[np.clip(np.searchsorted(self.written_s, time_s, "right") - 1, 0, None)])
 
     def impulse(self, time_s: Array) -> Array:
-        """Its integral, which is a line between two writes, in N s."""
+        """Return the integral of the force in N s, piecewise linear between writes."""
         return np.asarray(np.interp(time_s, self.written_s, self._impulse))
 
 
 _Windows = tuple[Array, Array, NDArray[np.bool_]]
-"""Rows of m, b, c and F_0, the right side for each delay, and which windows may be used."""
+"""Rows of m, b, c and F_0, right side per delay, and mask of usable windows."""
 
 
 def _moving(windows: _Windows, speed: float) -> _Windows:
-    """The same, of a device that moved.
+    """Check that the device moved; return the windows.
 
     Raises:
-        NotDeterminedError: It hardly did.
+        NotDeterminedError: It hardly moved.
     """
     count = int(windows[2].sum())
     if count < FEWEST:
@@ -228,7 +229,7 @@ def _moving(windows: _Windows, speed: float) -> _Windows:
 
 
 def _weak(grid: Array, x: Array, sign: Array, is_stuck: NDArray[np.bool_], held: _Held) -> _Windows:
-    """The weak form of each window."""
+    """Return the weak form of each window."""
     period_s = float(grid[1] - grid[0])
     count = max(16, round(WINDOW_S / period_s))
     length_s = count * period_s
@@ -241,7 +242,7 @@ def _weak(grid: Array, x: Array, sign: Array, is_stuck: NDArray[np.bool_], held:
     stride = max(1, count // WINDOWS)
 
     def integral(signal: Array, kernel: Array) -> Array:
-        # phi and its derivatives vanish at both ends but for phi'', which does so, too: the trapezoid rule is this sum.
+        # phi and its derivatives up to phi'' vanish at both ends, so this sum is the trapezoid rule.
         return np.asarray(period_s * np.correlate(signal, kernel, mode="valid")[::stride])
 
     rows = np.stack(
@@ -257,18 +258,18 @@ def _weak(grid: Array, x: Array, sign: Array, is_stuck: NDArray[np.bool_], held:
 
 
 def _solved(rows: Array, targets: Array) -> tuple[Array, float]:
-    """m, b, c, F_0 and the delay of least squares; and the share of the squared force that is left."""
+    """Return m, b, c, F_0 and the delay by least squares, and the unexplained fraction of the squared force."""
     solutions = np.linalg.lstsq(rows, targets, rcond=None)[0]
     left = ((targets - rows @ solutions) ** 2).sum(axis=0) / np.maximum((targets**2).sum(axis=0), 1e-300)
     best = int(np.argmin(left))
     if 0 < best < len(DELAYS_S) - 1:
-        # The minimum of the parabola through three.
+        # Minimum of the parabola through three points.
         low, mid, high = left[best - 1 : best + 2]
         share = 0.5 * (low - high) / max(low - 2.0 * mid + high, 1e-300)
     else:
         share = 0.0
     share = float(np.clip(share, -0.5, 0.5))
-    # The right side is smooth in the delay: quadratic between three of them.
+    # The solution is smooth in the delay: interpolate quadratically between three.
     middle = min(max(best, 1), len(DELAYS_S) - 2)
     u = best + share - middle
     weights = np.array([0.5 * u * (u - 1.0), 1.0 - u * u, 0.5 * u * (u + 1.0)])

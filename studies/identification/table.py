@@ -1,4 +1,4 @@
-"""The `[master]` table of a device that was identified, and what its data do not say."""
+"""The `[master]` table of an identified device, and warnings about its data."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ from haptether.studies.identification.fit import EXPLAINED, Estimate, Identified
 
 
 def encoder_quantum(position: NDArray[np.float64]) -> float | None:
-    """The resolution of positions of shape `(n,)`, where all steps are whole multiples of one; else none."""
+    """Return the resolution of positions of shape `(n,)` if all steps are multiples of it; else None."""
     steps = np.abs(np.diff(position))
     steps = steps[steps > 1e-12]
     if len(steps) < 20:
@@ -29,7 +29,7 @@ def master_table(
     axes: Sequence[IdentifiedAxis],
     quantum: float | None,
 ) -> str:
-    """The table in TOML. A number that may as well be 0 is 0 there."""
+    """Return the table in TOML. A number indistinguishable from 0 is written as 0."""
 
     def per_axis(name: str, floor: float | None = None) -> str:
         numbers = []
@@ -58,7 +58,7 @@ def master_table(
 
 
 def warnings(axes: Mapping[int, IdentifiedAxis], kind: str) -> list[str]:
-    """What the data of each axis, by its number, do not determine, and where the model does not hold."""
+    """Return undetermined numbers and model deviations of each axis, keyed by its number."""
     force = "N m" if kind == "joints" else "N"
     per_speed = "N m s/rad" if kind == "joints" else "N s/m"
     said = []
@@ -97,7 +97,7 @@ def warnings(axes: Mapping[int, IdentifiedAxis], kind: str) -> list[str]:
 
 
 def _toml(value: object) -> str:
-    """A value of an option, as TOML writes it."""
+    """Format an option's value in TOML."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

@@ -1,4 +1,4 @@
-"""The paper's claims beside ours, and what moves ours over what the paper does not tell."""
+"""The paper's claims beside ours, and the effect of conditions that the paper leaves open."""
 
 from haptether.studies.paper.claims import reproduce_paper
 from haptether.studies.paper.report import Explanation, JointFit, PaperReport, PaperRow, Sensitivity

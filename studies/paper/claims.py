@@ -1,4 +1,4 @@
-"""Every quantitative claim of the paper's section 4 beside what this project computes.
+"""Quantitative claims of the paper's section 4, each beside this project's result.
 
 Source: "Safety Control for Impedance Haptic Interfaces", sections 4.1 to 4.5.
 """
@@ -26,7 +26,7 @@ STIFFNESS = 200.0
 DEPTH = 0.039
 """D in m of most experiments."""
 MAX_FORCE_N = 7.8
-"""Force in N that Fig. 5a presses with."""
+"""Pressing force in N of Fig. 5a."""
 WINDOWS = (50, 100, 200, 500, 1000, 2000, 4000, 5000, 6000, 10000)
 TABLE_1 = (0.438, 0.357, 0.348, 0.35, 0.52, 0.549, 0.739, 0.823, 1.096, 1.094)
 ACTIVE_RATE = 5.0
@@ -34,22 +34,22 @@ ACTIVE_RATE = 5.0
 ACTIVE_RELEASE_S = 1.35
 ACTIVE_THRESHOLD_J = -0.005
 RAISED_FORCE_THRESHOLD_N = 0.3
-"""F_t of HSC in N at which a grip has taken the active force up before it counts, see `GRIP_YIELDS`."""
+"""F_t of HSC in N above the active force that the grip absorbs before it counts; see `GRIP_YIELDS`."""
 AFTER_S = 0.5
-"""How long a run goes on after the release, in s."""
+"""Time for which a run continues after the release."""
 AMPLITUDES_N = (1.0, 2.0, 3.0, 4.0, 5.0)
 GRIP_YIELDS = (
     "the grip takes a force up as the stylus yields to it: while sin(5 t) grows, S_h is above zeta up to 0.27 N, and "
     "F_t is 0.1 N; once tripped, nothing loads the hand, and it stays tripped"
 )
 HELD_S = 0.1
-"""A trip in so many s before the release is still on at it, or was about it: 100 ticks, as WSO's window."""
+"""A trip within this time in s before the release is still active at it, or nearly so: 100 ticks, the window of WSO."""
 MOVES = 1e-3
-"""Speed in m/s above which the stylus moves: until then friction and hand hold it still."""
+"""Speed in m/s above which the stylus moves; below it friction and hand hold it."""
 
 
 def as_printed(*controllers: ControllerName, **thresholds: Any) -> SafetySettings:  # noqa: ANN401
-    """The paper's law: what trips cancels the force, and the force is back as soon as nothing trips."""
+    """Return the paper's law: a trip cancels the force, which returns as soon as nothing trips."""
     law = {"hold_off_s": 0.0, "release_ramp_s": 0.0, "probe_force_n": 0.0, "release_tries": 0}
     gates = {"hsc_velocity_threshold": 0.0, "wsc_force_threshold_n": 0.0}
     return SafetySettings(controllers, **{**law, **gates, **thresholds})
@@ -58,11 +58,11 @@ def as_printed(*controllers: ControllerName, **thresholds: Any) -> SafetySetting
 WATCHED = as_printed(
     "hsc", "wsc", "pc", grasp_threshold=1e6, energy_threshold_j=-1e6, pc_max_damping=0.0
 )  # fmt: skip
-"""HGO, WSO and SO watch, and nobody intervenes: thresholds that nothing reaches, a damper of nothing."""
+"""HGO, WSO and SO observe without interventions: unreachable thresholds and no damping."""
 
 
 class Bench:
-    """The device of the paper, its operator, and the runs that the rows read; a run is made once."""
+    """Device and operator of the paper, with cached runs for the rows."""
 
     def __init__(self, conditions: Conditions | None = None) -> None:
         self.conditions = of = conditions or Conditions()
@@ -75,12 +75,12 @@ class Bench:
         self._traces: dict[tuple[object, ...], LocalTrace] = {}
 
     def law(self, *controllers: ControllerName, **thresholds: Any) -> SafetySettings:  # noqa: ANN401
-        """As printed, but for what the conditions have of it."""
+        """Return the printed law with the F_t of the conditions."""
         declared = {"hsc_force_threshold_n": self.conditions.hsc_force_threshold_n}
         return as_printed(*controllers, **declared | thresholds)
 
     def read_as(self, reading: Change) -> "Bench":
-        """The same runs, with other values of the factors `READINGS`, which change no run."""
+        """Return the same runs with other values of the factors `READINGS`, which change no run."""
         other = Bench(changed(self.conditions, reading))
         other._traces = self._traces
         return other
@@ -98,7 +98,7 @@ class Bench:
         stiffness: float = STIFFNESS,
         depth: float = DEPTH,
     ) -> LocalTrace:
-        """Press, hold, let go."""
+        """Run a press, a hold and a release."""
         key = ("press", stiffness, depth, repr(settings))
         if key not in self._traces:
             hand, wall = self.operator.pressing(stiffness, depth), Wall(stiffness=stiffness)
@@ -107,7 +107,7 @@ class Bench:
         return self._traces[key]
 
     def active(self, amplitude_n: float, settings: SafetySettings | None, release_at_s: float | None) -> LocalTrace:
-        """Grip against the active force, let go or not."""
+        """Run a grip against the active force, with or without a release."""
         key = ("active", amplitude_n, release_at_s, repr(settings))
         if key not in self._traces:
             hand = self.operator.gripping(amplitude_n, release_at_s)
@@ -116,20 +116,20 @@ class Bench:
         return self._traces[key]
 
     def free(self) -> LocalTrace:
-        """The active force, and nobody holds."""
+        """Run the active force without a hand."""
         return self._run(Hand.absent(), Sinusoid(amplitude_n=1.0, rate=ACTIVE_RATE), 400, None)
 
     @property
     def release_tick(self) -> int:
-        """The tick of a press on which the hand begins to let go."""
+        """Tick of a press at which the release begins."""
         return round(self.operator.release_at_s / PERIOD_S)
 
     def after_release(self, signal: npt.NDArray[np.generic]) -> Array:
-        """What a signal of `press` is from the release on."""
+        """Return a signal of `press` from the release on."""
         return np.asarray(signal[self.release_tick :], dtype=np.float64)
 
     def since_release(self, condition: npt.NDArray[np.bool_]) -> float | None:
-        """Time in s from the release, by the clock of the conditions, to the first tick on which a condition holds."""
+        """Return the time in s from the release, by the conditions' clock, until a condition first holds."""
         time = first_time(self.after_release(condition) > 0.0)
         if time is None:
             return None
@@ -140,23 +140,23 @@ class Bench:
         return time
 
     def ejection(self, trace: LocalTrace) -> float:
-        """MEV in m/s: the largest speed away from the wall after the release, as long as the conditions look for it."""
+        """Return MEV in m/s: the largest speed away from the wall within the conditions' time after the release."""
         return float(self.after_release(trace.velocity)[: round(self.conditions.mev_within_s / PERIOD_S)].max())
 
 
 def first_time(condition: npt.NDArray[np.bool_]) -> float | None:
-    """Time in s of the first tick on which the condition holds."""
+    """Return the time in s of the first tick that satisfies the condition."""
     ticks = np.flatnonzero(condition)
     return float(ticks[0]) * PERIOD_S if ticks.size else None
 
 
 def met_by(experiment: str) -> str:
-    """What `MET_BY` says of an experiment, in words."""
+    """Return the change `MET_BY` of an experiment, in words."""
     return f"met by: {change_text(MET_BY[experiment])}"
 
 
 def held_trip(trace: LocalTrace, release_tick: int) -> str:
-    """Why a run says nothing of what follows the release, if a controller tripped while the hand still held."""
+    """Return the reason why a run is void, if a controller tripped while the hand still held."""
     held = trace.tripped[max(0, release_tick - round(HELD_S / PERIOD_S)) : release_tick]
     return "tripped before the release" if (held > 0).any() else ""
 
@@ -167,16 +167,16 @@ def reproduce_paper(
     encoder_quantum: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> PaperReport:
-    """Runs every experiment.
+    """Run every experiment.
 
     Args:
-        operator: Who presses and lets go; the declared one by default.
-        encoder_quantum: Resolution of the device in m; 0 measures position and velocity exactly, else the estimator is
-            the Kalman filter of `ESTIMATORS`.
-        progress: Called after each experiment with how many are done, and of how many.
+        operator: Operator who presses and releases; by default the declared one.
+        encoder_quantum: Resolution of the device in m. 0 measures position and velocity exactly; otherwise the
+            estimator is the Kalman filter of `ESTIMATORS`.
+        progress: Called after each experiment with the number done and the total.
 
     Raises:
-        ValueError: A parameter that no operator or device has, with its bound.
+        ValueError: A parameter is out of the bounds of operators or devices; the text has the bound.
     """
     conditions = Conditions(operator=operator or Operator(), encoder_quantum=encoder_quantum)
     device = Bench(conditions).device
@@ -198,13 +198,13 @@ def reproduce_paper(
 
 
 def claims(bench: Bench) -> Iterator[PaperRow]:
-    """All rows, in the same order under all conditions."""
+    """Yield all rows, in the same order under all conditions."""
     for experiment in EXPERIMENTS:
         yield from experiment(bench)
 
 
 def ejection_rows(bench: Bench) -> Iterator[PaperRow]:
-    """Sections 4.1 and 4.2, Fig. 4 and 5: nobody intervenes."""
+    """Yield rows of sections 4.1 and 4.2, Fig. 4 and 5, without interventions."""
     trace = bench.press()
     velocity = bench.after_release(trace.velocity)
     low, high = first_time(velocity >= 0.2), first_time(velocity >= 1.2)
@@ -245,7 +245,7 @@ def ejection_rows(bench: Bench) -> Iterator[PaperRow]:
 
 
 def released_at_rest(stiffness: float, depth: float, settings: SafetySettings | None = None) -> LocalTrace:
-    """Frictionless device at rest at `depth`, that nobody holds from the start."""
+    """Run a frictionless device that starts at rest at `depth`, without a hand."""
     device = HapticDevice(mass_kg=HapticDevice.phantom_desktop().mass_kg)
     return run_local(
         device,
@@ -258,7 +258,7 @@ def released_at_rest(stiffness: float, depth: float, settings: SafetySettings | 
 
 
 def closed_form_rows(operator: Operator) -> Iterator[PaperRow]:
-    """Closed forms: no friction, instantaneous release; "paper" is the value of the equation."""
+    """Yield rows of closed forms, without friction and with instantaneous release; "paper" is the equation's value."""
     mass = HapticDevice.phantom_desktop().mass_kg
     for stiffness, depth in ((200.0, 0.01), (200.0, 0.039), (500.0, 0.0156), (1000.0, 0.0078)):
         trace = released_at_rest(stiffness, depth)
@@ -278,7 +278,7 @@ def closed_form_rows(operator: Operator) -> Iterator[PaperRow]:
         note="no friction, instant release from rest: sqrt(2 eta |delta| / m); first tick beyond it",
     )  # fmt: skip
 
-    # The same with the whole press inside the window.
+    # The same, with the whole press inside the window.
     operator = msgspec.structs.replace(operator, release_s=0.0)
     trace = run_local(
         HapticDevice(mass_kg=mass),
@@ -297,7 +297,7 @@ def closed_form_rows(operator: Operator) -> Iterator[PaperRow]:
 
 
 def observer_rows(bench: Bench) -> Iterator[PaperRow]:
-    """Section 4.3, Fig. 6: observers watch, nobody intervenes."""
+    """Yield rows of section 4.3, Fig. 6: observers without interventions."""
     trace = bench.press(WATCHED)
     yield PaperRow(
         source="Fig. 6a", quantity="time_to_see_release", controller="so", stiffness=STIFFNESS, depth=DEPTH, paper=0.06,
@@ -317,7 +317,7 @@ def observer_rows(bench: Bench) -> Iterator[PaperRow]:
 
 
 def controller_rows(bench: Bench) -> Iterator[PaperRow]:
-    """Section 4.4, Fig. 7 to 11: VFC, HSC, WSC."""
+    """Yield rows of section 4.4, Fig. 7 to 11: VFC, HSC, WSC."""
     release = bench.release_tick
     normal = bench.press(bench.law("vfc"))
     yield PaperRow(
@@ -383,7 +383,7 @@ def controller_rows(bench: Bench) -> Iterator[PaperRow]:
 
 
 def table_1_rows(bench: Bench) -> Iterator[PaperRow]:
-    """Section 4.4, Table 1: WSC over the window."""
+    """Yield rows of section 4.4, Table 1: WSC over the window."""
     for window, paper in zip(WINDOWS, TABLE_1, strict=True):
         trace = bench.press(bench.law("wsc", window=window))
         yield PaperRow(
@@ -395,7 +395,7 @@ def table_1_rows(bench: Bench) -> Iterator[PaperRow]:
 
 
 def active_force_rows(bench: Bench) -> Iterator[PaperRow]:
-    """Section 4.5, Fig. 12 to 15: a sinusoidal force, gripped and released."""
+    """Yield rows of section 4.5, Fig. 12 to 15: a sinusoidal force, gripped and released."""
     free = bench.free()
     yield PaperRow(
         source="Fig. 12", quantity="speed_at_0.17_s", controller="none", amplitude_n=1.0, paper=1.1,
@@ -454,4 +454,4 @@ EXPERIMENTS: tuple[Callable[[Bench], Iterator[PaperRow]], ...] = (
     table_1_rows,
     active_force_rows,
 )
-"""In the order of their rows."""
+"""Experiments in the order of their rows."""

@@ -1,4 +1,4 @@
-"""What the paper does not tell of its experiments: the factors, their ranges, and the runs that vary them."""
+"""Conditions that the paper leaves open: factors, their ranges, and the runs that vary them."""
 
 from collections.abc import Callable, Iterator
 from itertools import product
@@ -14,7 +14,7 @@ DESKTOP_QUANTUM = 2.3e-5
 """Nominal resolution of a PHANTOM Desktop in m."""
 
 Clock = Literal["begin", "motion", "end"]
-"""What counts as the moment of the release: the hand begins to let go, the stylus begins to move, the hand is gone."""
+"""Moment of the release: the hand begins to release, the stylus begins to move, or the hand has gone."""
 
 CLOCKS: tuple[Clock, ...] = ("begin", "motion", "end")
 
@@ -28,33 +28,33 @@ ESTIMATORS: dict[str, Callable[[float], EstimatorKind]] = {
     "adaptive-window": lambda quantum: EstimatorKind.adaptive_window(noise_bound_m=quantum),
     "backward-difference": lambda _: EstimatorKind.backward_difference(),
 }
-"""Estimators behind an encoder of a quantum in m, as docs/ejection_bound.md compares them; no default moves them."""
+"""Estimators for an encoder quantum in m, as compared in docs/ejection_bound.md; defaults are never changed."""
 
 
 class Conditions(msgspec.Struct, frozen=True, kw_only=True):
-    """An experiment as far as the paper leaves it open; the defaults are the declared ones."""
+    """Open conditions of an experiment; the defaults are the declared ones."""
 
     operator: Operator = Operator()
     encoder_quantum: float = 0.0
-    """Resolution in m; 0 measures position and velocity exactly, and then no estimator is used."""
+    """Resolution in m; 0 measures position and velocity exactly, without an estimator."""
     estimator: str = "kalman"
-    """Of `ESTIMATORS`."""
+    """Key of `ESTIMATORS`."""
     coulomb: float = 0.038
-    """c in N, of the device and in the controller's model alike."""
+    """c in N, of the device and of the controller's model."""
     mass_kg: float = 0.157
-    """m in kg, of both alike."""
+    """m in kg, of both."""
     device_delay: int = 0
-    """Ticks by which the force of the device acts late, which no controller knows."""
+    """Delay of the device's force in ticks, unknown to the controllers."""
     hsc_force_threshold_n: float = 0.1
     """F_t of HSC in N (Eq. 14)."""
     mev_within_s: float = 0.5
-    """Time in s after the release in which the MEV of a press is looked for; a second throw may be later."""
+    """Time in s after the release in which the MEV of a press is searched; a second throw may be later."""
     clock: Clock = "begin"
-    """What counts as the moment of the release, in times after it."""
+    """Moment of the release for times after it."""
 
 
 class Factor(msgspec.Struct, frozen=True, kw_only=True):
-    """One thing that the paper does not tell: its range, and how a value of it enters the conditions."""
+    """One open condition: its range, and its effect on the conditions."""
 
     name: str
     title: str
@@ -62,12 +62,12 @@ class Factor(msgspec.Struct, frozen=True, kw_only=True):
     apply: Callable[[Conditions, float | str], Conditions]
     unit: str = ""
     scale: float = 1.0
-    """Unit that is printed over the SI unit of the values."""
+    """Factor from the SI unit to the printed unit."""
     only: tuple[str, ...] = ()
-    """Sources of the rows that it may explain; all if empty."""
+    """Sources of the rows that it may explain; empty for all."""
 
     def text(self, value: float | str) -> str:
-        """A value in words."""
+        """Return a value in words."""
         if isinstance(value, str):
             return f"{self.title} {value}"
         return f"{self.title} {value * self.scale:g}{' ' if self.unit else ''}{self.unit}"
@@ -137,15 +137,15 @@ FACTORS: dict[str, Factor] = {
         ),
     )
 }  # fmt: skip
-"""Every factor by its name.
+"""Factors by name.
 
 - Release time, kind, grip margin, gain of the hand, hold: the paper says that a hand lets go "suddenly" and once "e.g.
   50 ms". A gain of the hand scales its stiffness and its damping.
-- Estimator, and force that acts late: neither is in the paper. Up to 3 ticks is our choice.
+- Estimator, and delay of the force: neither is in the paper. Up to 3 ticks is our choice.
 - Friction: the paper's c is another paper's; 0.06 N is the vendor's bound on the backdrive friction.
-- F_t of HSC: the paper has "e.g. < 0.1 N". Time in which a MEV is looked for: the paper's curves end somewhere.
-- Mass: 0.157 kg was fitted to Fig. 5, of which it is no explanation; its section 5 has the vendor's 0.045 kg beside it.
-  So it may explain Fig. 12 alone, where no wall pushes.
+- F_t of HSC: the paper has "e.g. < 0.1 N". Time of the search for an MEV: the paper's curves end somewhere.
+- Mass: 0.157 kg was fitted to Fig. 5 and so does not explain it. The paper's section 5 also has the vendor's 0.045 kg.
+  The mass may therefore explain only Fig. 12, where no wall pushes.
 """
 
 RELEASES: tuple[Change, ...] = (
@@ -154,7 +154,7 @@ RELEASES: tuple[Change, ...] = (
     {"grip_margin": 1.5},
     {"grip_margin": 2.0},
 )
-"""How a hand lets go, in the grid: a release of the gain does not ask for the margin of the grip."""
+"""Kinds of release in the grid; the grip margin does not affect a release of the gain."""
 
 GRID: tuple[Change, ...] = (
     *(
@@ -165,34 +165,34 @@ GRID: tuple[Change, ...] = (
     {"device_delay": 2, "mev_within_s": 0.12},
     {"device_delay": 3, "mev_within_s": 0.12},
 )
-"""Runs with several factors at once: those of the release, and those that make a first throw larger than a second."""
+"""Runs with several factors: those of the release, and those that make a first throw larger than a second."""
 
 
 READINGS = ("mev_within_s", "clock")
-"""Factors that say how a run is read and change none."""
+"""Factors that change the reading of a run, not the run."""
 
 
 def single_changes() -> Iterator[Change]:
-    """One factor at a time, the others as declared."""
+    """Yield changes of one factor at a time."""
     for factor in FACTORS.values():
         for value in factor.values:
             yield {factor.name: value}
 
 
 def design() -> list[Change]:
-    """All runs of the sensitivity, but for how each is read."""
+    """Return all runs of the sensitivity, before readings."""
     return [*single_changes(), *GRID]
 
 
 def changed(conditions: Conditions, change: Change) -> Conditions:
-    """The conditions with the values of a change."""
+    """Return the conditions with a change applied."""
     for name, value in change.items():
         conditions = FACTORS[name].apply(conditions, value)
     return conditions
 
 
 def change_text(change: Change) -> str:
-    """A change in words."""
+    """Return a change in words."""
     return ", ".join(FACTORS[name].text(value) for name, value in change.items()) or "as declared"
 
 
@@ -206,5 +206,7 @@ MET_BY: dict[str, Change] = {
     "Table 1": {"device_delay": 1, "mev_within_s": 0.12},
     "Fig. 12": {"mass_kg": 0.055},
 }
-"""Runs of the design that meet all numbers of an experiment at once, some of which ours does not meet as declared: the
-notes of the rows say so, and a test holds them to it."""
+"""Runs of the design that meet all numbers of an experiment at once, where the declared run does not. The rows' notes
+cite
+them, and a test verifies them.
+"""

@@ -1,4 +1,4 @@
-"""The figures of `haptether paper`: what this project computes beside what the paper says, in SI units."""
+"""Figures of `haptether paper`: this project's results beside the paper's, in SI units."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,20 +31,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 READ: dict[str, Any] = {"color": PAPER, "ls": "none", "marker": "x", "ms": 5.0, "mew": 1.2, "zorder": 5.0}
-"""How a value of the paper is drawn."""
+"""Style of the paper's values."""
 
 
 def draw_paper(report: PaperReport, folder: Path, form: PictureFormat = "png", columns: Columns = 2) -> list[Path]:
-    """Draws the figures of a report into `folder`, with its sensitivity if it has that, and returns their paths.
+    """Draw the figures of a report into `folder`, with its sensitivity if present; return their paths.
 
     Args:
-        report: With its rows.
-        folder: Made if it is not there.
-        form: Of the files.
-        columns: Width, in columns of a page.
+        report: Report with its rows.
+        folder: Folder, created if missing.
+        form: Format of the files.
+        columns: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
         OSError: The folder cannot be written.
     """
     bench = Bench(Conditions(operator=report.operator, encoder_quantum=report.device["encoder_quantum"]))
@@ -79,7 +79,7 @@ def _finish(figure: "Figure", panels: "Sequence[Axes]", columns: Columns) -> "Fi
     beside = len(panels) if columns == 2 else 1
     narrow = beside > 2
     if narrow:
-        # What a third of a page is too narrow for.
+        # A third of a page is too narrow for a legend per panel.
         legend_below(figure, panels[0].get_legend_handles_labels()[0])
     for panel in panels[1:] if narrow else panels:
         legend_above(panel, width_in=figure.get_figwidth() / beside - 0.65)
@@ -91,8 +91,8 @@ def _time(operator: Operator, ticks: int) -> np.ndarray:
     return np.arange(ticks) * PERIOD_S - operator.release_at_s
 
 
-def _value(report: PaperReport, source: str, quantity: str, **of: Any) -> PaperRow:  # noqa: ANN401  # of a row
-    """The row of a claim."""
+def _value(report: PaperReport, source: str, quantity: str, **of: Any) -> PaperRow:  # noqa: ANN401  # value of a row
+    """Return the row of a claim."""
     return next(
         row
         for row in report.rows
@@ -108,7 +108,7 @@ def _ejection(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
     figure, (left, right) = _figure(columns, 2, "Fig. 4: released at t = 0, no controller, K = 200 N/m")
     shown = (time > -0.05) & (time < 0.3)
     left.plot(time[shown], trace.velocity[shown], label="ours", **controller_look("none"))
-    # From where ours is at 0.2 m/s, so that the slopes can be compared.
+    # Start where ours reaches 0.2 m/s, so that the slopes can be compared.
     begin = float(time[np.flatnonzero((time > 0.0) & (trace.velocity >= 0.2))[0]])
     took = _value(report, "Fig. 4a", "time_from_0.2_to_1.2_m_per_s").paper or 0.0
     left.plot([begin, begin + took], [0.2, 1.2], **READ | {"ls": ":"}, label="paper: 0.2 to 1.2 m/s")
@@ -205,7 +205,7 @@ def _controllers(bench: Bench, report: PaperReport, columns: Columns) -> "Figure
 def _bars(
     panel: "Axes", names: list[str], ours: Sequence[float | None], papers: Sequence[float | None], colours: list[str]
 ) -> None:
-    """MEV, ours in the colour of the controller beside the paper's."""
+    """Draw MEV bars, ours in the colour of the controller beside the paper's."""
     at = np.arange(len(names))
     panel.bar(at - 0.2, [_known(value) for value in ours], 0.38, color=colours)
     panel.bar(at + 0.2, [_known(value) for value in papers], 0.38, facecolor="white", edgecolor=PAPER, lw=0.8,
@@ -242,7 +242,7 @@ def _active(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
     left.plot([ACTIVE_RELEASE_S + 0.17], [_known(_value(report, "Fig. 12", "speed_at_0.17_s").paper)], **READ,
               label="paper: free for 0.17 s")  # fmt: skip
     left.set(xlabel="time [s]", ylabel="velocity [m/s]")
-    # Of one controller's observer: its colour, darker with the amplitude.
+    # Colour of the controller, darker with the amplitude.
     for amplitude, shade, dashes in ((1.0, 0.4, ":"), (3.0, 0.7, "--"), (5.0, 1.0, "-")):
         trace = bench.active(amplitude, WATCHED, None)
         middle.plot(trace.time_s, trace.windowed_energy_j, label=f"{amplitude:g} N",
@@ -255,7 +255,7 @@ def _active(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
         _value(report, "Fig. 14b", quantity),
         _value(report, "Fig. 15b", quantity, force_threshold_n=RAISED_FORCE_THRESHOLD_N),
     ]
-    # The paper has the uncontrolled one at 0.17 s after the release only.
+    # The paper gives the uncontrolled speed only at 0.17 s after the release.
     free = _value(report, "Fig. 12", "speed_at_0.17_s")
     ours = [free.ours, *(row.ours for row in rows[1:])]
     papers = [free.paper, *(row.paper for row in rows[1:])]
@@ -265,11 +265,11 @@ def _active(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
 
 
 NARROWEST, WIDEST = 0.02, 20.0
-"""Of ours over the paper's number, as far as it is drawn."""
+"""Range of ours over the paper's number that is drawn."""
 
 
 def _sensitivity(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
-    """Ours over the paper's number of each row that has one, as declared and over all factors."""
+    """Draw ours over the paper's number for each row with one, as declared and over all factors."""
     del bench
     rows = [
         row
@@ -300,7 +300,7 @@ def _sensitivity(bench: Bench, report: PaperReport, columns: Columns) -> "Figure
 
 
 def _ratio(row: PaperRow, value: float | None) -> float:
-    """Ours over the paper's number, within what is drawn: a time before the release is at the left edge."""
+    """Return ours over the paper's number, clipped; a time before the release is at the left edge."""
     return float(np.clip(_known(value) / _known(row.paper), NARROWEST, WIDEST))
 
 

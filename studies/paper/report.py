@@ -1,4 +1,4 @@
-"""What `haptether paper` says: one claim of the paper a row, beside ours, and what moves ours."""
+"""Report of `haptether paper`: one claim of the paper per row, beside ours, and its sensitivity."""
 
 from typing import Literal
 
@@ -7,14 +7,14 @@ import msgspec
 from haptether.studies.operator import Operator
 
 AGREES = 0.1
-"""Share of the paper's number within which ours agrees with it: what a figure in print can be read to, twice."""
+"""Relative deviation within which ours agrees: twice the reading error of a printed figure."""
 
 Change = dict[str, float | str]
-"""Values of factors that are not the declared ones, by the factor's name."""
+"""Changed values by the factor's name."""
 
 
 class Explanation(msgspec.Struct, frozen=True, kw_only=True):
-    """A run that meets the paper's number: what was changed for it, in words too, and what it gave."""
+    """A run that meets the paper's number: its change, the change in words, and its value."""
 
     change: Change
     text: str
@@ -22,13 +22,13 @@ class Explanation(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Sensitivity(msgspec.Struct, frozen=True, kw_only=True):
-    """How ours of one row moves over what the paper does not tell.
+    """Range of ours of one row over the conditions that the paper leaves open.
 
-    `least` and `greatest` are over all runs of the design. `by_factor` has both of each factor alone, the others as
-    declared; `most_by` names the one of the largest range, null where none moves the row. `explanations` are the runs
-    that meet the paper's number, one a factor, the nearest first; of several factors at once only where no factor
-    alone does. They are empty where ours agrees as declared. `nearest` is the run nearest to the paper's number. A run
-    in which a controller tripped before the hand let go says nothing of what follows and is not counted.
+    `least` and `greatest` are over all runs of the design. `by_factor` has both for each factor alone, the others as
+    declared. `most_by` names the factor with the largest range, null if none has an effect. `explanations` are the runs
+    that meet the paper's number, one per factor, the nearest first. Runs with several factors count only if no single
+    factor suffices. The list is empty if ours agrees as declared. `nearest` is the run nearest to the paper's number. A
+    run in which a controller tripped before the release is void and not counted.
     """
 
     least: float | None
@@ -40,7 +40,7 @@ class Sensitivity(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def verdict(self) -> str:
-        """Of a row that does not agree as declared."""
+        """Verdict of a row that does not agree as declared."""
         if self.explanations:
             first = self.explanations[0]
             return f"explained by {first.text}: {first.ours:.3g}"
@@ -53,11 +53,10 @@ class Sensitivity(msgspec.Struct, frozen=True, kw_only=True):
 class PaperRow(msgspec.Struct, frozen=True, kw_only=True):
     """One claim.
 
-    `relation` says how the paper's number is meant: "=" as a value, "<" and ">" as a bound. Conditions of the
-    row (`controller`, `window`, `stiffness`, `depth`, `amplitude_n`, `force_threshold_n`) are null where they do not
-    apply or are the default, and `paper` is null where the paper plots a curve without printing a number.
-    `says_nothing` is the reason why ours, although computed, is no answer to the claim; `sensitivity` is null until
-    `paper_sensitivity` has it.
+    `relation` is the meaning of the paper's number: "=" a value, "<" and ">" a bound. Conditions of the row
+    (`controller`, `window`, `stiffness`, `depth`, `amplitude_n`, `force_threshold_n`) are null if not applicable or
+    default. `paper` is null if the paper plots a curve without a number. `says_nothing` is the reason why a computed
+    value is no answer to the claim. `sensitivity` is null until `paper_sensitivity` sets it.
     """
 
     source: str
@@ -78,17 +77,17 @@ class PaperRow(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def difference(self) -> float | None:
-        """Ours over the paper's, less one; none where there is nothing to compare."""
+        """Ours over the paper's number, minus one; None without both."""
         return self.difference_of(self.ours)
 
     def difference_of(self, value: float | None) -> float | None:
-        """As `difference`, of another value than ours."""
+        """Return `difference` for another value than ours."""
         if self.paper is None or value is None or self.paper == 0.0:
             return None
         return value / self.paper - 1.0
 
     def meets(self, value: float | None) -> bool:
-        """Whether a value is what the paper says: within 10 % of its number, or within its bound."""
+        """Return True if a value agrees with the paper: within 10 % of its number, or within its bound."""
         if self.paper is None or value is None:
             return False
         if self.relation != "=":
@@ -98,7 +97,7 @@ class PaperRow(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def paper_inside(self) -> bool | None:
-        """Whether the paper's number lies within the range of ours; none without both, and where nothing moves ours."""
+        """True if the paper's number lies within the range of ours; None without both, or if ours does not vary."""
         if self.paper is None or (of := self.sensitivity) is None or of.least is None or of.greatest is None:
             return None
         if of.most_by is None:
@@ -109,11 +108,11 @@ class PaperRow(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def verdict(self) -> str:
-        """What the row says of the two, nothing where the paper has no number.
+        """Verdict of the row; empty if the paper has no number.
 
         - "agrees: +3%", "holds" (a bound);
         - "says nothing: tripped before the release";
-        - "differs: +11%", "differs: bound not kept", "differs: not seen", as long as the sensitivity is not known;
+        - "differs: +11%", "differs: bound not kept", "differs: not seen", while the sensitivity is unknown;
         - "explained by release time 80 ms: 0.0466", "not explained: nearest 0.62 at release time 100 ms".
         """
         if self.paper is None:
@@ -133,10 +132,10 @@ class PaperRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class JointFit(msgspec.Struct, frozen=True, kw_only=True):
-    """The one run of the design that meets most numbers of an experiment at once.
+    """The run of the design that meets most numbers of an experiment at once.
 
-    Of the `rows` numbers of `experiment` ("all", a figure, of Fig. 8 with the controller, or Table 1) `declared` are
-    met as declared, `met` with `change`.
+    `experiment` is "all", a figure (Fig. 8 with the controller), or Table 1, with `rows` numbers. `declared` are met as
+    declared, `met` with `change`.
     """
 
     experiment: str
@@ -148,9 +147,9 @@ class JointFit(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PaperReport(msgspec.Struct, frozen=True, kw_only=True):
-    """The operator that serves all rows, the device, and the rows.
+    """The operator of all rows, the device, and the rows.
 
-    `joint_fits` are those of `paper_sensitivity`, of all rows first.
+    `joint_fits` come from `paper_sensitivity`, that of all rows first.
     """
 
     operator: Operator
@@ -159,7 +158,7 @@ class PaperReport(msgspec.Struct, frozen=True, kw_only=True):
     joint_fits: list[JointFit] = []
 
     def as_json(self) -> bytes:
-        """The report as JSON, each row with its verdict."""
+        """Return the report as JSON, each row with its verdict."""
         rows = [
             {**msgspec.to_builtins(row), "paper_inside": row.paper_inside, "verdict": row.verdict} for row in self.rows
         ]

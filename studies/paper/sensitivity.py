@@ -1,8 +1,8 @@
-"""How the rows of `haptether paper` move over what the paper does not tell.
+"""Sensitivity of the rows of `haptether paper` to conditions that the paper leaves open.
 
-One factor at a time over its whole range, and a grid of those that interact: how the hand lets go, in which time, and
-the estimator. How a run is read, from which moment and for how long, is varied in each of the grid, since it asks for
-none.
+Each factor varies alone over its range. A grid varies those that interact: kind and time of the release, and the
+estimator. Readings (from which moment and for how long a run is read) vary in each run of the grid, because they need
+no further run.
 """
 
 import re
@@ -16,7 +16,7 @@ from haptether.studies.paper.report import Change, Explanation, JointFit, PaperR
 
 
 class Run(msgspec.Struct, frozen=True, kw_only=True):
-    """One run of the design: what was changed, and each row of it."""
+    """One run of the design: its change and its rows."""
 
     change: Change
     rows: list[PaperRow]
@@ -28,16 +28,16 @@ def paper_sensitivity(
     changes: Sequence[Change] | None = None,
     progress: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> PaperReport:
-    """The report with the range of each row over the factors, what explains it, and the run that fits most rows.
+    """Return the report with each row's range over the factors, its explanations, and the run that fits most rows.
 
     Args:
-        report: As `reproduce_paper` gives it.
-        changes: The runs, each as values of factors; by default all of `docs/paper.md`.
-        progress: Told how many of how many conditions are done.
+        report: Result of `reproduce_paper`.
+        changes: Changes of factors, one per run; by default all of `docs/paper.md`.
+        progress: Called with the number of conditions done and the total.
 
     Raises:
-        KeyError: No such factor.
-        ValueError: A parameter that no operator or device has, with its bound.
+        KeyError: There is no such factor.
+        ValueError: A parameter is out of the bounds of operators or devices; the text has the bound.
     """
     declared = Conditions(operator=report.operator, encoder_quantum=report.device["encoder_quantum"])
     base = Bench(declared)
@@ -62,24 +62,24 @@ def paper_sensitivity(
 
 
 def different(declared: Conditions, change: Change) -> Change:
-    """What of a change is not as declared."""
+    """Return the part of a change that differs from the declared conditions."""
     return {name: value for name, value in change.items() if changed(declared, {name: value}) != declared}
 
 
 def readings() -> Iterator[Change]:
-    """Each value of each factor that changes no run."""
+    """Yield each value of each factor that changes no run."""
     for name in READINGS:
         for value in FACTORS[name].values:
             yield {name: value}
 
 
 def counted(row: PaperRow) -> float | None:
-    """Ours, if it says anything."""
+    """Return ours, or None if the row is void."""
     return None if row.says_nothing else row.ours
 
 
 def row_sensitivity(declared: PaperRow, runs: Sequence[tuple[Change, PaperRow]]) -> Sensitivity:
-    """The sensitivity of one row, from the same row of each run of the design."""
+    """Return the sensitivity of a row, from the same row of each run of the design."""
     counts = [
         (change, value) for change, row in runs if (value := counted(row)) is not None and admits(declared, change)
     ]
@@ -104,22 +104,22 @@ def row_sensitivity(declared: PaperRow, runs: Sequence[tuple[Change, PaperRow]])
 
 
 def admits(row: PaperRow, change: Change) -> bool:
-    """Whether a change may explain the row: what was fitted to a figure is none of its explanations."""
+    """Return True if a change may explain the row; a value fitted to a figure may not explain that figure."""
     return all(not FACTORS[name].only or row.source in FACTORS[name].only for name in change)
 
 
 def explanation(change: Change, value: float) -> Explanation:
-    """A run in words."""
+    """Return a run in words."""
     return Explanation(change=change, text=change_text(change), ours=value)
 
 
 def distance(row: PaperRow, value: float) -> float:
-    """How far a value is from the paper's number, in the unit of the row."""
+    """Return the distance of a value from the paper's number, in the unit of the row."""
     return abs(value - (row.paper or 0.0))
 
 
 def explanations(row: PaperRow, counts: Sequence[tuple[Change, float]]) -> list[Explanation]:
-    """The runs that meet the paper's number: of each factor alone the nearest, else of several the nearest one."""
+    """Return the runs that meet the paper's number: the nearest per factor, or else the nearest with several."""
     meeting = sorted((of for of in counts if row.meets(of[1])), key=lambda of: distance(row, of[1]))
     alone: dict[str, Explanation] = {}
     for change, value in meeting:
@@ -129,15 +129,15 @@ def explanations(row: PaperRow, counts: Sequence[tuple[Change, float]]) -> list[
 
 
 def experiment(row: PaperRow) -> str:
-    """What was one experiment of the paper: a figure, or the table; the two readings of VFC are two."""
+    """Return the experiment of a row: a figure or the table; the two readings of VFC are separate."""
     figure = re.sub(r"[a-c]$", "", row.source)
     return f"{figure} {row.controller}" if figure == "Fig. 8" else figure
 
 
 def joint_fits(declared: Sequence[PaperRow], runs: Sequence[Run]) -> list[JointFit]:
-    """Of all rows, and of each experiment with several numbers, the run that meets most of them.
+    """Return the run that meets most rows, over all rows and for each experiment with several numbers.
 
-    The fewest changes among equals, then the nearest numbers.
+    Ties prefer the fewest changes, then the nearest numbers.
     """
     fits = [run for run in runs if not any(FACTORS[name].only for name in run.change)]
     experiments: dict[str, list[int]] = {}

@@ -1,4 +1,4 @@
-"""The figure of a trade-off: missed releases over false trips per hour, a panel for each controller."""
+"""Figure of a trade-off: missed releases over false trips per hour, one panel per controller."""
 
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -15,24 +15,24 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHOWN_ROUND_TRIPS = 3
-"""At most: the first, the middle one and the last; all are in the JSON."""
+"""Most round trips shown: first, middle and last; the JSON has all."""
 LINES = ("-", "--", ":")
 OURS = (AXES[0], AXES[5], AXES[3])
-"""Of the first law of ours of a controller, and of others."""
+"""Colours of our laws of a controller."""
 
 
 def draw_trade_off(found: TradeOff, path: str | PathLike[str] | None = None, columns: Columns = 2) -> "Figure":
-    """Draws each law as a line over its thresholds, all tasks together; a ring is the threshold that is its default.
+    """Draw each law as a line over its thresholds, all tasks together; a ring marks its default.
 
     Args:
-        found: What is drawn.
-        path: Of a .png, .pdf or .svg that is written.
-        columns: Width, in columns of a page.
+        found: Trade-off to draw.
+        path: Path of a .png, .pdf or .svg to write.
+        columns: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
-        ValueError: Another ending.
-        OSError: The file cannot be written; a symbolic link.
+        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ValueError: The ending is invalid.
+        OSError: The file cannot be written, or is a symbolic link.
     """
     controllers = [name for name in CONTROLLERS if any(law.controller == name for law in found.laws)]
     trips = found.round_trips_s
@@ -87,5 +87,5 @@ def _panel(panel: "Axes", found: TradeOff, laws: list[ThresholdLaw], trips: list
 
 
 def _hours(found: TradeOff, laws: list[ThresholdLaw]) -> float:
-    """Of one point of a line, in h."""
+    """Return the time in h of one point of a line."""
     return found.over(laws[0].name, laws[0].values[0], round_trip_s=found.round_trips_s[0]).hours

@@ -1,4 +1,4 @@
-"""The laws whose thresholds are compared: a controller, what is fixed of it, and the threshold that is swept."""
+"""Laws whose thresholds are compared: a controller, fixed fields, and a swept threshold."""
 
 from msgspec import Struct
 
@@ -7,21 +7,21 @@ class ThresholdLaw(Struct, frozen=True, kw_only=True):
     """A controller whose threshold is swept."""
 
     name: str
-    """What the table calls it."""
+    """Name in the table."""
     controller: str
-    """Who watches."""
+    """Name of the controller."""
     source: str
-    """Whose it is: "paper" or "ours"."""
+    """Origin: "paper" or "ours"."""
     threshold: str
-    """What is swept: a field of `[safety]`."""
+    """Swept field of `[safety]`."""
     unit: str
-    """Of that."""
+    """Unit of the swept field."""
     values: tuple[float, ...]
-    """Its values, the most sensitive first."""
+    """Values, most sensitive first."""
     fixed: dict[str, float | str] = {}
     """Other fields of `[safety]`."""
     default: float | None = None
-    """The value of the paper, or of ours that of a scene by default, where it is among them."""
+    """Default value: the paper's, or for ours that of a scene; None if not among the values."""
 
 
 ENERGIES_J = (-0.005, -0.01, -0.02, -0.03, -0.05, -0.08)
@@ -71,4 +71,4 @@ THRESHOLD_LAWS: tuple[ThresholdLaw, ...] = (
         values=SPEEDS, fixed={"preset": "paper", "vfc_form": "both", "vfc_force_threshold_n": 0.3},
     ),
 )  # fmt: skip
-"""What is compared by default."""
+"""Laws compared by default."""

@@ -1,4 +1,4 @@
-"""The trade-off of a threshold: how often it trips while a hand holds, and how often it misses one that lets go."""
+"""Trade-off of a threshold: rate of trips under a holding hand, against the share of missed releases."""
 
 from collections.abc import Callable, Iterable, Sequence
 
@@ -38,7 +38,7 @@ LAWS_OWN = (
     ),
     *(f"safety.{law.threshold}" for law in THRESHOLD_LAWS),
 )  # fmt: skip
-"""What a law sets, whatever the scene says."""
+"""Fields that a law sets, whatever the scene has."""
 
 
 class TradeOffRow(Struct, frozen=True, kw_only=True):
@@ -49,19 +49,19 @@ class TradeOffRow(Struct, frozen=True, kw_only=True):
     """"paper" or "ours"."""
     controller: str
     threshold: float
-    """In the unit of the law."""
+    """Threshold in the unit of the law."""
     task: str
     round_trip_s: float
     hours: float
-    """Simulated time in h while hands held and the two were coupled, as where nobody watches."""
+    """Simulated time in h for which hands held while coupled, as without a controller."""
     false_trips: int
     """Interventions that began meanwhile."""
     releases: int
-    """Releases that throw the device beyond the missed speed where nobody watches."""
+    """Releases that exceed the missed speed without a controller."""
     missed: int
-    """Those that still do."""
+    """Releases that still exceed it."""
     speed: float | None
-    """Median of the largest speed in m/s after these releases; none without any."""
+    """Median of the largest speed in m/s after these releases; None without any."""
 
 
 class TradeOffPoint(Struct, frozen=True, kw_only=True):
@@ -71,13 +71,13 @@ class TradeOffPoint(Struct, frozen=True, kw_only=True):
     threshold: float
     round_trip_s: float
     false_trips_per_h: float | None
-    """None where nobody held."""
+    """Rate; None if nobody held."""
     false_trips_per_h_interval: tuple[float, float] | None
-    """Exact, of a Poisson count (Garwood 1936)."""
+    """Exact interval of a Poisson count (Garwood 1936)."""
     missed_share: float | None
-    """None where there was nothing to miss."""
+    """Share of missed releases; None without releases."""
     missed_share_interval: tuple[float, float] | None
-    """Of Wilson 1927."""
+    """Wilson interval (Wilson 1927)."""
 
 
 class TradeOff(Struct, frozen=True, kw_only=True):
@@ -90,12 +90,12 @@ class TradeOff(Struct, frozen=True, kw_only=True):
     hands: int
     seed: int
     missed_speed: float = MISSED_SPEED
-    """In m/s."""
+    """Missed speed in m/s."""
 
     def over(
         self, law: str, threshold: float, *, task: str | None = None, round_trip_s: float | None = None
     ) -> "Counts":
-        """The counts of a law and threshold, over the tasks and round trips that are not given."""
+        """Return the counts of a law and threshold, summed over tasks and round trips that are not given."""
         rows = [
             row
             for row in self.rows
@@ -112,7 +112,7 @@ class TradeOff(Struct, frozen=True, kw_only=True):
         )
 
     def points(self) -> tuple[TradeOffPoint, ...]:
-        """Each law and threshold at each round trip, over all tasks."""
+        """Return the points of each law and threshold at each round trip, over all tasks."""
         points = []
         for law in self.laws:
             for threshold in law.values:
@@ -137,7 +137,7 @@ class TradeOff(Struct, frozen=True, kw_only=True):
 
 
 class Counts(Struct, frozen=True, kw_only=True):
-    """What was counted, and the rates that it says."""
+    """Counts with their rates."""
 
     hours: float
     false_trips: int
@@ -146,12 +146,12 @@ class Counts(Struct, frozen=True, kw_only=True):
 
     @property
     def per_hour(self) -> float:
-        """False trips per hour; NaN where nobody held."""
+        """False trips per hour; NaN if nobody held."""
         return self.false_trips / (self.hours or float("nan"))
 
     @property
     def missed_share(self) -> float:
-        """Share of releases that were missed; NaN without any."""
+        """Fraction of missed releases; NaN without any."""
         return self.missed / self.releases if self.releases else float("nan")
 
 
@@ -168,27 +168,27 @@ def measure_thresholds(
     threads: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> TradeOff:
-    """Runs tasks with many hands, held and let go, for each threshold of each law.
+    """Run tasks with many hands, held and released, for each threshold of each law.
 
-    Held: each intervention that begins is a false trip. Let go: of the releases after which an unwatched device exceeds
-    `MISSED_SPEED` within 0.5 s, those after which it still does are missed. All laws have the same hands, releases and
+    With a hand that holds, each intervention is a false trip. Releases count if the device exceeds `MISSED_SPEED`
+    within 0.5 s without a controller; those that still do so are missed. All laws have the same hands, releases and
     links, a hold-off of 0.1 s and a release ramp of 0.2 s.
 
     Args:
-        tasks: Bundled scenes.
-        laws: Whose thresholds are swept.
-        round_trips_s: In s: both delays of a link together, or by how much a force without an arm is late.
-        hands: How many hold each task, at each round trip.
-        releases: Places, of the time in which much is felt, at which hands let go; they share them.
-        seed: Of hands and links.
-        bounds: What hands may be; by default `HandBounds()`.
+        tasks: Names of bundled scenes.
+        laws: Laws whose thresholds are swept.
+        round_trips_s: Sum of both link delays in s, or the delay of a force without an arm.
+        hands: Number of hands that hold each task, at each round trip.
+        releases: Number of release times within the period of large force; the hands share them.
+        seed: Seed of hands and links.
+        bounds: Ranges of hands; by default `HandBounds()`.
         overrides: Fields of each scene to change first, `table.key=value`.
-        threads: Of the runs; by default as many as there are processors.
-        progress: Called with what is run.
+        threads: Threads of the runs; by default one per processor.
+        progress: Called with a text for each part.
 
     Raises:
-        ValueError: No hand, no time, or a scene without a hand.
-        SceneError: A scene that cannot be built.
+        ValueError: There is no hand or release time, or a scene has no hand.
+        SceneError: A scene cannot be built.
     """
     for name, value in (("hands", hands), ("releases", releases)):
         if value < 1:
@@ -222,7 +222,7 @@ def measure_thresholds(
 
 
 class TaskRuns:
-    """One task at one round trip, done by hands that hold, and that let go at times spread over what is pressed."""
+    """One task at one round trip, with hands that hold, and hands that release at times spread over the press."""
 
     def __init__(self, task: Task, lasting: Scene, hands: dict[str, Array], places: int, threads: int | None) -> None:
         self.task, self.lasting, self.threads = task, lasting, threads
@@ -230,26 +230,26 @@ class TaskRuns:
         held = task.hold(task.with_controllers(lasting, None, {}), hands, threads)
         self.hours = sum(run.coupled_s for run in held if run.engaged_s is not None) / 3600.0
         self.releases = task.releases(hands, held, places)
-        # Each hand lets go once.
+        # Each hand releases once.
         self.thrown = self._speeds(self.releases, None)[0] > MISSED_SPEED if self.releases else np.empty(0, dtype=bool)
 
     def _over(self, law: ThresholdLaw, rows: dict[str, Array]) -> dict[str, Array]:
-        """Each hand with each threshold, threshold by threshold."""
+        """Return each hand with each threshold, threshold by threshold."""
         count = len(rows["run.seed"])
         tiled = {path: np.tile(values, len(law.values)) for path, values in rows.items()}
         return tiled | {f"safety.{law.threshold}": np.repeat(np.array(law.values), count)}
 
     def _speeds(self, releases: Releases, law: ThresholdLaw | None) -> Array:
-        """Largest speed in m/s after each release, by threshold and hand."""
+        """Return the largest speed in m/s after each release, by threshold and hand."""
         watched = self.task.with_controllers(releases.scene, law.controller if law else None, law.fixed if law else {})
         samples = self._over(law, releases.rows) if law else releases.rows
         found = sweep(watched, samples=samples, threads=self.threads, metrics=ejection_metrics(watched))
         return ejection_speeds(releases.scene, found).reshape(len(law.values) if law else 1, -1)
 
     def released(self, law: ThresholdLaw) -> list[tuple[int, int, Array]]:
-        """Of each threshold: releases that throw where nobody watches, those of them missed, and their speeds in m/s.
+        """Return per threshold: releases that throw without a controller, those missed, and their speeds in m/s.
 
-        A speed is the largest within `WITHIN_S` after the grip is gone.
+        A speed is the largest within `WITHIN_S` after the end of the grip.
         """
         thrown = self.thrown
         speeds = np.empty((len(law.values), 0))
@@ -258,7 +258,7 @@ class TaskRuns:
         return [(int(thrown.sum()), int((each > MISSED_SPEED).sum()), each) for each in speeds]
 
     def rows(self, laws: Sequence[ThresholdLaw]) -> list[TradeOffRow]:
-        """Of all laws and thresholds."""
+        """Return the rows of all laws and thresholds."""
         rows = []
         for law in laws:
             held = sweep(

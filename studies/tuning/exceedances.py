@@ -1,4 +1,4 @@
-"""Exceedance rates from the order statistics of clusters: no law of the values is assumed."""
+"""Exceedance rates from the order statistics of clusters, without an assumed distribution."""
 
 import math
 
@@ -10,32 +10,32 @@ from haptether.studies.intervals import exceedance_interval, gamma_quantile
 from haptether.studies.tuning.normal_operation import Scores
 
 SEPARATION_S = 0.3
-"""Exceedances closer than that in s are one event: hold-off and release ramp of one intervention."""
+"""Exceedances closer than this in s are one event: hold-off and release ramp of an intervention."""
 GROUPING_EVENTS = 5
-"""Least number of the largest events from which the grouping D is estimated."""
+"""Smallest number of the largest events for an estimate of the grouping D."""
 
 
 class Boundary(Struct, frozen=True, kw_only=True):
-    """The k-th largest event of T hours as a threshold, and the rate at which that is exceeded.
+    """The k-th largest event of T hours as a threshold, and its exceedance rate.
 
     Events beyond a high value are a Poisson process (Leadbetter 1976), whose rate lambda(u) falls with u. At the k-th
-    largest of T hours `T lambda(u) ~ Gamma(k, 1)`, whatever the law of the values, because `T lambda` maps the events,
-    from the largest on, to a process of rate 1. So the mean is k / T, and the bound of confidence C is
-    `chi2_(2 k)(C) / (2 T)`: for the largest value `-ln(1 - C) / T`, at 95 % the rule of three.
+    largest of T hours `T lambda(u) ~ Gamma(k, 1)` for any distribution of the values: `T lambda` maps the events, from
+    the largest on, to a process of rate 1. The mean is therefore k / T, and the bound with confidence C is `chi2_(2
+    k)(C) / (2 T)`. For the largest value this is `-ln(1 - C) / T`, at 95 % the rule of three.
 
-    Events of one hand come in groups: n_i of them in block i, which are worth `k' = (sum n_i)^2 / sum n_i^2` that are
-    alone, each for `D = sum n_i^2 / sum n_i`: `T lambda / D ~ Gamma(k', 1)`.
+    Events of one hand are grouped, n_i of them in block i. They are equivalent to `k' = (sum n_i)^2 / sum n_i^2`
+    independent events, each for `D = sum n_i^2 / sum n_i`: `T lambda / D ~ Gamma(k', 1)`.
 
     Source: Leadbetter 1976 (events of a stationary series); Smith and Weissman 1994 (clusters by a least separation);
     Fay and Feuer 1997 (gamma interval of a count whose variance is not its mean).
     """
 
     value: float
-    """u, in the unit of the threshold without its sign; infinite where an intervention cut the peak off."""
+    """u, in the unit of the threshold without its sign; infinite if an intervention cut the peak off."""
     order: int
     """k."""
     grouping: float
-    """D: events of a block that has any, weighted by their number; 1 where all are alone."""
+    """D: events per block that has any, weighted by their number; 1 if all are single."""
     hours: float
     """T."""
 
@@ -45,26 +45,26 @@ class Boundary(Struct, frozen=True, kw_only=True):
         return self.order / self.hours
 
     def quantile_per_hour(self, share: float) -> float:
-        """The rate in 1/h below which lambda(u) lies with a probability: `D Q(share; k') / T`, Q of Gamma(k', 1)."""
+        """Return a quantile of lambda(u) in 1/h: `D Q(share; k') / T`, Q of Gamma(k', 1)."""
         return self.grouping * gamma_quantile(share, self.order / self.grouping) / self.hours
 
     def interval_per_hour(self, confidence: float) -> tuple[float, float]:
-        """Interval of the rate in 1/h, with as much at either end."""
+        """Return the interval of the rate in 1/h, with equal tails."""
         tail = 0.5 * (1.0 - confidence)
         return self.quantile_per_hour(tail), self.quantile_per_hour(1.0 - tail)
 
     def expected_count(self, hours: float, confidence: float) -> tuple[int, int]:
-        """Between which counts other recordings of so many hours will exceed it."""
+        """Return the range of exceedances expected in other recordings of so many hours."""
         low, high = exceedance_interval(self.order / self.grouping, hours / self.hours, confidence)
         return math.floor(low * self.grouping), math.ceil(high * self.grouping)
 
 
 class Exceedances:
-    """The events of a score, by falling height: exceedances at least `SEPARATION_S` apart.
+    """Events of a score in falling order: exceedances at least `SEPARATION_S` apart.
 
     Args:
         scores: Ticks of a score that rises as safety falls.
-        hours: T, for how long hands were coupled, in h.
+        hours: T, coupled time of the hands in h.
         period_s: dT of a tick in s.
 
     Source: Smith and Weissman 1994 (clusters by a least separation).
@@ -78,18 +78,18 @@ class Exceedances:
         self._tick, self._block = scores.tick[falling], scores.block[falling]
 
     def count(self, value: float) -> int:
-        """How many events exceed a value."""
+        """Return the number of events above a value."""
         return len(self._events(self._ticks_above(value)))
 
     def boundary(self, order: int) -> Boundary | None:
-        """The `order`-th largest event; none where there are fewer."""
+        """Return the `order`-th largest event; None if there are fewer."""
         ticks, high = len(self._value), min(order, len(self._value))
         while high < ticks and len(self._events(high)) < order:
             high = min(2 * high, ticks)
         if len(self._events(high)) < order:
             return None
         low = 0
-        # Two events may become one as what lies between them comes in: the first place that has as many.
+        # Intermediate ticks may merge two events, so find the first tick count with enough events.
         while high - low > 1:
             middle = (low + high) // 2
             low, high = (low, middle) if len(self._events(middle)) >= order else (middle, high)
@@ -99,7 +99,7 @@ class Exceedances:
         return Boundary(value=float(self._value[high - 1]), order=order, grouping=grouping, hours=self.hours)
 
     def rate_of(self, value: float, confidence: float) -> tuple[float, tuple[float, float]]:
-        """Events per hour above a value that was not chosen by them, with an interval (Garwood 1936, grouped)."""
+        """Return events per hour above an independently chosen value, with an interval (Garwood 1936, grouped)."""
         events = self._events(self._ticks_above(value))
         count, grouping = len(events), _grouping(events) if len(events) else 1.0
         tail = 0.5 * (1.0 - confidence)
@@ -108,7 +108,7 @@ class Exceedances:
         return count / self.hours, (grouping * low / self.hours, grouping * high / self.hours)
 
     def peaks(self, most: int) -> list[float]:
-        """The largest events, falling; those that were cut off are infinite."""
+        """Return the largest events in falling order; a cut-off peak is infinite."""
         order = np.argsort(self._tick)
         tick, value = self._tick[order], self._value[order]
         begins = np.flatnonzero(np.diff(tick, prepend=-self._gap - 1) > self._gap)
@@ -117,9 +117,9 @@ class Exceedances:
         return falling
 
     def at_most(self, per_hour: float, confidence: float) -> Boundary | None:
-        """The lowest boundary that is exceeded at most so often in 1/h, with a confidence; none where none is.
+        """Return the lowest boundary with at most so many exceedances in 1/h at a confidence; None without one.
 
-        Where all events that there are would be allowed, the largest one: how low one may go is not known then.
+        If all events would be allowed, it is the largest one: the data then give no lower limit.
         """
         low, high = 0, 1
         while self._keeps(high, per_hour, confidence):
@@ -136,11 +136,11 @@ class Exceedances:
         return boundary is not None and boundary.quantile_per_hour(confidence) <= per_hour
 
     def _ticks_above(self, value: float) -> int:
-        """How many ticks exceed a value."""
+        """Return the number of ticks above a value."""
         return int(np.searchsorted(-self._value, -value, "left"))
 
     def _events(self, ticks: int) -> npt.NDArray[np.int64]:
-        """The blocks of the events that the highest ticks are."""
+        """Return the blocks of the events formed by the highest ticks."""
         order = np.argsort(self._tick[:ticks])
         tick, block = self._tick[:ticks][order], self._block[:ticks][order]
         begins: npt.NDArray[np.int64] = block[np.diff(tick, prepend=-self._gap - 1) > self._gap]
@@ -148,13 +148,13 @@ class Exceedances:
 
 
 def _grouping(blocks: npt.NDArray[np.int64]) -> float:
-    """D of events in blocks."""
+    """Return D of events in blocks."""
     counts = np.bincount(blocks)
     return float((counts**2).sum() / counts.sum())
 
 
 def hours_for(per_hour: float, confidence: float) -> float:
-    """How long hands must hold without an event so that a rate can be claimed: `-ln(1 - C) / rate`, in h.
+    """Return the event-free time in h that hands must hold to claim a rate: `-ln(1 - C) / rate`.
 
     Source: Hanley and Lippman-Hand 1983 (the rule of three at 95 %).
     """

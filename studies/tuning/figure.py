@@ -1,4 +1,4 @@
-"""The figure of a tuning: what each observer saw with its threshold, and missed releases over false trips."""
+"""Figure of a tuning: values of each observer with its threshold, and missed releases over false trips."""
 
 from os import PathLike
 from typing import TYPE_CHECKING
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 
 
 def draw_tuning(found: Tuning, path: str | PathLike[str] | None = None, columns: Columns = 2) -> "Figure":
-    """Draws, for each threshold, events per hour over the observer's values, and below it the ROC curve.
+    """Draw, for each threshold, events per hour over the observer's values, and below it the ROC curve.
 
     Args:
-        found: What is drawn.
-        path: Of a .png, .pdf or .svg that is written.
-        columns: Width, in columns of a page.
+        found: Tuning to draw.
+        path: Path of a .png, .pdf or .svg to write.
+        columns: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is not there; it comes with `haptether[analysis]`.
-        ValueError: Another ending.
-        OSError: The file cannot be written; a symbolic link.
+        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ValueError: The ending is invalid.
+        OSError: The file cannot be written, or is a symbolic link.
     """
     tuned = found.thresholds
     with styled():

@@ -35,7 +35,7 @@ NEVER_TRIPPING = (
     "grasp_threshold=1e6",
     "hsc_force_threshold_n=1e6",
 )
-"""Thresholds that no signal passes: observers are computed and no controller intervenes."""
+"""Thresholds that no signal exceeds: observers run without interventions."""
 OBSERVERS = ("vfc", "hsc", "wsc")
 """Controllers whose observers are replayed."""
 READ_BY_OBSERVERS = {
@@ -43,27 +43,28 @@ READ_BY_OBSERVERS = {
     "hsc": ("grasp_threshold", "hsc_force_threshold_n", "hsc_velocity_threshold", "grasp_floor_n"),
     "vfc": ("velocity_threshold", "vfc_force_threshold_n", "vfc_form"),
 }
-"""Fields of `[safety]` that observers and the conditions of their trips read, by controller."""
+"""Fields of `[safety]` that affect observers and trip conditions, by controller."""
 DEVICE = ("kind", "axes", "mass_kg", "viscous", "coulomb", "encoder_quantum", "measures_velocity", "max_force_n")
-"""What makes two masters the same device."""
+"""Fields that must be equal for masters to be the same device."""
 SETTLE_S = 0.3
-"""After a recorded intervention, until signals are again those of a hand that feels F_v: the ramp of its return."""
+"""Time after a recorded intervention until the signals are again normal: the ramp of the force's return."""
 LET_GO_S = 0.05
-"""Least time in s for which no hand loads the device after a release: that of a failing grip (paper section 4.3)."""
+"""Least time in s without a load by a hand after a release: that of a failing grip (paper section 4.3)."""
 LET_GO_SPEED = 0.3
-"""Speed in m/s along F_device that a device then has at least: below, it was not thrown."""
+"""Least speed in m/s along F_device of a thrown device."""
 UNLOADED_SHARE = 0.5
-"""Share of an intervention in which no hand loads the device, above which the hand has let go.
+"""Unloaded fraction of an intervention above which the hand has released.
 
-Measured in `remote_push` and `sliding_mass` at 100 ms with the default release law: at most 0.32 where a hand holds,
+Measured in `remote_push` and `sliding_mass` at 100 ms with the default release law: at most 0.32 with a holding hand,
+at least 0.65 after a release.
 0.65 and more where it has let go.
 """
 UNLOADED_S = 0.5
-"""Least duration in s of such an intervention: in a shorter one a compliant hand may not load the device."""
+"""Least duration in s of such an intervention; in a shorter one a compliant hand may not load the device."""
 NOT_NORMAL = "a hand that lets go is no normal operation, give recordings in which it holds throughout"
 ENGAGED = LADDER_STATES.index("engaged")
 BLOCK_S = 60.0
-"""Longest time in s of a recording that counts as one; hands of a shorter one are one hand's."""
+"""Longest part of a recording in s that counts as one block; a shorter recording is one block."""
 
 
 class TunedField(NamedTuple):
@@ -71,14 +72,14 @@ class TunedField(NamedTuple):
 
     controller: str
     field: str
-    """Of `[safety]`."""
+    """Field of `[safety]`."""
     unit: str
     sign: float
-    """Of the threshold: it is `sign` times the boundary of what rises as safety falls."""
+    """Sign of the threshold, which is `sign` times the boundary of a score that rises as safety falls."""
     least: float
-    """What such a boundary must exceed."""
+    """Lower limit of such a boundary."""
     score: str
-    """What rises as safety falls, with its unit."""
+    """Name and unit of the score."""
 
 
 TUNED_FIELDS = {
@@ -90,55 +91,56 @@ TUNED_FIELDS = {
         TunedField("vfc", "velocity_threshold", "m/s", 1.0, 0.0, "V along F_v [m/s]"),
     )
 }
-"""By the field of `[safety]`."""
+"""Tunable thresholds by the field of `[safety]`."""
 
 
 class NormalOperation(Struct, frozen=True, kw_only=True):
-    """Recordings of hands that hold, as one series of ticks."""
+    """Recordings of holding hands, as one series of ticks."""
 
     files: tuple[str, ...]
     scene: Scene
-    """Of the first recording, with the overrides; all have its device, rate and settings of observers."""
+    """Scene of the first recording, with the overrides; all have its device, rate and observer settings."""
     period_s: float
     hours: float
-    """For how long in h hands were coupled and nobody intervened."""
+    """Coupled time in h without interventions."""
     blocks: int
-    """Recordings, and parts of 60 s of longer ones: what can be taken as independent."""
+    """Independent parts: recordings, and 60 s parts of longer ones."""
     round_trip_s: float
-    """Median of what was measured while coupled, in s; 0 where nothing was."""
+    """Median measured round trip while coupled in s; 0 without measurements."""
     interventions: dict[str, tuple[str, ...]]
-    """Where each controller tripped in the recordings: file and time in s."""
+    """Trips in the recordings by controller: file and time in s."""
     scores: dict[str, "Scores"]
-    """By the field of `[safety]`."""
+    """Scores by the field of `[safety]`."""
 
 
 class Scores(NamedTuple):
-    """Ticks at which a controller would trip if its threshold were below the score; others are left out."""
+    """Ticks at which a controller would trip for a threshold below the score; others are left out."""
 
     value: Array
-    """In the unit of the threshold; infinite where it tripped in the recording, so that a peak was cut off."""
+    """Score in the unit of the threshold; infinite at a recorded trip, which cut a peak off."""
     tick: npt.NDArray[np.int64]
-    """Number of the tick, recordings apart from each other."""
+    """Number of the tick; recordings are far apart."""
     block: npt.NDArray[np.int64]
 
 
 def read_normal_operation(
     files: Sequence[str | os.PathLike[str] | Recording], *, fields: Iterable[str], overrides: Iterable[str] = ()
 ) -> NormalOperation:
-    """Reads recordings of masters and computes the safety observers on them, with no controller that intervenes.
+    """Read recordings of masters and compute the safety observers on them, without interventions.
 
-    A tick counts while the two sides are engaged and no controller of the recording intervenes or did so less than
-    `SETTLE_S` ago: then the hand felt another force.
+    A tick counts while the sides are engaged, without an intervention at it or within `SETTLE_S` before it. After an
+    intervention the hand felt another force.
 
     Args:
-        files: What `--record` of a master wrote, or what `read_recording` read of it.
-        fields: Thresholds, of `TUNED_FIELDS`.
+        files: Files of `--record` of a master, or results of `read_recording`.
+        fields: Thresholds, keys of `TUNED_FIELDS`.
         overrides: Fields of `[safety]` to change first, `safety.key=value`.
 
     Raises:
         OSError: A file cannot be read.
-        ValueError: None, one twice, no recording of a master; nobody was coupled; a hand let go; different devices,
-            rates or settings of observers.
+        ValueError: There is no file, a duplicate, or none of a master; no side was coupled; a hand released; or
+            devices,
+            rates or observer settings differ.
     """
     fields, overrides = tuple(fields), tuple(overrides)
     if not files:
@@ -171,7 +173,7 @@ def read_normal_operation(
         round_trips.append(one.round_trips_s)
         ticks += int(one.counted.sum())
         blocks += int(blocks_of[-1]) + 1
-        # Farther apart than any two events that are one.
+        # Farther apart than any two exceedances of one event.
         offset += len(one.counted) + 10**7
     assert first is not None
     return NormalOperation(
@@ -190,13 +192,13 @@ def read_normal_operation(
 
 
 class _Recorded:
-    """One recording: its observers replayed, and which of its ticks count."""
+    """One recording: its replayed observers, and a mask of the counted ticks."""
 
     def __init__(self, name: str, run: Run, scene: Scene, replayed: dict[str, Array]) -> None:
         self.name, self.scene, self.replayed = name, scene, replayed
         self.period_s, self.time_s = scene.run.period_s, run.signals["time_s"]
         tripped = _trips(run)
-        # A trip during an intervention of another controller is part of that.
+        # A trip during an intervention of another controller belongs to that intervention.
         onsets = _onsets(tripped != 0)
         self.onsets = {name: onsets & (tripped & TRIP_BITS[name] != 0) for name in OBSERVERS}
         engaged = run.signals["state"] == ENGAGED
@@ -206,13 +208,14 @@ class _Recorded:
         self.counted = engaged & ~_extended(tripped != 0, after)
 
     def score(self, field: str) -> Array:
-        """What the threshold must exceed so that a tick does not trip it, shape `(n_ticks,)`; -inf where none does.
+        """Return the least threshold that avoids a trip at each tick, shape `(n_ticks,)`; -inf if none would trip.
 
         - `energy_threshold_j`: `-E_wso` (paper Eq. 13), where `F_v.V / |V| > F_w` or F_w is 0.
-        - `grasp_threshold`: `S_h` (Eq. 14), where F_v, as of now and as late as F_h, exceeds F_t and `F_v.V / |F_v|`
-          exceeds V_s, or V_s is 0.
+        - `grasp_threshold`: `S_h` (Eq. 14), where F_v, present and aligned with F_h, exceeds F_t, and `F_v.V / |F_v|`
+          exceeds V_s or V_s is 0.
         - `hsc_force_threshold_n`: the lesser of both F_v, where `S_h > zeta` and V_s is exceeded.
-        - `velocity_threshold`: of form "product" `V.F_v / F_t` (Eq. 1); of "both" `V.F_v / |F_v|` where `|F_v| > F_t`.
+        - `velocity_threshold`: for form "product" `V.F_v / F_t` (Eq. 1); for "both" `V.F_v / |F_v|` where `|F_v| >
+          F_t`.
 
         Source: safety/src/controller; the conditions are those of the tick.
         """
@@ -225,7 +228,7 @@ class _Recorded:
             score = -self.replayed["windowed_energy_j"]
         elif tuned.controller == "hsc":
             grasp = self.replayed["grasp"]
-            # S_h = |F_v| / (|F_h| + alpha) with F_v as late as F_h (Eq. 5).
+            # S_h = |F_v| / (|F_h| + alpha) with F_v delayed to match F_h (Eq. 5).
             aligned = grasp * (_norm(self.replayed["grasp_force"]) + safety["grasp_floor_n"])
             least = np.minimum(pushed, aligned)
             slowest = safety["hsc_velocity_threshold"]
@@ -251,7 +254,7 @@ def _name(file: str | os.PathLike[str] | Recording) -> str:
 
 
 def _recorded(file: str | os.PathLike[str] | Recording, overrides: tuple[str, ...]) -> _Recorded:
-    """A recording, checked to be of normal operation."""
+    """Return a recording, checked to be of normal operation."""
     name = _name(file)
     recording = file if isinstance(file, Recording) else read_recording(file)
     if recording.side != "master":
@@ -283,7 +286,7 @@ def _recorded(file: str | os.PathLike[str] | Recording, overrides: tuple[str, ..
 
 
 def _check_held(name: str, run: Run, recorded: dict[str, Any], device: dict[str, Any]) -> None:
-    """Refuses a recording in which the hand lets go: that is no normal operation."""
+    """Check that the hand holds throughout; a release is no normal operation."""
     period_s = float(run.settings["run"]["period_s"])
     time_s = run.signals["time_s"]
     operator = run.settings.get("operator") or {}
@@ -316,7 +319,7 @@ def _check_held(name: str, run: Run, recorded: dict[str, Any], device: dict[str,
 
 
 def _check_alike(first: _Recorded, one: _Recorded) -> None:
-    """Refuses recordings of different devices, rates or settings of observers."""
+    """Check that recordings agree in device, rate and observer settings."""
     check_device(first.scene, one.scene, f"{first.name}, {one.name}")
     for key in ("estimator", *(name for names in READ_BY_OBSERVERS.values() for name in names)):
         ours, theirs = (getattr(each.scene.safety, key) for each in (first, one))
@@ -329,12 +332,12 @@ def _check_alike(first: _Recorded, one: _Recorded) -> None:
 
 
 def check_device(ours: Scene, theirs: Scene, names: str) -> None:
-    """Refuses two scenes of different devices or rates.
+    """Check that two scenes agree in device and rate.
 
     Raises:
-        ValueError: With what differs.
+        ValueError: They differ; the text says in what.
     """
-    # As resolved: a preset and its numbers are one device.
+    # Compare resolved values: a preset equals its numbers.
     masters = [json.decode(scene_json(each))["master"] for each in (ours, theirs)]
     pairs = [("[run] period_s", ours.run.period_s, theirs.run.period_s)]
     pairs += [(f"[master] {key}", *(each.get(key) for each in masters)) for key in DEVICE]
@@ -345,7 +348,7 @@ def check_device(ours: Scene, theirs: Scene, names: str) -> None:
 
 
 def _trips(run: Run) -> npt.NDArray[np.int64]:
-    """Bits of the controllers that intervene, whichever layer, at each tick."""
+    """Return the bits of the intervening controllers of all layers at each tick."""
     tripped = np.zeros(len(run.signals["time_s"]), dtype=np.int64)
     for name in ("tripped", "rotation_tripped"):
         if name in run.signals:
@@ -359,19 +362,19 @@ def _norm(vectors: Array) -> Array:
 
 
 def _onsets(states: Bools) -> Bools:
-    """Where a state begins."""
+    """Return a mask of the starts of a state."""
     onsets: Bools = states & ~np.concatenate([[False], states[:-1]])
     return onsets
 
 
 def _extended(states: Bools, ticks: int) -> Bools:
-    """Where a state is, or was at most so many ticks ago."""
+    """Return a mask of ticks at which a state is, or was at most so many ticks ago."""
     last: npt.NDArray[np.int64] = np.maximum.accumulate(np.where(states, np.arange(len(states)), -ticks - 1))
     within: Bools = np.arange(len(states)) <= last + ticks
     return within
 
 
 def _intervals_of(states: Bools) -> list[tuple[int, int]]:
-    """First tick and end of each interval in which a state is."""
+    """Return first tick and end of each interval of a state."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], states, [False]])))
     return [(int(begin), int(end)) for begin, end in edges.reshape(-1, 2)]

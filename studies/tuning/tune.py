@@ -23,27 +23,27 @@ from haptether.studies.tuning.normal_operation import (
 )
 
 FIELD_OF = {"wsc": "energy_threshold_j", "hsc": "grasp_threshold", "vfc": "velocity_threshold"}
-"""Which threshold of a controller is tuned by default: that of the paper's section 5."""
+"""Threshold of each controller tuned by default: that of the paper's section 5."""
 BEYOND = (1.25, 1.6, 2.5)
-"""Multiples of the largest value seen at which releases are looked at, too."""
+"""Further thresholds of a ROC curve, as multiples of the largest value recorded."""
 MOST_POINTS = 12
-"""Of a ROC curve, below the largest value seen."""
+"""Most points of a ROC curve below the largest value recorded."""
 
 
 class RocPoint(Struct, frozen=True, kw_only=True):
     """A threshold: false trips per hour against missed releases."""
 
     threshold: float
-    """As `[safety]` takes it."""
+    """Threshold as `[safety]` takes it."""
     false_trips_per_h: float
     false_trips_per_h_interval: tuple[float, float]
-    """At the confidence of the tuning."""
+    """Interval at the confidence of the tuning."""
     releases: int
-    """Simulated releases that throw the device beyond `missed_speed` where nobody watches; 0 without a scene."""
+    """Simulated releases that exceed `missed_speed` without a controller; 0 without a scene."""
     missed: int
-    """Those that still do."""
+    """Releases that still exceed it."""
     missed_interval: tuple[float, float] | None
-    """Exact (Clopper and Pearson 1934) of the share missed; none without a release."""
+    """Exact interval of the missed share (Clopper and Pearson 1934); None without releases."""
     mev: float | None
     """MEV: largest speed in m/s after these releases."""
 
@@ -55,30 +55,32 @@ class TunedThreshold(Struct, frozen=True, kw_only=True):
     field: str
     unit: str
     point: RocPoint
-    """The threshold that was found."""
+    """The tuned threshold."""
     order: int
-    """It is the `order`-th largest event of the recordings; 0 where there is none, and the recorded one stays."""
+    """Rank of the threshold among the largest events; 0 if there is none, and the recorded threshold stays."""
     grouping: float
-    """Events that one hand makes together, on the average over events."""
+    """Mean number of events that one hand makes together, averaged over events."""
     most_per_h: float
-    """Largest rate of false trips in 1/h at the confidence, one-sided."""
+    """One-sided upper bound of the false trips in 1/h at the confidence."""
     reached: bool
-    """Whether that is at most `Tuning.per_hour`."""
+    """True if that bound is at most `Tuning.per_hour`."""
     needed_hours: float
-    """How long hands must hold so that it can be, in h, if they hold as here."""
+    """Time in h that hands must hold, as in the recordings, to reach it."""
     interventions: tuple[str, ...]
-    """Of this controller, file and time in s: they cut the peak of the observer off, so that each counts as above every
-    threshold."""
+    """Recorded trips of this controller, file and time in s. They cut the observer's peak off, so each counts as above
+    every
+    threshold.
+    """
     recorded: RocPoint
-    """The threshold of the recordings, for comparison."""
+    """The recorded threshold, for comparison."""
     roc: tuple[RocPoint, ...]
-    """Other thresholds, the most sensitive first."""
+    """Other thresholds, most sensitive first."""
     peaks: tuple[float, ...]
-    """The largest events, falling, as thresholds: at most 1000."""
+    """The largest events in falling order as thresholds, at most 1000."""
 
     @property
     def none_missed(self) -> RocPoint | None:
-        """The least sensitive threshold of the curve that, as all more sensitive ones, misses no release."""
+        """The least sensitive threshold of the curve up to which none misses a release."""
         best = None
         for point in self.roc:
             if point.missed:
@@ -88,34 +90,34 @@ class TunedThreshold(Struct, frozen=True, kw_only=True):
 
 
 class Tuning(Struct, frozen=True, kw_only=True):
-    """Thresholds that `tune` found, with the recordings and options that they are of."""
+    """Result of `tune`, with its recordings and options."""
 
     files: tuple[str, ...]
     hours: float
-    """For how long in h hands held while nobody intervened."""
+    """Time in h for which hands held without interventions."""
     blocks: int
-    """Recordings, and parts of 60 s of longer ones."""
+    """Recordings, and 60 s parts of longer ones."""
     per_hour: float
-    """Largest rate of false trips in 1/h that each controller may have."""
+    """Largest allowed false trips in 1/h per controller."""
     confidence: float
     round_trip_s: float
     missed_speed: float
-    """In m/s."""
+    """Missed speed in m/s."""
     hands: int
     seed: int
     thresholds: tuple[TunedThreshold, ...]
     safety: dict[str, float | int | str]
     """Other fields of `[safety]` that the observers read."""
     notes: tuple[str, ...]
-    """What was not done, and why."""
+    """Steps that were skipped, and why."""
 
     @property
     def reached(self) -> bool:
-        """Whether every threshold keeps the rate of false trips."""
+        """True if every threshold keeps the rate of false trips."""
         return all(each.reached for each in self.thresholds)
 
     def toml(self) -> str:
-        """A table `[safety]` with the thresholds; rates, intervals and MEV as comments."""
+        """Return a table `[safety]` with the thresholds; rates, intervals and MEV are comments."""
         names = dict.fromkeys(each.controller for each in self.thresholds)
         lines = ["[safety]", f"controllers = [{', '.join(map(_toml, names))}]"]
         for each in self.thresholds:
@@ -140,32 +142,31 @@ def tune(
     threads: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Tuning:
-    """Finds the boundary of each observer in normal operation, and which releases a threshold there misses.
+    """Find the boundary of each observer in normal operation, and the releases that a threshold there misses.
 
-    The most sensitive threshold is taken whose false trips stay below a rate with a confidence (`Boundary`); it is an
-    event of the recordings. Releases are of many hands in a scene, under the force that they press with or that pushes
-    them; each lets go within 50 ms, and counts if an unwatched device then exceeds 0.5 m/s within 0.5 s.
+    The result is the most sensitive threshold with false trips below a rate at a confidence (`Boundary`). It is an
+    event of the recordings. Releases are by many hands in a scene, under the force that they press with or that pushes
+    them. Each takes 50 ms and counts if the device, without a controller, then exceeds 0.5 m/s within 0.5 s.
 
     Args:
-        files: Recordings of masters, of hands that hold: paths, or what `read_recording` read.
-        scene: In which hands let go; by default that of the first recording.
-        fields: Thresholds, of `TUNED_FIELDS`; by default of the controllers of the recordings, or of all.
-        false_trips_per_h: Rate in 1/h of each controller, at most.
-        confidence: That it is kept, and of all intervals.
-        round_trip_s: Of the releases, in s; by default the median of the recordings.
-        hands: How many let go, 1 or more; each once.
-        releases: At how many times.
-        seed: Of hands and links.
-        bounds: What hands may be; by default `HandBounds()`.
-        overrides: Fields of `[safety]` that observers read to change first, `safety.key=value`.
-        threads: Of the runs; by default as many as there are processors.
-        progress: Called with what is done.
+        files: Recordings of masters with holding hands: paths, or results of `read_recording`.
+        scene: Scene of the releases; by default that of the first recording.
+        fields: Thresholds, keys of `TUNED_FIELDS`; by default of the controllers of the recordings, or of all.
+        false_trips_per_h: Largest rate in 1/h of each controller.
+        confidence: Confidence of that rate and of all intervals.
+        round_trip_s: Round trip of the releases in s; by default the median of the recordings.
+        hands: Number of hands that release, 1 or more; each once.
+        releases: Number of release times.
+        seed: Seed of hands and links.
+        bounds: Ranges of hands; by default `HandBounds()`.
+        overrides: Fields of `[safety]` read by observers to change first, `safety.key=value`.
+        threads: Threads of the runs; by default one per processor.
+        progress: Called with a text for each part.
 
     Raises:
         OSError: A file cannot be read.
-        ValueError: Recordings that are not of normal operation, too few events were seen whole, or options that cannot
-            be.
-        SceneError: A scene that cannot be built.
+        ValueError: Recordings are not of normal operation, too few events were seen whole, or an option is invalid.
+        SceneError: The scene cannot be built.
 
     Source: paper section 5 (boundary values in normal operation, then abnormal ones); `Boundary`.
     """
@@ -256,7 +257,7 @@ def _release_runs(
     bounds: HandBounds,
     threads: int | None,
 ) -> tuple[TaskRuns | None, list[str]]:
-    """Hands that let go in the scene, with the device, the estimator and the observers of the recordings."""
+    """Return hands that release in the scene, with device, estimator and observers of the recordings."""
     round_trip_s, hands, releases, seed = how
     if scene is None:
         task_scene = seen.scene
@@ -326,7 +327,7 @@ def _tuned(
 
 
 def _orders(found: Boundary | None) -> list[int]:
-    """Of a ROC curve: 1, 2, 3, 4, 6, 8, ... up to some times what was found, and that."""
+    """Return the ranks of a ROC curve: 1, 2, 3, 4, 6, 8, ... up to a multiple of the tuned rank, and that rank."""
     last = max(64, 4 * (found.order if found else 0))
     orders = np.unique(np.round(np.geomspace(1.0, last, MOST_POINTS)).astype(int)).tolist()
     return sorted({*orders, *([found.order] if found else [])})
@@ -339,7 +340,7 @@ def _points(
     runs: TaskRuns | None,
     confidence: float,
 ) -> dict[float, RocPoint]:
-    """By threshold, the most sensitive first."""
+    """Return the points by threshold, most sensitive first."""
     ordered = sorted(values, key=abs)
     law = ThresholdLaw(
         name=field, controller=controller, source="ours", threshold=field, unit="", values=tuple(ordered)
@@ -361,7 +362,7 @@ def _points(
 
 
 def _rounded_outward(threshold: float) -> float:
-    """A threshold to four digits, rounded away from 0: not below the event that it is."""
+    """Round a threshold to four digits away from 0, so that it is not below its event."""
     if threshold == 0.0:
         return threshold
     scale = 10.0 ** (math.floor(math.log10(abs(threshold))) - 3)
