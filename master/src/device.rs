@@ -114,7 +114,6 @@ impl<const N: usize> DeviceParameters<N> {
         }
     }
 
-    /// True if friction couples the axes.
     pub(crate) fn rubs_along_motion(&self) -> bool {
         N > 1 && self.friction == Friction::Vector && self.coulomb[0] > 0.0
     }

@@ -8,8 +8,8 @@ use crate::{
     polynomial::{INVERSE, Series, TERMS},
 };
 
-/// Fraction h / rho of the radius of convergence at which the omitted terms fall below rounding: `(h /
-/// rho)^TERMS = 1e-16`.
+/// Fraction h / rho of the radius of convergence at which the omitted terms fall below rounding:
+/// `(h / rho)^TERMS = 1e-16`.
 const SHARE_OF_RADIUS: f64 = 0.1;
 
 /// A vector series divided by its length.

@@ -145,7 +145,6 @@ impl<const N: usize> Hand<N> {
         self.damping
     }
 
-    /// The same hand with grip strength `strength_n` in N.
     pub(crate) fn with_strength(&self, strength_n: f64) -> Self {
         Self { strength_n, ..self.clone() }
     }
@@ -295,7 +294,6 @@ pub(crate) fn whole_ns(time_s: f64) -> f64 {
     (time_s * 1e9).round() / 1e9
 }
 
-/// A line as a series.
 pub(crate) fn line([value, rate]: [f64; 2]) -> Series {
     let mut series = [0.0; TERMS];
     (series[0], series[1]) = (value, rate);

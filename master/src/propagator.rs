@@ -25,7 +25,6 @@ const MAX_TURNS: u32 = 16;
 pub(crate) struct Propagator<const N: usize> {
     duration: f64,
     impedance: [f64; 2],
-    /// One per axis.
     pub(crate) axes: [AxisPropagator; N],
     /// True if mass and viscous friction are equal on all axes.
     pub(crate) is_isotropic: bool,
@@ -83,7 +82,6 @@ impl<const N: usize> Propagator<N> {
         self.duration == duration && self.impedance == impedance
     }
 
-    /// Map of a tick of `duration` in s.
     #[cold]
     pub(crate) fn new(
         device: &DeviceParameters<N>,
@@ -138,7 +136,6 @@ impl<const N: usize> Propagator<N> {
 }
 
 impl<S: Real> AxisPropagator<S> {
-    /// A map with all responses zero.
     pub(crate) fn none() -> Self {
         let zero = S::zero();
         Self {
@@ -153,7 +150,6 @@ impl<S: Real> AxisPropagator<S> {
         }
     }
 
-    /// Copies the map of one device into `lane`.
     pub(crate) fn load(&mut self, lane: usize, of: &AxisPropagator) {
         self.inverse_mass.replace(lane, of.inverse_mass);
         self.pull.replace(lane, of.pull);
@@ -237,7 +233,6 @@ pub(crate) struct Outlook<const N: usize> {
     pub(crate) wave: [f64; 2],
     /// Rotations since the last computation.
     turns: u32,
-    /// Length of the last tick in ns.
     tick_ns: u64,
     /// Sine and cosine of the phase step of such a tick; none before a second one.
     turn: Option<[f64; 2]>,

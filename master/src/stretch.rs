@@ -54,8 +54,8 @@ pub(crate) struct Law<'a, const N: usize> {
     pub(crate) wanted: f64,
 }
 
-/// Taylor series about t = 0 of the solution of `m x'' = F + g (K_h (target - x) - B_h x') + walls - b x' -
-/// friction`.
+/// Taylor series about t = 0 of the solution of
+/// `m x'' = F + g (K_h (target - x) - B_h x') + walls - b x' - friction`.
 ///
 /// A recursion gives the coefficients: those of the acceleration up to order n give x to order n + 2. If all
 /// laws are linear, the solution is entire: one axis, or several that neither slip nor have friction along
@@ -244,8 +244,8 @@ impl<const N: usize> Law<'_, N> {
     ///
     /// Along an axis `x'' = -c x' - k x + u(t) = (r_1 + r_2) x' - r_1 r_2 x + u` with `r_1 << r_2 <= 0`.
     /// So `w = x' - r_2 x` obeys `w' = r_1 w + u`: it is `A e^(r_1 t)` plus a slow solution.
-    /// The series of the slow solution follows from the last term down: `w_n = ((n + 1) w_(n+1) - u_n) /
-    /// r_1`. If A is within rounding, `x' = r_2 x + w` gives the series of x, whose reach depends on `r_2`.
+    /// The series of the slow solution follows from the last term down:
+    /// `w_n = ((n + 1) w_(n+1) - u_n) / r_1`. If A is within rounding, `x' = r_2 x + w` gives the series of x, whose reach depends on `r_2`.
     pub(crate) fn relaxed(
         &self,
         regime: &Regime<N>,
@@ -368,7 +368,6 @@ fn masked<const N: usize>(mut value: Axes<N>, stuck: &[bool; N]) -> Axes<N> {
 }
 
 impl<const N: usize> Stretch<N> {
-    /// An empty stretch.
     pub(crate) fn new() -> Self {
         let none = [Axes::zeros(); TERMS];
         Self { position: none, wish: none, push: none, reach: 0.0 }
@@ -385,12 +384,10 @@ impl<const N: usize> Stretch<N> {
         derivatives.fold(Axes::zeros(), |sum, (n, x)| sum * t + x * n as f64) * t
     }
 
-    /// Series of V along one axis.
     pub(crate) fn velocity_along(&self, axis: usize) -> Series {
         std::array::from_fn(|n| self.position.get(n + 1).map_or(0.0, |x| (n + 1) as f64 * x[axis]))
     }
 
-    /// Series of x along one axis.
     pub(crate) fn position_along(&self, axis: usize) -> Series {
         self.position.map(|x| x[axis])
     }

@@ -118,7 +118,6 @@ pub struct RotationHand {
     release: Option<Release>,
 }
 
-/// A leg with its start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Leg {
     begin_s: f64,

@@ -15,8 +15,7 @@ const MIN_PROGRESS: f64 = 1e-9;
 /// Simultaneous events allowed; beyond them the motion advances by [`MIN_PROGRESS`].
 const MAX_STALLS: u32 = 8;
 
-/// Stretches allowed per advance; beyond them it proceeds in steps of this fraction, so that a tick always
-/// ends.
+/// Stretches allowed per advance; beyond them it proceeds in this many equal steps, so that a tick always ends.
 const MAX_STRETCHES: u32 = 4096;
 
 /// Fraction of an advance below which a stretch is short, and number of short stretches that mark the motion
@@ -460,7 +459,6 @@ impl<const N: usize> SimulatedMaster<N> {
     }
 }
 
-/// Event that ends a stretch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum EventKind {
     /// Friction or a stop no longer holds an axis.
@@ -483,7 +481,6 @@ struct Event {
     kind: EventKind,
 }
 
-/// Series of `|w|²`.
 fn squared_norm<const N: usize>(w: &[Axes<N>; TERMS]) -> Series {
     std::array::from_fn(|n| squared(w, n))
 }

@@ -70,7 +70,6 @@ struct Fast<const N: usize, S: Real> {
     held_force: Axes<N, S>,
     /// Mask of the loaded lanes.
     loaded: u64,
-    /// One per lane.
     absences: Vec<Absence>,
 }
 
@@ -134,7 +133,7 @@ impl<const N: usize, S: Real> MasterLanes<N, S> {
         Some(lanes)
     }
 
-    /// Makes the hands wait at the start of their path; their time runs from the moment they no longer wait.
+    /// Sets whether the hands wait at the start of their path; their time runs while they do not wait.
     #[inline(always)] // once per tick
     pub fn set_waiting(&mut self, waits: bool) {
         if self.masters.first().is_some_and(|master| master.waits != waits) {
@@ -163,7 +162,6 @@ impl<const N: usize, S: Real> MasterLanes<N, S> {
         MasterLanesSample { position: measured, velocity: self.measures_velocity.then_some(velocity) }
     }
 
-    /// Reads each of these masters by itself.
     #[inline(never)] // rare and long
     fn read_alone(&mut self, lanes: u64, now_ns: u64) {
         for lane in lanes_of(lanes, self.masters.len()) {
@@ -214,7 +212,6 @@ impl<const N: usize, S: Real> MasterLanes<N, S> {
     }
 }
 
-/// Lanes set in `mask`.
 fn lanes_of(mask: u64, count: usize) -> impl Iterator<Item = usize> {
     (0..count).filter(move |lane| mask >> lane & 1 == 1)
 }

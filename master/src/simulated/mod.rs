@@ -117,7 +117,7 @@ impl<const N: usize> SimulatedMaster<N> {
         Ok(Self { walls, ..self })
     }
 
-    /// Makes the hand wait at the start of its path; its time runs from the moment it no longer waits.
+    /// Sets whether the hand waits at the start of its path; its time runs while it does not wait.
     pub fn set_waiting(&mut self, waits: bool) {
         self.waits = waits;
     }

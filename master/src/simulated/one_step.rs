@@ -248,7 +248,6 @@ impl<const N: usize> SimulatedMaster<N> {
 
 /// Course of a motion over a tick.
 enum Bend<const N: usize> {
-    /// A straight line.
     Straight,
     /// A bend: changes of x in m and V in m/s.
     Bends([Axes<N>; 2]),
