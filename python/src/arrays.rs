@@ -68,7 +68,6 @@ impl<'a> Samples<'a> {
         Ok(Self { values, ticks, axes, flat })
     }
 
-    /// Sample of one tick.
     pub(crate) fn at<const N: usize>(&self, tick: usize) -> Axes<N> {
         Axes::from_column_slice(&self.values[tick * N..tick * N + N])
     }
@@ -103,7 +102,6 @@ pub(crate) enum Sample {
 }
 
 impl Sample {
-    /// The sample as a vector of `N` axes.
     pub(crate) fn axes<const N: usize>(&self, name: &str) -> PyResult<Axes<N>> {
         match self {
             Self::One(value) if N == 1 => Ok(Axes::repeat(*value)),

@@ -2,7 +2,6 @@
 
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-/// Error for a number of axes out of range.
 pub(crate) fn refuse_axes(axes: usize) -> PyErr {
     PyValueError::new_err(format!("axes = {axes}: must be 1 to 7"))
 }

@@ -68,7 +68,6 @@ fn read_axes<const N: usize>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<P
     Err(PyTypeError::new_err(format!("{name} = {value}: must be {of}")))
 }
 
-/// Reads an optional part of a sample.
 fn read_optional<'py, T: FromPyObjectOwned<'py>>(
     name: &str,
     value: Option<&Bound<'py, PyAny>>,
@@ -95,7 +94,6 @@ fn read_part<T>(name: &str, value: Option<T>) -> PyResult<T> {
     value.ok_or_else(missing)
 }
 
-/// Reads the numbers of a sample for `axes` axes.
 fn read_vector(axes: usize, name: &str, value: &Bound<'_, PyAny>) -> PyResult<Padded> {
     of_axes!(axes, N => read_axes::<N>(name, value))
 }

@@ -105,7 +105,6 @@ impl Place {
         Self::new(Role::Master, || PeerSocket::bind_each(&ends).map_err(cannot), started_s, period_ns, how)
     }
 
-    /// Binds a slave.
     pub(crate) fn of_slave(listen: &str, period_ns: u64, how: How) -> PyResult<Self> {
         let own = addresses("listen", listen)?;
         let bind = |own| {
@@ -186,7 +185,6 @@ pub(crate) struct How {
     pub(crate) control: Option<PathBuf>,
 }
 
-/// Error for a loop that did not begin.
 pub(crate) fn not_begun(error: StartError) -> PyErr {
     match error {
         StartError::Session(error) => PyValueError::new_err(error.to_string()),
@@ -454,12 +452,10 @@ pub(crate) fn realtime_settings(demand: &str, priority: u8, cpu: Option<u16>) ->
     Ok(RealtimeSettings { demand, priority, cpu })
 }
 
-/// Security mark of a run's frames.
 fn mark(insecure: bool) -> SecurityMark {
     if insecure { SecurityMark::Insecure } else { SecurityMark::Secure }
 }
 
-/// Settings of the recording, if any.
 pub(crate) fn recorder_settings(
     path: Option<PathBuf>,
     min_free_bytes: u64,
@@ -470,7 +466,6 @@ pub(crate) fn recorder_settings(
     path.map(|path| RecorderSettings { path, min_free_bytes, security: mark(insecure), scene })
 }
 
-/// Settings of the telemetry, if any.
 pub(crate) fn telemetry_settings(
     path: Option<PathBuf>,
     insecure: bool,

@@ -216,7 +216,6 @@ impl PySinusoid {
     }
 }
 
-/// Record of one tick of a local loop on one axis.
 struct LocalRecord {
     position: f64,
     velocity: f64,

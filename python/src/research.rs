@@ -99,7 +99,6 @@ impl ResearchFactory for PyResearch {
     }
 }
 
-/// One controller of one run.
 struct PyResearchController {
     name: String,
     step: Py<PyAny>,

@@ -70,7 +70,6 @@ pub(crate) fn link_settings(json: &str) -> PyResult<LinkSettings> {
     serde_json::from_str(json).map_err(|error| PyValueError::new_err(format!("link: {error}")))
 }
 
-/// Converts the name of a direction.
 pub(crate) fn direction_named(key: &str, name: &str) -> PyResult<Direction> {
     match name {
         "forward" => Ok(Direction::Forward),

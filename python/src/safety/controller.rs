@@ -87,7 +87,6 @@ impl PySafetySettings {
     }
 }
 
-/// Controller with this name.
 fn named(name: &str) -> PyResult<ControllerKind> {
     ControllerKind::ALL.into_iter().find(|kind| kind.about().name == name).ok_or_else(|| {
         let names = ControllerKind::ALL.map(|kind| format!("{:?}", kind.about().name)).join(", ");

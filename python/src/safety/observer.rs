@@ -65,7 +65,6 @@ impl<'a> Observations<'a> {
     }
 }
 
-/// One observation.
 pub(super) fn observation<const N: usize>(
     velocity: &Sample,
     rendered_force: &Sample,
