@@ -26,7 +26,7 @@ LAST_S = 1.0
 
 
 def frame_times(begin_s: float, end_s: float, fps: float, speed: float) -> list[float]:
-    """Return the times of frames in s, from `begin_s` to `end_s` if that falls on a frame."""
+    """Times of frames in s, from `begin_s` to `end_s` if that falls on a frame."""
     count = int(np.floor((end_s - begin_s) * fps / speed + 1e-9)) + 1
     return [begin_s + n * speed / fps for n in range(max(1, count))]
 

@@ -17,7 +17,6 @@ from haptether.view.scene3d.live import LiveDescription
 FRAME_S = 1.0 / 20
 """Frame period; a browser without a graphics card draws no faster."""
 HISTORY_S = 2.0
-"""Length of a trail."""
 CLOSE_S = 0.2
 """Longest wait for the thread on close."""
 WAITING = 1024
@@ -126,5 +125,4 @@ class Bodies:
 
 
 def _state(live: LiveDescription) -> tuple[LiveDescription, int, float]:
-    """State on which a frame depends."""
     return live, live.generation, live.time_s

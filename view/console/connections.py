@@ -20,7 +20,7 @@ class Connection(Protocol):
         """Close at once, whatever the peer does."""
 
     def get_extra_info(self, name: str) -> Any:  # noqa: ANN401  # same signature as asyncio
-        """Return transport information, here the `socket`."""
+        """Transport information, here the `socket`."""
 
 
 class Connections:
@@ -57,7 +57,6 @@ class Connections:
                 _end(connections, connection)
 
     def _close_first(self, connections: dict[Connection, float], most: int) -> None:
-        """Make room for one more."""
         if len(connections) < most:
             return
         for connection in [one for one in connections if not _is_open(one)]:

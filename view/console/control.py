@@ -13,7 +13,6 @@ ANSWER_S = 1.0
 """Timeout of an answer; the answering thread waits only for a stop, 0.3 s."""
 MAX_ANSWER = 1 << 13
 RETRY_S = 0.01
-"""Delay before an unanswered request is repeated."""
 MAX_TRIES = 100
 """Attempts of a stop; the timeout comes first."""
 KEEP_S = 0.5

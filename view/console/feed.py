@@ -10,7 +10,6 @@ from haptether.view.console.summary import summary
 from haptether.view.terminal.state import SideState
 
 RETRY_S = 0.5
-"""Delay between two attempts to connect."""
 CLOSE_S = 0.2
 """Longest wait for the thread on close."""
 PLACES = ("position", "command")
@@ -66,7 +65,7 @@ class SideFeed:
         return self._name if state is None else state.side
 
     def summary(self) -> dict[str, Any]:
-        """Return the words and numbers beside the charts."""
+        """Words and numbers beside the charts."""
         with self._lock:
             try:
                 return summary(self._state, self._trouble, str(self.path))
@@ -74,7 +73,7 @@ class SideFeed:
                 return summary(None, f"cannot be shown: {type(error).__name__}: {error}", str(self.path))
 
     def take_row(self) -> dict[str, Any]:
-        """Return each chart signal's value furthest from zero since the last row, in SI units; may be empty."""
+        """Each chart signal's value furthest from zero since the last row, in SI units; may be empty."""
         with self._lock:
             row, self._row = self._row, {}
         return row
@@ -133,7 +132,7 @@ class SideFeed:
 
 
 def _furthest(low: float | None, high: float | None) -> float | None:
-    """Return the value further from zero, so that a spike of one tick is visible."""
+    """Value furthest from zero, so that a spike of one tick is visible."""
     if low is None or high is None:
         return high if low is None else low
     return low if -low > high else high

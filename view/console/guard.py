@@ -64,7 +64,7 @@ class Guard:
             await send({"type": "http.response.body", "body": f"{refused}\n".encode()})
 
     def _refused(self, scope: "Scope") -> str | None:
-        """Return the reason for a refusal; None for a request of the page itself."""
+        """Reason for a refusal; None for a request of the page itself."""
         headers: dict[bytes, list[str]] = {}
         for name, value in scope["headers"]:
             headers.setdefault(bytes(name).lower(), []).append(bytes(value).decode("latin-1"))

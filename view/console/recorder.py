@@ -48,7 +48,7 @@ class FlightWatch:
 
 
 def _content(flight: Flight) -> dict[str, Any]:
-    """Return cause, remedy, events and ticks up to the last hold, or else up to the end."""
+    """Cause, remedy, events and ticks up to the last hold, or else up to the end."""
     ticks = flight.at_hold or flight.latest
     cause = flight.causes[-1] if flight.causes else None
     return {

@@ -22,7 +22,7 @@ class Rows:
         self.newest += 1
 
     def since(self, number: int) -> tuple[list[dict[str, Any]], int]:
-        """Return the kept rows after row `number`, and the number of lost rows."""
+        """Kept rows after row `number`, and the number of lost rows."""
         missing = self.newest - number
         kept = min(missing, len(self._rows))
         return list(self._rows)[len(self._rows) - kept :], missing - kept

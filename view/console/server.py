@@ -265,11 +265,11 @@ class Console:
             self.bodies.is_watched = self._pages > 0
 
     def path_of(self, side: str) -> Path | None:
-        """Return the control socket of a side; None if none was given or it has not answered."""
+        """Control socket of a side; None if none was given or it has not answered."""
         return self._controls.sides.get(side)
 
     def message_since(self, row: int) -> tuple[int, dict[str, Any]]:
-        """Return the newest row number, and the message for a page that has rows up to `row`."""
+        """Newest row number, and the message for a page that has rows up to `row`."""
         new, lost = self.rows.since(row)
         message: dict[str, Any] = {"kind": "rows", "rows": new, "lost": lost}
         if self.rows.newest // WORDS_EVERY != row // WORDS_EVERY:
@@ -313,7 +313,7 @@ def _files() -> dict[str, tuple[bytes, str]]:
 
 
 def _colours() -> dict[str, str]:
-    """Return the colours of the charts, the same as in every figure."""
+    """Colours of the charts, the same as in every figure."""
     from haptether.view.style.colours import AXES, CONTROLLERS, SIGNALS
 
     controllers = {name: colour for name, (colour, _) in CONTROLLERS.items()}
@@ -337,7 +337,6 @@ class _Page(contextlib.AbstractAsyncContextManager["_Page"]):
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        # A hold ends with its page.
         for connection in self._connections.values():
             connection.close()
         for task in self._tasks:

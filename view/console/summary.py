@@ -6,12 +6,11 @@ from haptether.view.terminal.panel import FORCES, PLACES, TIMES, headline
 from haptether.view.terminal.state import SideState
 
 EVENTS = 12
-"""Number of newest events shown."""
 GRIPPER = {"trigger": "trigger", "gripper": "gripper", "gripper_force": "gripper force [N]"}
 
 
 def summary(state: SideState | None, trouble: str, path: str) -> dict[str, Any]:
-    """Return the side, its ladder, cause, numbers, observers and newest events.
+    """Side, its ladder, cause, numbers, observers and newest events.
 
     Args:
         state: State of its telemetry; None before its hello.
@@ -74,7 +73,7 @@ SCALES = {"master": ("force_scale", "torque_scale"), "slave": ("position_scale",
 
 
 def _scales(state: SideState) -> dict[str, float]:
-    """Return the scales of the scene; telemetry does not carry later changes."""
+    """Scales of the scene; telemetry does not carry later changes."""
     scene = state.hello.scene or {}
     table = scene.get("coupling") or {}
     is_pose = (scene.get("master") or {}).get("kind") == "pose"

@@ -25,7 +25,7 @@ class RunEvent(Protocol):
 
 
 def merged_events(events: Sequence[RunEvent]) -> list[tuple[float, str]]:
-    """Return events with a time in s each; a chattering pair is one line with its count and end."""
+    """Events with a time in s each; a chattering pair is one line with its count and end."""
     merged: list[tuple[float, str]] = []
     waiting = list(events)
     while waiting:

@@ -9,7 +9,7 @@ Array = npt.NDArray[np.float64]
 
 
 def student_quantile(degrees: int) -> float:
-    """Return t with `P(|T| > t) = 0.05` for `degrees` degrees of freedom, to 1 in 1000.
+    """Value t with `P(|T| > t) = 0.05` for `degrees` degrees of freedom, to 1 in 1000.
 
     Source: G. W. Hill, "Algorithm 396: Student's t-quantiles", Communications of the ACM 13, 1970.
 
@@ -46,7 +46,7 @@ def student_quantile(degrees: int) -> float:
 
 
 def mean_and_half(values: Array) -> tuple[float, float]:
-    """Return the mean of the finite values and half of its 95 % confidence interval, NaN for fewer than two.
+    """Mean of the finite values and half of its 95 % confidence interval, NaN for fewer than two.
 
     Args:
         values: (n,); NaN is ignored.

@@ -34,7 +34,7 @@ def draw_link(
         columns: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing (`haptether[analysis]`).
     """
     arrived = arrived_ns >= 0
     sent_s = sent_ns * 1e-9
@@ -83,7 +83,7 @@ def draw_link(
 
 
 def _listed(panel: "Axes") -> list["Line2D"]:
-    """Return legend entries with larger points; those of a long record are tiny."""
+    """Legend entries with larger points; those of a long record are tiny."""
     from matplotlib.lines import Line2D
 
     return [

@@ -96,6 +96,6 @@ def draw_replay(done: DrawnReplay, columns: Columns = 2) -> "Figure":
 
 
 def _line(vectors: Array) -> Array:
-    """Return one axis unchanged, or the norm of several."""
+    """One axis unchanged, or the norm of several."""
     line: Array = vectors[:, 0] if vectors.shape[1] == 1 else np.linalg.norm(vectors, axis=1)
     return line

@@ -10,7 +10,7 @@ Array = npt.NDArray[np.float64]
 
 
 def angle_from_first(quat_wxyz: Array) -> Array:
-    """Return `|log(R R_0^T)|` in rad, 0 to pi, for the first known orientation R_0.
+    """`|log(R R_0^T)|` in rad, 0 to pi, for the first known orientation R_0.
 
     Args:
         quat_wxyz: Orientations R, (n, 4); NaN where unknown.
@@ -27,7 +27,7 @@ def angle_from_first(quat_wxyz: Array) -> Array:
 
 
 def angle_apart(signals: Mapping[str, npt.NDArray[Any]], frame_wxyz: Array) -> Array:
-    """Return `|log(R_s (C R_m C')')|` in rad at the arm's times, from its command and the hand's latest orientation.
+    """`|log(R_s (C R_m C')')|` in rad at the arm's times, from its command and the hand's latest orientation.
 
     Args:
         signals: Signals of a pose run.
@@ -45,6 +45,6 @@ def angle_apart(signals: Mapping[str, npt.NDArray[Any]], frame_wxyz: Array) -> A
 
 
 def _product(left: Array, right: Array) -> Array:
-    """Return products of quaternions w, x, y, z, row by row."""
+    """Products of quaternions w, x, y, z, row by row."""
     w, z, v, u = left[:, :1], right[:, :1], left[:, 1:], right[:, 1:]
     return np.concatenate([w * z - np.sum(v * u, axis=1, keepdims=True), w * u + z * v + np.cross(v, u)], axis=1)

@@ -24,9 +24,7 @@ Array = npt.NDArray[np.float64]
 Recorded = Mapping[str, npt.NDArray[Any]]
 
 LADDER = ["apart", "aligning", "engaged", "stale", "hold", "stop", "fault"]
-"""Ladder states by code."""
 TRIPPED = {1: "vfc", 2: "hsc", 4: "wsc", 8: "pc", 16: "held", 128: "research"}
-"""Controllers by bit."""
 NOTHING = 2e-3
 """Components below this fraction of the largest are not drawn."""
 PANEL_IN = 0.95
@@ -87,7 +85,7 @@ def draw_run(run: DrawnRun, columns: Columns = 2) -> "Figure":
         columns: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing (`haptether[analysis]`).
         ValueError: The run has no signals.
     """
     panels = _panels(run)
@@ -232,7 +230,7 @@ def _line(signals: Recorded, name: str, text: str, values: Array) -> _Line:
 
 
 def _of_vectors(signals: Recorded, symbol: str, unit: str, names: dict[str, str], *, joints: bool) -> list[_Panel]:
-    """Return the panels of one quantity: one for one axis, norm and components for three, one for joints."""
+    """Panels of one quantity: one for one axis, norm and components for three, one for joints."""
     there = {name: text for name, text in names.items() if name in signals and signals[name].size}
     if not there:
         return []
@@ -296,7 +294,7 @@ def _of_turns(run: DrawnRun) -> list[_Panel]:
 
 
 def frame_of(settings: dict[str, Any]) -> tuple[float, ...] | None:
-    """Return C of a scene that aligns the arm; None for others, or if C changes during the run."""
+    """C of a scene that aligns the arm; None for others, or if C changes during the run."""
     coupling = settings.get("coupling") or {}
     if not coupling.get("alignment"):
         return None

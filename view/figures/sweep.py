@@ -40,7 +40,6 @@ MOST = 6
 """Most panels of a figure."""
 MOST_AXES = 2
 DIVERGED = "#d62839"
-"""Colour of marks for diverged rows."""
 
 
 def draw_sweep(
@@ -57,7 +56,7 @@ def draw_sweep(
         width: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing (`haptether[analysis]`).
         ValueError: As in `check_varied`, or nothing was measured.
     """
     over = check_varied(varied, columns)
@@ -94,7 +93,7 @@ def draw_sweep(
 
 
 def check_varied(varied: Sequence[str], columns: Mapping[str, npt.NDArray[Any]]) -> list[str]:
-    """Return the fields on the axes of a picture: the varied ones, without the seed if there are others.
+    """Fields on the axes of a picture: the varied ones, without the seed if there are others.
 
     Args:
         varied: Names of the varied fields.
@@ -122,8 +121,6 @@ def check_varied(varied: Sequence[str], columns: Mapping[str, npt.NDArray[Any]])
 
 
 class _Measured(NamedTuple):
-    """A metric of all rows."""
-
     values: Array
     diverged: Bools
     label: str

@@ -19,7 +19,6 @@ from haptether.view.scene3d.timeline import Timeline
 
 HERE = Path(__file__).parent
 TRAIL_POINTS = 1500
-"""Most points of each trail."""
 
 
 def write_page(
@@ -46,7 +45,7 @@ def page(
     described: Sequence[Description], times_s: Sequence[float], *,
     camera: str = "front", progress: Callable[[int], None] = lambda _: None,
 ) -> str:  # fmt: skip
-    """Return the text of the page."""
+    """Text of the page."""
     frames = [_Frames(one) for one in described]
     for number, time_s in enumerate(times_s, start=1):
         for of in frames:

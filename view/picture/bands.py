@@ -33,7 +33,7 @@ CURSOR_LETTERS = 0.9
 
 @functools.cache
 def font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
-    """Return DejaVu Sans, which comes with matplotlib and has all letters needed."""
+    """DejaVu Sans, which comes with matplotlib and has all letters needed."""
     import matplotlib as mpl
 
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
@@ -53,7 +53,7 @@ class Band:
         self._draw = ImageDraw.Draw(self._image)
 
     def width_of(self, text: str, size: float = 1.0, *, bold: bool = False) -> float:
-        """Return the width of a text in letters."""
+        """Width of a text in letters."""
         return font(round(size * self._unit), bold=bold).getlength(text) / self._unit
 
     def text(
@@ -87,7 +87,7 @@ class Band:
             self._draw.polygon([self._at(*point) for point in points], fill=colour)
 
     def pixels(self) -> Pixels:
-        """Return the pixels, (height, width, 3)."""
+        """Pixels, (height, width, 3)."""
         small = self._image.resize((self.rectangle.width, self.rectangle.height), Image.Resampling.BOX)
         return np.asarray(small)
 
@@ -98,7 +98,7 @@ class Band:
 def caption(
     described: Description, station: Station, rectangle: Rectangle, letter: int, pixels_per_metre: float
 ) -> Pixels:
-    """Return the caption of an end: name, colours of arrows and trails, and the scale of forces."""
+    """Caption of an end: name, colours of arrows and trails, and the scale of forces."""
     band = Band(rectangle, letter, "#eceff3")
     middle = 0.5 * band.height
     x = band.text(0.6, middle, NAMES[station], bold=True) + 0.8
@@ -132,7 +132,7 @@ def caption(
 
 
 def _bar_of(letters_per_newton: float) -> float:
-    """Return the force in N, or torque in N m, of 1, 2 or 5 times a power of ten, with a bar of about four letters."""
+    """Force in N, or torque in N m, of 1, 2 or 5 times a power of ten, with a bar of about four letters."""
     wanted = 4.0 / letters_per_newton
     power = 10.0 ** math.floor(math.log10(wanted))
     return max((step * power for step in (1.0, 2.0, 5.0) if step * power <= wanted), default=power)
@@ -157,7 +157,7 @@ class Bands:
         self._quiet = quiet.pixels()
 
     def head(self) -> Pixels:
-        """Return title and results."""
+        """Title and results."""
         band = Band(self._column.head, self._letter)
         middle = 0.5 * band.height
         figures = self._described.figures
@@ -174,7 +174,7 @@ class Bands:
         return band.pixels()
 
     def foot(self, time_s: float, note: str = "") -> Pixels:
-        """Return status, gauges and the time line with a cursor.
+        """Status, gauges and the time line with a cursor.
 
         Args:
             time_s: Time shown.
@@ -192,7 +192,7 @@ class Bands:
         return pixels
 
     def time_at(self, x: float, y: float) -> float | None:
-        """Return the time in s at a pixel of the time line; None elsewhere."""
+        """Time in s at a pixel of the time line; None elsewhere."""
         foot = self._column.foot
         if not foot.holds(x, y) or (y - foot.top) / self._letter < self._line_top - 1.4:
             return None
@@ -308,7 +308,7 @@ class Bands:
             band.text(x, low + 0.85, f"{tick_s:g} s", colours.FAINT_INK, size=0.78, anchor=anchor)
 
     def _labels(self, band: Band) -> list[tuple[float, str, bool]]:
-        """Return names of events with their positions; names that would overlap are merged."""
+        """Names of events with their positions; names that would overlap are merged."""
         groups: list[tuple[float, list[str]]] = []
         for mark in self._described.timeline.marks:
             x = self._x(band.width, mark.time_s)
@@ -351,7 +351,7 @@ class Bands:
 
 
 def _ticks(begin_s: float, end_s: float, width: float) -> list[float]:
-    """Return round times in s, about eight letters apart."""
+    """Round times in s, about eight letters apart."""
     wanted = max(end_s - begin_s, 1e-6) / max(2.0, width / 8.0)
     power = 10.0 ** math.floor(math.log10(wanted))
     step = next(s * power for s in (1.0, 2.0, 5.0, 10.0) if s * power >= wanted * (1.0 - 1e-9))

@@ -20,7 +20,7 @@ class NoGlError(ValueError):
 
 
 def loads(library: str) -> bool:
-    """Return True if a shared library can be loaded."""
+    """True if a shared library can be loaded."""
     try:
         ctypes.CDLL(library)
     except OSError:
@@ -29,7 +29,7 @@ def loads(library: str) -> bool:
 
 
 def egl_draws() -> bool:
-    """Return True if an EGL device initializes. The EGL library alone is a dispatcher on which VTK would crash."""
+    """True if an EGL device initializes. The EGL library alone is a dispatcher on which VTK would crash."""
     try:
         egl = ctypes.CDLL("libEGL.so.1")
     except OSError:
@@ -57,7 +57,7 @@ def egl_draws() -> bool:
 
 
 def display_problem() -> str:
-    """Return the reason why a window has no display; empty if it has one."""
+    """Reason why a window has no display; empty if it has one."""
     if sys.platform in {"win32", "darwin"}:
         return ""
     display = os.environ.get("DISPLAY")

@@ -19,7 +19,7 @@ class Rectangle:
     height: int
 
     def holds(self, x: float, y: float) -> bool:
-        """Return True if a point is inside."""
+        """True if a point is inside."""
         return self.left <= x < self.left + self.width and self.top <= y < self.top + self.height
 
 
@@ -35,7 +35,7 @@ class Column:
 
 
 def letter_of(size: tuple[int, int], runs: int) -> int:
-    """Return the height of letters in pixels."""
+    """Height of letters in pixels."""
     width, height = size
     return max(8, round(min(width / (52 + 26 * (runs > 1)) / 1.05 ** (runs - 1), height / 42)))
 

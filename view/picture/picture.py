@@ -67,7 +67,6 @@ class Picture:
         if not window and not self.plotter.render_window.SupportsOpenGL():
             message = f"OpenGL does not draw here: on Debian or Ubuntu install {PACKAGES}"
             raise NoGlError(message)
-        # Lights of all views.
         self.plotter.add_light(pyvista.Light(light_type="headlight", intensity=0.48))
         self.plotter.add_light(pyvista.Light(position=(-0.7, 1.0, 1.0), light_type="camera light", intensity=0.7))
         self.time_s = self.described[0].timeline.begin_s
@@ -188,7 +187,7 @@ class Picture:
             self._show_band(f"foot {number}", column.foot, band.foot(time_s, note))
 
     def image(self, time_s: float) -> Pixels:
-        """Return the picture at a time in s, (height, width, 3)."""
+        """Picture at a time in s, (height, width, 3)."""
         self.update(time_s)
         from vtkmodules.util.numpy_support import vtk_to_numpy
         from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
@@ -202,7 +201,7 @@ class Picture:
         return rows[::-1].copy()
 
     def time_at(self, x: float, y: float) -> float | None:
-        """Return the time in s at a pixel of a time line, from the upper left; None elsewhere."""
+        """Time in s at a pixel of a time line, from the upper left; None elsewhere."""
         return next((time_s for band in self.bands if (time_s := band.time_at(x, y)) is not None), None)
 
     def close(self) -> None:
@@ -283,7 +282,7 @@ class Picture:
         self._show_band(name, rectangle, seam)
 
     def _distance(self, one: Description, station: Station, column: Column) -> float:
-        """Return the camera's distance in m at which all is visible."""
+        """Distance of the camera in m at which all is visible."""
         back, view = _unit(np.array(CAMERAS[self.camera])), column.views[station]
         right = _unit(np.cross([0.0, 0.0, 1.0], back))
         up, slope = np.cross(back, right), math.tan(math.radians(0.5 * VIEW_ANGLE))
@@ -293,7 +292,7 @@ class Picture:
         return float((from_centre @ back + ROOM * reach / slope).max())
 
     def _pixels_per_metre(self, number: int, station: Station) -> float:
-        """Return the scale in the middle of a view."""
+        """Scale in the middle of a view."""
         one, column = self.described[number], self.columns[number]
         if station not in one.views:
             return math.nan

@@ -27,7 +27,7 @@ STEP_S: Final = 0.02
 
 
 def link_frames(model: UrModel, q: Array) -> Array:
-    """Return base_from_link before the first and after each joint, (7, 4, 4): `Rz(q) Tz(d) Tx(a) Rx(alpha)`."""
+    """base_from_link before the first and after each joint, (7, 4, 4): `Rz(q) Tz(d) Tx(a) Rx(alpha)`."""
     frames = [np.eye(4)]
     for angle, a, d, alpha in zip(q, model.a, model.d, model.alpha, strict=True):
         c, s, ca, sa = math.cos(angle), math.sin(angle), math.cos(alpha), math.sin(alpha)
@@ -67,7 +67,6 @@ class UrPostures:
         self._begin()
 
     def _begin(self) -> None:
-        """Place the arm and find its posture at each time."""
         time_s, position = self._position.time_s, self._position.values
         self._place(position[0], None if self._rotation is None else self._rotation.at(float(time_s[0])),
                     float(np.nanmin(position[:, 2]) - position[0, 2]))  # fmt: skip
@@ -91,7 +90,7 @@ class UrPostures:
         self._last_q = ready
 
     def _posture(self, time_s: float) -> Array:
-        """Return the posture nearest to the previous one, (6,) in rad."""
+        """Posture nearest to the previous one, (6,) in rad."""
         rotation = None if self._rotation is None else self._rotation.at(time_s)
         found = self._inverse.nearest(self.base_from_tool(self._position.at(time_s), rotation), self._last_q)
         if found is None:
@@ -101,12 +100,12 @@ class UrPostures:
         return self._last_q
 
     def base_from_tool(self, position: Array, rotation: Array | None) -> Array:
-        """Return a recorded pose in the frame of the arm's base, (4, 4)."""
+        """Recorded pose in the frame of the arm's base, (4, 4)."""
         turned = self._turn if rotation is None else rotation @ self._first @ self._turn
         return transform(position + self._origin, turned)
 
     def at(self, time_s: float) -> tuple[Array, Array]:
-        """Return joint angles, (6,) in rad, and link frames, (7, 4, 4)."""
+        """Joint angles, (6,) in rad, and link frames, (7, 4, 4)."""
         if self._last is None or self._last[0] != time_s:
             q = self._q_at(time_s)
             self._last = time_s, q, link_frames(self.model, q)
@@ -135,7 +134,7 @@ class LiveUrPostures(UrPostures):
 
 
 def arm_parts(postures: UrPostures) -> list[Part]:
-    """Return capsules from joint to joint: along the offset d, then along the link a."""
+    """Capsules from joint to joint: along the offset d, then along the link a."""
     model = postures.model
     size = abs(model.a[1]) + abs(model.a[2])
     upper, lower, wrist = 0.075 * size, 0.062 * size, 0.055 * size
@@ -167,7 +166,7 @@ def arm_parts(postures: UrPostures) -> list[Part]:
 
 
 def _link(postures: UrPostures, joint: int, radius: float, reach: Array, offset: Array, *, after: bool = False) -> Part:
-    """Return a capsule in the frame that turns with a joint; `after` puts it beyond the offset d."""
+    """Capsule in the frame that turns with a joint; `after` puts it beyond the offset d."""
     model = postures.model
     lift = transform(np.array([0.0, 0.0, model.d[joint] if after else 0.0]))
     local = lift @ transform(offset, rotation_to(reach))

@@ -18,7 +18,7 @@ class Arms:
 
 
 def arms_of(scene: Scene | None, *, arm: str = "", leader: str = "") -> Arms:
-    """Return the arms by their names.
+    """Arms by their names.
 
     Args:
         scene: Scene, which may drive a UR.

@@ -30,13 +30,13 @@ GHOST_PREFIX = "ghost of the command: "
 
 
 def angles_of(values: npt.NDArray[np.float64]) -> Array:
-    """Return angles or torques of joints as (n, joints)."""
+    """Angles or torques of joints as (n, joints)."""
     angles = np.asarray(values, dtype=np.float64)
     return angles[:, None] if angles.ndim == 1 else angles
 
 
 def chain_frames(arm: ArmDescription, q: Array) -> Array:
-    """Return base_from_joint of each joint, rotated by its angle, and base_from_tool, (..., joints + 1, 4, 4).
+    """base_from_joint of each joint, rotated by its angle, and base_from_tool, (..., joints + 1, 4, 4).
 
     `T_i = T_(i-1) Trans(xyz_i) Rot(axis_i, q_i)`.
 
@@ -61,12 +61,12 @@ def chain_frames(arm: ArmDescription, q: Array) -> Array:
 
 
 def reach_m(arm: ArmDescription) -> float:
-    """Return the distance from base to tool of the stretched arm."""
+    """Distance from base to tool of the stretched arm."""
     return sum(math.hypot(*joint.xyz_m) for joint in arm.joints) + math.hypot(*arm.tool.xyz_m)
 
 
 def chain_corners(arm: ArmDescription, angles: Array) -> Array:
-    """Return lower and upper corner of the range of joints and tool, (2, 3) in m.
+    """Lower and upper corner of the range of joints and tool, (2, 3) in m.
 
     Args:
         arm: The arm.
@@ -81,7 +81,7 @@ def chain_corners(arm: ArmDescription, angles: Array) -> Array:
 
 
 def tip_force(arm: ArmDescription, frames: Array, torques: Array) -> Array:
-    """Return the force at the tool point that explains the joint torques, (3,) in N; NaN if none does.
+    """Force at the tool point that explains the joint torques, (3,) in N; NaN if none does.
 
     `tau = J^T F`, by damped least squares. A contact elsewhere on the arm, or a moment on the tool, leaves a residue.
 
@@ -264,18 +264,18 @@ class _Posture:
         self._last: tuple[float, Array | None] | None = None
 
     def angles(self, time_s: float) -> Array:
-        """Return the angles, (joints,) in rad."""
+        """Angles, (joints,) in rad."""
         return self._course.at(time_s)
 
     def frames(self, time_s: float) -> Array | None:
-        """Return the result of `chain_frames`; None while the angles are unknown."""
+        """Result of `chain_frames`; None while the angles are unknown."""
         if self._last is None or self._last[0] != time_s:
             q = self._course.at(time_s)
             self._last = time_s, chain_frames(self._arm, q) if np.isfinite(q).all() else None
         return self._last[1]
 
     def joint(self, index: int, local: Array) -> Pose:
-        """Return the pose of a part that turns with a joint or with the tool."""
+        """Pose of a part that turns with a joint or with the tool."""
 
         def pose(time_s: float) -> Array | None:
             frames = self.frames(time_s)
@@ -284,5 +284,5 @@ class _Posture:
         return pose
 
     def link(self, index: int, local: Array) -> Pose:
-        """Return the pose of the link that leads to a joint."""
+        """Pose of the link that leads to a joint."""
         return (lambda _: local) if index == 0 else self.joint(index - 1, local)

@@ -44,7 +44,7 @@ class Description:
     """True if everything moves along one axis."""
 
     def at(self, time_s: float) -> "Moment":
-        """Return poses, trails and status at a time in s."""
+        """Poses, trails and status at a time in s."""
         return Moment(
             time_s=time_s,
             poses={part.name: part.pose(time_s) for part in self.parts},
@@ -53,7 +53,7 @@ class Description:
         )
 
     def part(self, name: str) -> Part:
-        """Return a body by its name.
+        """Body by its name.
 
         Raises:
             KeyError: There is no such body; the text lists the bodies.
@@ -72,8 +72,7 @@ class Moment:
     time_s: float
     poses: dict[str, Array | None]
     """base_from_part, (4, 4) in m, of each part by name; None while hidden. The shaft of an arrow is scaled along z to
-    the
-    length of its force.
+    the length of its force.
     """
     trails: dict[str, Array]
     """Recent path of each trail's point by name, (n, 3) in m."""
@@ -161,7 +160,7 @@ def described(run: Run, scene: Scene | None, title: str, shared: dict[str, Exten
 
 
 def _view_of(extent: Extent, above: float) -> tuple[Array, Array]:
-    """Return corners around the range of motion, with room above it as a fraction of its size."""
+    """Corners around the range of motion, with room above it as a fraction of its size."""
     low = extent.low - np.array([0.15, 0.08, 0.22]) * extent.size
     high = extent.high + np.array([0.15, 0.3, above]) * extent.size
     return low, high

@@ -38,7 +38,6 @@ class Extent:
     low: Array
     """Lower corner of the range of motion and contact, (3,) in m."""
     high: Array
-    """Upper corner."""
     size: float
     """Largest side in m."""
     metres_per_newton: float
@@ -51,7 +50,7 @@ class Extent:
 
 
 def points_of(values: npt.NDArray[np.float64]) -> Array:
-    """Return positions or forces of 1 to 3 axes as (n, 3); missing axes are 0."""
+    """Positions or forces of 1 to 3 axes as (n, 3); missing axes are 0."""
     columns = np.asarray(values, dtype=np.float64)
     columns = columns[:, None] if columns.ndim == 1 else columns[:, :3]
     # Called many times per frame; np.pad takes ten times as long.
@@ -61,19 +60,19 @@ def points_of(values: npt.NDArray[np.float64]) -> Array:
 
 
 def vector_of(value: float | Sequence[float] | None, axes: int) -> Array:
-    """Return a number for every axis, or one per axis, of a scene as (3,)."""
+    """Number for every axis, or one per axis, of a scene as (3,)."""
     given = np.zeros(axes) if value is None else np.broadcast_to(np.asarray(value, dtype=np.float64), axes)
     return np.pad(given[:3], (0, max(0, 3 - axes)))
 
 
 def axes_of(signals: Signals) -> int:
-    """Return the number of recorded axes."""
+    """Number of recorded axes."""
     position = signals["position" if "position" in signals else "slave_position"]
     return 1 if position.ndim == 1 else int(position.shape[1])
 
 
 def extents(of: Sequence[tuple[Run, Scene | None]], arms: Arms) -> dict[str, Extent]:
-    """Return the extents of both ends, common to runs shown side by side."""
+    """Extents of both ends, common to runs shown side by side."""
     return {
         "hand": _extent("hand", [_hand_points(run.signals, scene, arms) for run, scene in of], of),
         "robot": _extent("robot", [_robot_points(run.signals, scene, arms) for run, scene in of], of),
@@ -81,14 +80,14 @@ def extents(of: Sequence[tuple[Run, Scene | None]], arms: Arms) -> dict[str, Ext
 
 
 def chain_of(signals: Signals, name: str, arm: object) -> ArmDescription | None:
-    """Return the chain of servos if it has as many joints as the signal; otherwise None."""
+    """Chain of servos if it has as many joints as the signal; otherwise None."""
     values = signals[name]
     joints = 1 if values.ndim == 1 else values.shape[1]
     return arm if isinstance(arm, ArmDescription) and len(arm.joints) == joints else None
 
 
 def is_joints(signals: Signals, scene: Scene | None) -> bool:
-    """Return True if the recorded positions are joint angles."""
+    """True if the recorded positions are joint angles."""
     return axes_of(signals) > 3 or (scene is not None and scene.master.kind == "joints")
 
 
@@ -136,7 +135,7 @@ def _robot_points(signals: Signals, scene: Scene | None, arms: Arms) -> Array:
 
 
 def stops(scene: Scene | None, axes: int) -> Array | None:
-    """Return corners of the device's workspace, (2, 3) in m; None without mechanical stops."""
+    """Corners of the device's workspace, (2, 3) in m; None without mechanical stops."""
     if scene is None or scene.master.stops is None:
         return None
     pairs = np.broadcast_to(np.asarray(scene.master.stops, dtype=np.float64), (axes, 2))[:3]
@@ -163,17 +162,17 @@ def _extent(end: str, points: Sequence[Array], of: Sequence[tuple[Run, Scene | N
 
 
 def norms_of(vectors: Array) -> Array:
-    """Return the norms, (n,), of vectors of 1 to 3 axes, (n, ...)."""
+    """Norms, (n,), of vectors of 1 to 3 axes, (n, ...)."""
     return np.asarray(np.linalg.norm(points_of(vectors), axis=1))
 
 
 def largest_of(torques: Array) -> Array:
-    """Return the largest joint torque of each sample, (n,)."""
+    """Largest joint torque of each sample, (n,)."""
     return np.asarray(np.abs(angles_of(torques)).max(axis=1))
 
 
 def _peak(signals: Sequence[Signals], names: Sequence[str], by: Callable[[Array], Array]) -> float:
-    """Return the largest value in the signals, rounded up to 1, 2, 3 or 5 times a power of ten."""
+    """Largest value in the signals, rounded up to 1, 2, 3 or 5 times a power of ten."""
     norms = [by(of[name]) for of in signals for name in names if name in of]
     known = [float(np.nanmax(norm)) for norm in norms if np.isfinite(norm).any()]
     largest = max(known, default=0.0)
@@ -181,6 +180,6 @@ def _peak(signals: Sequence[Signals], names: Sequence[str], by: Callable[[Array]
 
 
 def nice_above(value: float) -> float:
-    """Return the smallest of 1, 2, 3, 5, 10, ... not below a positive value."""
+    """Smallest of 1, 2, 3, 5, 10, ... not below a positive value."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(step * power for step in (1.0, 2.0, 3.0, 5.0, 10.0) if value <= step * power * (1.0 + 1e-9))

@@ -27,7 +27,7 @@ TRAIL_S = 2.0
 def hand_end(
     run: Run, scene: Scene | None, extent: Extent, arms: Arms
 ) -> tuple[list[Part], list[Arrow], list[Trail], list[str]]:
-    """Return parts, arrows, trails, and notes of items not drawn."""
+    """Parts, arrows, trails, and notes of items not drawn."""
     signals = run.signals
     if is_joints(signals, scene):
         chain = chain_of(signals, "position", arms.master)
@@ -102,7 +102,7 @@ def hand_end(
 
 
 def _release_s(run: Run, scene: Scene | None) -> float:
-    """Return the time of the release in s: as recorded, or as in the scene of a modelled hand."""
+    """Time of the release in s: as recorded, or as in the scene of a modelled hand."""
     release = None if scene is None or scene.operator is None else scene.operator.release
     planned_s = getattr(release, "at_s", None)
     otherwise = math.inf if planned_s is None else float(planned_s)
@@ -110,7 +110,7 @@ def _release_s(run: Run, scene: Scene | None) -> float:
 
 
 def _arrows(signals: Signals, extent: Extent, stylus: Pose, grip: Array) -> list[Arrow]:
-    """Return the forces: the device's at the tip of the stylus, the controllers' above it."""
+    """Forces: the device's at the tip of the stylus, the controllers' above it."""
     size = extent.size
     hand_force = "hand_force" if "hand_force" in signals else "grasp_force"
     of_hand = "of the hand" if hand_force == "hand_force" else "of the hand, estimated"
@@ -147,19 +147,19 @@ def _arrows(signals: Signals, extent: Extent, stylus: Pose, grip: Array) -> list
 
 
 def drift(extent: Extent, axes: int) -> Array:
-    """Return the drift of a one-axis trail, backwards as on a chart recorder; zero for several axes."""
+    """Drift of a one-axis trail, backwards as on a chart recorder; zero for several axes."""
     return np.array([0.0, 0.33 * extent.size / TRAIL_S, 0.0]) if axes == 1 else np.zeros(3)
 
 
 def stylus_mesh(length: float) -> Mesh:
-    """Return a pen along z with its tip at the origin."""
+    """Pen along z with its tip at the origin."""
     radius = 0.055 * length
     barrel = [(0.0, 0.0), (0.25 * radius, 0.02 * length), (radius, 0.2 * length), (radius, 0.92 * length)]
     return lathed([*barrel, (0.7 * radius, 0.98 * length), (0.0, length)])
 
 
 def hand_mesh(size: float) -> Mesh:
-    """Return a palm and two fingers, about the grip."""
+    """Palm and two fingers, about the grip."""
     palm = placed(sphere(0.1 * size), transform(np.array([0.06, 0.1, 0.06]) * size))
     finger = placed(
         capsule(0.032 * size, 0.13 * size),
@@ -173,7 +173,7 @@ def hand_mesh(size: float) -> Mesh:
 
 
 def rail(station: Station, extent: Extent) -> Part:
-    """Return the rail for motion along one axis."""
+    """Rail for motion along one axis."""
     low, high = float(extent.low[0]) - 0.12 * extent.size, float(extent.high[0]) + 0.12 * extent.size
     mesh = placed(
         cylinder(0.012 * extent.size, 0.0, high - low),
@@ -189,7 +189,7 @@ def rail(station: Station, extent: Extent) -> Part:
 
 
 def floor(station: Station, extent: Extent) -> Part:
-    """Return the ground below the view."""
+    """Ground below the view."""
     lowest = float(extent.low[2]) - 0.2 * extent.size
     middle = extent.centre
     at = np.array([middle[0], middle[1] + 0.1 * extent.size, lowest])
@@ -204,7 +204,7 @@ def floor(station: Station, extent: Extent) -> Part:
 
 
 def workspace(corners: Array, size: float) -> list[Part]:
-    """Return the mechanical stops: two end plates for one axis, the edges of a box for more."""
+    """Mechanical stops: two end plates for one axis, the edges of a box for more."""
     low, high = corners
     spans = high - low
     if spans[1] == 0.0 and spans[2] == 0.0:
@@ -238,14 +238,14 @@ def workspace(corners: Array, size: float) -> list[Part]:
 
 
 def has_force(signals: Signals, name: str) -> bool:
-    """Return True if a force or torque acts at some time, or may act in a live run."""
+    """True if a force or torque acts at some time, or may act in a live run."""
     return name in signals and (
         isinstance(signals, History) or bool(np.nanmax(np.abs(signals[name]), initial=0.0) > 0.0)
     )
 
 
 def dials(station: Station, signals: Signals, name: str, size: float) -> list[Part]:
-    """Return a dial with a pointer per joint, for a side of unknown geometry."""
+    """Dial with a pointer per joint, for a side of unknown geometry."""
     values = signals[name]
     joints = 1 if values.ndim == 1 else values.shape[1]
     step = 2.0 * size / joints

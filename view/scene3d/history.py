@@ -60,11 +60,11 @@ class History(Signals):
             self._columns[name] = np.full((2 * self._most, count) if count else 2 * self._most, np.nan)
 
     def has_begun(self, time: str) -> bool:
-        """Return True once a side has sent a sample."""
+        """True once a side has sent a sample."""
         return time in self._span and time not in self._is_empty
 
     def time_of(self, name: str) -> str:
-        """Return the name of the times of a signal: "time_s" or "slave_time_s"."""
+        """Name of the times of a signal: "time_s" or "slave_time_s"."""
         return "slave_time_s" if name.startswith(("slave_", "environment_", "gripper", "holds_object")) else "time_s"
 
     def __getitem__(self, name: str) -> Array:

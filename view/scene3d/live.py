@@ -137,7 +137,7 @@ class LiveDescription:
         return all(self._history.has_begun(TIMES[side]) for side in self.sides)
 
     def ended(self, side: str) -> bool:
-        """Return True if the loop of a side ended in good order."""
+        """True if the loop of a side ended in good order."""
         return side in self._ended
 
     def take(self, message: TelemetryMessage, side: str | None = None, *, received_s: float = 0.0) -> None:
@@ -189,16 +189,16 @@ class LiveDescription:
         self.events.append(Event(time_ns * 1e-9 + shift_s, kind, detail))
 
     def at_now(self) -> Moment:
-        """Return poses, trails and status at the newest sample."""
+        """Poses, trails and status at the newest sample."""
         return self.description.at(self.time_s)
 
     def refresh(self) -> Description:
-        """Return the description with an updated time line; moving parts need no refresh."""
+        """Description with an updated time line; moving parts need no refresh."""
         self.description = replace(self.description, timeline=timeline_of(self._history, tuple(self.events)))
         return self.description
 
     def _name(self, side: str, name: str) -> str | None:
-        """Return a run's name for a signal of a side; None if it is not drawn."""
+        """Name in a run of a signal of a side; None if it is not drawn."""
         kinds = self._kinds[side]
         if f"true_{name}" in kinds or (name.startswith("hand_") and "true_position" not in kinds):
             # The force of a real hand is unknown.
@@ -247,7 +247,7 @@ class LiveDescription:
         self._history.add({name: 0 for name in names if name is not None and name not in self._history})
 
     def _grows(self, row: Mapping[str, Any]) -> bool:
-        """Return True if a motion or force exceeds the drawn range."""
+        """True if a motion or force exceeds the drawn range."""
         grown = False
         for station, names in MOVING.items():
             of: Extent = self._extents[station]
@@ -269,7 +269,7 @@ class LiveDescription:
         return grown
 
     def _pushes(self, kind: str, station: str, norm: float) -> bool:
-        """Return True if a force exceeds the drawn range."""
+        """True if a force exceeds the drawn range."""
         if not norm > self._peaks[kind][station]:
             return False
         self._peaks[kind][station] = nice_above(1.2 * norm)
@@ -288,7 +288,7 @@ class LiveDescription:
         self.generation += 1
 
     def _roomy(self, station: str, of: Extent) -> Extent:
-        """Return the extent with the motion and forces so far, and room beyond."""
+        """Extent with the motion and forces so far, and room beyond."""
         low, high = of.low, of.high
         if station in self._low:
             seen_low, seen_high = self._low[station], self._high[station]
@@ -313,7 +313,7 @@ def _known(value: Any) -> bool:  # noqa: ANN401  # by the kind of the signal
 
 
 def _last(value: Any, kind: str, has_axes: bool) -> Any:  # noqa: ANN401
-    """Return the last value as a number, or one per axis; of bits those of any tick, so that none is missed."""
+    """Last value as a number, or one per axis; of bits those of any tick, so that none is missed."""
     match kind:
         case "axes":
             numbers = [math.nan if axis[2] is None else axis[2] for axis in value]

@@ -42,7 +42,7 @@ def placed(mesh: Mesh, transform: Array) -> Mesh:
 
 
 def lathed(profile: Sequence[tuple[float, float]], *, smooth: bool = False) -> Mesh:
-    """Return a body of revolution about z.
+    """Body of revolution about z.
 
     Args:
         profile: Pairs of radius and height in m; the outside is to the right of the path.
@@ -74,22 +74,22 @@ def lathed(profile: Sequence[tuple[float, float]], *, smooth: bool = False) -> M
 
 
 def sphere(radius: float) -> Mesh:
-    """Return a sphere about the origin."""
+    """Sphere about the origin."""
     return lathed(_arc(radius, -math.pi / 2, math.pi / 2, 0.0), smooth=True)
 
 
 def cylinder(radius: float, low: float, high: float) -> Mesh:
-    """Return a closed cylinder along z."""
+    """Closed cylinder along z."""
     return lathed([(0.0, low), (radius, low), (radius, high), (0.0, high)])
 
 
 def cone(radius: float, low: float, high: float) -> Mesh:
-    """Return a cone along z with its tip at `high`."""
+    """Cone along z with its tip at `high`."""
     return lathed([(0.0, low), (radius, low), (0.0, high)])
 
 
 def capsule(radius: float, length: float) -> Mesh:
-    """Return a cylinder along z from 0 to its length, with hemispherical ends."""
+    """Cylinder along z from 0 to its length, with hemispherical ends."""
     low = _arc(radius, -math.pi / 2, 0.0, 0.0)
     return lathed(low + _arc(radius, 0.0, math.pi / 2, length), smooth=True)
 
@@ -101,14 +101,14 @@ def _arc(radius: float, begin: float, end: float, height: float) -> list[tuple[f
 
 
 def torus(radius: float, thickness: float) -> Mesh:
-    """Return a ring about z in the plane z = 0."""
+    """Ring about z in the plane z = 0."""
     angles = np.linspace(-math.pi, math.pi, 13)
     ring = [(radius + thickness * math.cos(angle), thickness * math.sin(angle)) for angle in angles]
     return lathed(ring, smooth=True)
 
 
 def box(half_extents: Sequence[float] | Array) -> Mesh:
-    """Return a box about the origin, along the axes."""
+    """Box about the origin, along the axes."""
     points: list[Array] = []
     normals, triangles = [], []
     for axis in range(3):
@@ -129,7 +129,7 @@ def box(half_extents: Sequence[float] | Array) -> Mesh:
 
 
 def holed_block(radius: float, depth: float, chamfer: float, half_width: float) -> Mesh:
-    """Return material with a round hole along -z from its entrance at the origin, open at the outside."""
+    """Material with a round hole along -z from its entrance at the origin, open at the outside."""
     outside = [(0.0, -1.25 * depth), (half_width, -1.25 * depth), (half_width, 0.0)]
     edge = [(radius + chamfer, 0.0), (radius, -chamfer)] if chamfer > 0.0 else [(radius, 0.0)]
     return lathed([*outside, *edge, (radius, -depth), (0.0, -depth)])

@@ -30,7 +30,7 @@ Depth = Callable[[Array, float], float]
 
 
 def moved(motion: MotionTable | None, time_s: float, axes: int) -> Array:
-    """Return the displacement in m, (3,), of a moving object: velocity from `from_s` to `until_s`, plus a sine."""
+    """Displacement in m, (3,), of a moving object: velocity from `from_s` to `until_s`, plus a sine."""
     if motion is None:
         return np.zeros(3)
     until_s = math.inf if motion.until_s is None else motion.until_s
@@ -63,7 +63,7 @@ class Surroundings:
             self._add_body(number, body, signals)
 
     def depth(self, point: Array, time_s: float) -> float:
-        """Return the depth in m of a point in the deepest object; negative outside, -inf without objects."""
+        """Depth in m of a point in the deepest object; negative outside, -inf without objects."""
         return max((of(point, time_s) for of in self._depths), default=-math.inf)
 
     def _add_object(self, name: str, thing: ObjectTable, extent: Extent) -> None:
@@ -181,7 +181,7 @@ def contacts(
 
 
 def slab(extent: Extent, point: Array, normal: Array) -> Mesh:
-    """Return the material below a plane, with its normal along the mesh's z axis, as wide as the view."""
+    """Material below a plane, with its normal along the mesh's z axis, as wide as the view."""
     unit = normal / np.linalg.norm(normal)
     upright = abs(unit[2]) < 0.5
     # Thick enough to show the tool inside.
@@ -192,7 +192,7 @@ def slab(extent: Extent, point: Array, normal: Array) -> Mesh:
 
 
 def wheel(radius: float) -> Mesh:
-    """Return a hand wheel about z, its rim in the plane z = 0, with a knob on one spoke."""
+    """Hand wheel about z, its rim in the plane z = 0, with a knob on one spoke."""
     rim = torus(radius, 0.09 * radius)
     directions = [np.array([math.cos(a), math.sin(a), 0.0]) for a in (0.0, math.tau / 3.0, 2.0 * math.tau / 3.0)]
     spoke = capsule(0.06 * radius, radius)
@@ -224,7 +224,7 @@ def _box_depth(centre: Array, half: Array, axes: int) -> Depth:
 
 
 def _hole_depth(base_from_hole: Array, hole: HoleTable) -> Depth:
-    """Return the depth in the material around a hole: below its face, outside its chamfered radius or depth."""
+    """Depth in the material around a hole: below its face, outside its chamfered radius or depth."""
 
     def depth(at: Array, _: float) -> float:
         x, y, z = base_from_hole[:3, :3].T @ (at - base_from_hole[:3, 3])

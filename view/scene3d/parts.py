@@ -45,16 +45,16 @@ class Course:
         return self._by(self._signals[self._name])
 
     def index(self, time_s: float) -> int:
-        """Return the index of the sample at a time; 0 before the first."""
+        """Index of the sample at a time; 0 before the first."""
         return max(0, int(np.searchsorted(self.time_s, time_s + 1e-9, side="right")) - 1)
 
     def at(self, time_s: float) -> Array:
-        """Return the sample at a time."""
+        """Sample at a time."""
         index = self.index(time_s)
         return np.asarray(self._by(self._signals[self._name][index : index + 1])[0])
 
     def between(self, begin_s: float, end_s: float, most: int) -> tuple[Array, Array]:
-        """Return times, (k,), and samples, (k, ...), up to and including `end_s`, evenly thinned to about `most`."""
+        """Times, (k,), and samples, (k, ...), up to and including `end_s`, evenly thinned to about `most`."""
         first, last = np.searchsorted(self.time_s, [begin_s, end_s + 1e-9])
         # Keep the same samples as the line grows; otherwise it would tremble.
         step = 1 << max(0, math.ceil(math.log2(max(1, last - first) / most)))
@@ -76,7 +76,7 @@ class Part:
 
 
 def still(at: Array) -> Pose:
-    """Return a constant pose."""
+    """Constant pose."""
     return lambda _: at
 
 
@@ -106,12 +106,12 @@ class Arrow:
     heads: Literal[1, 2] = 1
 
     def length(self, time_s: float) -> float:
-        """Return the length in m; 0 while unknown."""
+        """Length in m; 0 while unknown."""
         length = self.scale * float(np.linalg.norm(self.vector(time_s)))
         return length if np.isfinite(length) else 0.0
 
     def parts(self) -> list[Part]:
-        """Return its shaft and heads."""
+        """Shaft and heads."""
         head_m = HEAD_LENGTH * self.thickness_m
         shaft = Part(
             name=f"{self.name} shaft",
@@ -167,7 +167,7 @@ class Trail:
     """Velocity in m/s, (3,), at which drawn points move away; without it a one-axis trail would hide itself."""
 
     def until(self, time_s: float) -> Array:
-        """Return the visible points at a time, (k, 3)."""
+        """Visible points at a time, (k, 3)."""
         times_s, points = self.points.between(time_s - self.window_s, time_s, MOST_TRAIL_POINTS)
         seen = points + (time_s - times_s)[:, None] * self.drift
         known: Array = seen[np.isfinite(seen).all(axis=1)]

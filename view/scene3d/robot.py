@@ -74,7 +74,7 @@ class RobotEnd:
         self._add_forces(signals)
 
     def _pose_of(self, place: Course, turned: Course | None) -> Pose:
-        """Return base_from_tool of recorded positions, (n, 3), and rotations, (n, 3, 3)."""
+        """base_from_tool of recorded positions, (n, 3), and rotations, (n, 3, 3)."""
 
         def pose(time_s: float) -> Array | None:
             at, how = place.at(time_s), None if turned is None else turned.at(time_s)
@@ -85,7 +85,7 @@ class RobotEnd:
         return pose
 
     def _placed(self, points: Array) -> Array:
-        """Return recorded positions in the drawn frame."""
+        """Recorded positions in the drawn frame."""
         if self.postures is None:
             return points
         return points + self.postures.base_from_tool(np.zeros(3), None)[:3, 3]
@@ -277,7 +277,6 @@ class RobotEnd:
             self._add_held(signals)
 
     def _table(self) -> Part:
-        """Return a table at the height of the arm's base."""
         mesh = box([0.55, 0.6, 0.01])
         return Part(
             name="table",
@@ -317,13 +316,13 @@ class RobotEnd:
 
 
 def tool_points(scene: Scene | None) -> Array:
-    """Return the contact points of the tool, (n, 3) in m in its frame; by default the tool point."""
+    """Contact points of the tool, (n, 3) in m in its frame; by default the tool point."""
     tool = None if scene is None or scene.slave is None else scene.slave.tool
     return np.zeros((1, 3)) if tool is None else np.array(tool.points, dtype=np.float64)
 
 
 def is_ground(scene: Scene) -> bool:
-    """Return True if the scene has a ground: material with a hole, or a level plane."""
+    """True if the scene has a ground: material with a hole, or a level plane."""
     environment = scene.environment
     if environment is None:
         return False
@@ -333,7 +332,7 @@ def is_ground(scene: Scene) -> bool:
 
 
 def peg_of(points: Array) -> tuple[float, float] | None:
-    """Return radius and height in m of a peg about z with these points; None if they lie on no cylinder."""
+    """Radius and height in m of a peg about z with these points; None if they lie on no cylinder."""
     if len(points) < 8:
         return None
     radii = np.hypot(points[:, 0], points[:, 1])
@@ -343,7 +342,7 @@ def peg_of(points: Array) -> tuple[float, float] | None:
 
 
 def slider(size: float) -> Mesh:
-    """Return a carriage on its rail with a round tip, whose foremost point is the tool point."""
+    """Carriage on its rail with a round tip, whose foremost point is the tool point."""
     carriage = placed(box([0.075 * size, 0.055 * size, 0.045 * size]), transform(np.array([0.085 * size, 0.0, 0.0])))
     mast = placed(cylinder(0.022 * size, 0.0, 0.16 * size), transform(np.array([0.085 * size, 0.0, 0.0])))
     tip = placed(sphere(0.032 * size), transform(np.array([0.032 * size, 0.0, 0.0])))
@@ -351,7 +350,7 @@ def slider(size: float) -> Mesh:
 
 
 def probe(size: float) -> Mesh:
-    """Return a rod along z with a round tip at the tool point, below a flange."""
+    """Rod along z with a round tip at the tool point, below a flange."""
     rod = placed(capsule(0.02 * size, 0.42 * size), transform(np.array([0.0, 0.0, 0.02 * size])))
     flange = cylinder(0.085 * size, 0.44 * size, 0.52 * size)
     return joined(rod, flange)

@@ -9,7 +9,7 @@ Array = npt.NDArray[np.float64]
 
 
 def matrix_of(quat_wxyz: Array) -> Array:
-    """Return rotation matrices, (..., 3, 3), of quaternions, (..., 4), of length about 1."""
+    """Rotation matrices, (..., 3, 3), of quaternions, (..., 4), of length about 1."""
     q = np.asarray(quat_wxyz, dtype=np.float64)
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     w, x, y, z = np.moveaxis(q, -1, 0)
@@ -22,7 +22,7 @@ def matrix_of(quat_wxyz: Array) -> Array:
 
 
 def transform(position: Array, rotation: Array | None = None) -> Array:
-    """Return base_from_body of a position in m and a rotation matrix."""
+    """base_from_body of a position in m and a rotation matrix."""
     out = np.eye(4)
     out[:3, 3] = position
     if rotation is not None:
@@ -31,7 +31,7 @@ def transform(position: Array, rotation: Array | None = None) -> Array:
 
 
 def rotation_to(direction: Array) -> Array:
-    """Return a rotation whose z axis points along a non-zero vector."""
+    """Rotation whose z axis points along a non-zero vector."""
     a, b, c = np.asarray(direction, dtype=np.float64) / np.linalg.norm(direction)
     # x is across z and the axis e_x or e_y that is further from it; y = z cross x.
     p, q, r = (0.0, -c, b) if abs(a) < 0.9 else (c, 0.0, -a)
@@ -41,7 +41,7 @@ def rotation_to(direction: Array) -> Array:
 
 
 def turn_about(axis: Array, angle: float) -> Array:
-    """Return the rotation matrix of an angle in rad about a non-zero axis (Rodrigues)."""
+    """Rotation matrix of an angle in rad about a non-zero axis (Rodrigues)."""
     x, y, z = np.asarray(axis, dtype=np.float64) / np.linalg.norm(axis)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)

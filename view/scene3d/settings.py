@@ -19,7 +19,7 @@ LOOKED_AT: Mapping[str, frozenset[str] | None] = {
 
 
 def scene_of_settings(settings: Mapping[str, Any] | None) -> Scene | None:
-    """Return the drawn part of a scene from its settings, with defaults; None without settings.
+    """Drawn part of a scene from its settings, with defaults; None without settings.
 
     Settings do not name the driven device; `Arms` does.
 
@@ -50,7 +50,7 @@ def _fields(table: type[msgspec.Struct]) -> tuple[inspect.Field, ...]:
 
 
 def _fitted(value: Any, kind: inspect.Type) -> Any:  # noqa: ANN401  # any field
-    """Return a value as a table accepts it, without fields for the loops only and without empty fields."""
+    """Value as a table accepts it, without fields for the loops only and without empty fields."""
     if isinstance(kind, inspect.Metadata):
         return _fitted(value, kind.type)
     if isinstance(kind, inspect.UnionType):

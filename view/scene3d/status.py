@@ -103,7 +103,7 @@ class StatusCourse:
         self._largest_energy_j = largest(signals, "energy_j") or 1.0
 
     def at(self, time_s: float) -> Status:
-        """Return the status at a time in s."""
+        """Status at a time in s."""
         bits = int(self._value("tripped", time_s, 0.0)) | int(self._value("rotation_tripped", time_s, 0.0))
         told = self._newest(time_s, LADDER_KINDS)
         return Status(
@@ -165,7 +165,7 @@ class StatusCourse:
 
 
 def largest(signals: Signals, name: str) -> float:
-    """Return the largest magnitude of a signal; 0 if unknown."""
+    """Largest magnitude of a signal; 0 if unknown."""
     values = signals[name] if name in signals else np.zeros(1)
     return float(np.nanmax(np.abs(values), initial=0.0))
 
@@ -185,7 +185,7 @@ def _controllers(signals: Signals, scene: Scene | None) -> tuple[str, ...]:
 
 
 def _thresholds(scene: Scene | None) -> dict[str, float]:
-    """Return the thresholds of the controllers; the paper's without a scene, or for a drawing only."""
+    """Thresholds of the controllers; the paper's without a scene, or for a drawing only."""
     if scene is None or (scene.master.device is None and scene.master.mass_kg is None):
         return {"vfc": 1.0, "hsc": 1.5, "wsc": -0.03, "pc": 0.0}
     safety = spec_of(scene)["safety"]
@@ -193,7 +193,7 @@ def _thresholds(scene: Scene | None) -> dict[str, float]:
 
 
 def spans(time_s: npt.NDArray[np.float64], on: npt.NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Return begin and end in s of each interval in which a mask is set."""
+    """Begin and end in s of each interval in which a mask is set."""
     edges = np.diff(np.concatenate([[0], on.astype(np.int8), [0]]))
     begins, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
     ends = np.minimum(ends, len(time_s) - 1)

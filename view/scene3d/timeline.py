@@ -37,11 +37,9 @@ class Timeline:
 
     begin_s: float
     end_s: float
-    """Time of the last tick."""
     over_s: float
     """End of the last tick, assumed as long as the previous one."""
     marks: tuple[Mark, ...]
-    """Every event at its time."""
     ladder: tuple[tuple[float, float, str], ...]
     """Begin, end and state of the hand's side."""
     trips: tuple[tuple[float, float], ...]
@@ -52,13 +50,13 @@ class Timeline:
     """
 
     def next_trip(self, time_s: float) -> float | None:
-        """Return the start of the next intervention; after the last, of the first; None without any."""
+        """Start of the next intervention; after the last, of the first; None without any."""
         begins = [begin for n, (begin, _) in enumerate(self.trips) if n == 0 or begin - self.trips[n - 1][1] > APART_S]
         return next((begin for begin in begins if begin > time_s + 1e-9), begins[0] if begins else None)
 
 
 def timeline_of(signals: Signals, events: Iterable[Event]) -> Timeline:
-    """Return the time line of a run's signals and events."""
+    """Time line of a run's signals and events."""
     time_s = np.asarray(signals["time_s" if "time_s" in signals else "slave_time_s"], dtype=np.float64)
     named_before: dict[str, float] = {}
     marks = []

@@ -26,7 +26,6 @@ PAPER = "#000000"
 THRESHOLD = "#7f7f7f"
 """Colour of thresholds of observers and of theory."""
 HELD = "#999999"
-"""Colour of a held intervention."""
 
 SIGNALS = {
     "hand": DEVICE_FORCE,
@@ -41,7 +40,7 @@ AXES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#0000
 
 
 def controller_look(controllers: str | Iterable[str]) -> dict[str, Any]:
-    """Return `color` and `linestyle` of a run with these controllers; "none" is a run without one.
+    """`color` and `linestyle` of a run with these controllers; "none" is a run without one.
 
     A name that is not built in is a Python controller.
     """
@@ -61,7 +60,7 @@ def controller_look(controllers: str | Iterable[str]) -> dict[str, Any]:
 
 
 def controller_title(controllers: str | Iterable[str]) -> str:
-    """Return the legend text of a run with these controllers."""
+    """Legend text of a run with these controllers."""
     names = controllers.split("+") if isinstance(controllers, str) else list(controllers)
     titles = [name.upper() if name in CONTROLLERS else name for name in names if name != "none"]
     return " + ".join(titles) or "no controller"

@@ -20,7 +20,6 @@ FORMATS: tuple[PictureFormat, ...] = ("png", "pdf", "svg")
 WIDTHS_IN = {1: 3.5, 2: 7.16}
 """Widths of one column and of two in inches, as in journals of the field (88.9 mm, 181.9 mm)."""
 DPI = 200
-"""Resolution of a PNG."""
 SMALL_PT = 6.5
 """Size of legends, tick labels and names of events in points."""
 
@@ -60,7 +59,7 @@ def styled() -> Iterator[None]:
     """Apply the project's style to matplotlib within this context, whatever the user's settings.
 
     Raises:
-        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing (`haptether[analysis]`).
     """
     import matplotlib as mpl
 
@@ -91,14 +90,14 @@ def new_figure(columns: Columns, height_in: float, title: str = "") -> "Figure":
 
 
 def figure_of(panel: "Axes") -> "Figure":
-    """Return the figure of a panel."""
+    """Figure of a panel."""
     figure = panel.get_figure(root=True)
     assert figure is not None
     return figure
 
 
 def text_width(figure: "Figure", text: str, size_pt: float = SMALL_PT) -> float:
-    """Return the width of a text in pixels of the figure."""
+    """Width of a text in pixels of the figure."""
     from matplotlib.text import Text
 
     drawn = Text(0.0, 0.0, text, fontsize=size_pt, parse_math=False)
@@ -146,7 +145,7 @@ def check_columns(columns: int) -> None:
 
 
 def check_picture(path: Path) -> str:
-    """Return the format given by the ending of a path.
+    """Format given by the ending of a path.
 
     Raises:
         ValueError: The ending is not .png, .pdf or .svg.
@@ -159,7 +158,7 @@ def check_picture(path: Path) -> str:
 
 
 def written(figure: "Figure", path: str | PathLike[str] | None) -> "Figure":
-    """Return the figure, after writing it if a path is given.
+    """Figure, after writing it if a path is given.
 
     Raises:
         ValueError: The ending is not .png, .pdf or .svg.

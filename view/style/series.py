@@ -12,7 +12,7 @@ BINS = 2000
 
 
 def envelope(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """Return times and values of a line; if long, minimum and maximum of each of 2000 pieces, in order.
+    """Times and values of a line; if long, minimum and maximum of each of 2000 pieces, in order.
 
     Args:
         time_s: (n,).

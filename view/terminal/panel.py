@@ -20,14 +20,12 @@ STATES = {
     "stop": "bold red",
     "fault": "bold red",
 }
-"""Style of each ladder state."""
 SIGNALS = {("master", "press"): "USR1", ("master", "acknowledge"): "USR2", ("slave", "acknowledge"): "USR2"}
 """Signal for `kill` that carries out a remedy, by side."""
 BAR = 20
 """Characters from zero to the threshold."""
 EIGHTHS = " ▏▎▍▌▋▊▉"
 EVENTS = 5
-"""Number of newest events shown."""
 FORCES = {
     "rendered_force": "requested F_v",
     "safety_force": "of the controllers F_c",
@@ -52,7 +50,7 @@ AXES = 3
 
 
 def panel(state: SideState, width: int = 80, height: int | None = None) -> RenderableType:
-    """Return the panel of a side in `width` columns; without spacing and events if `height` is too small."""
+    """Panel of a side in `width` columns; without spacing and events if `height` is too small."""
     whole = _panel(state, width, is_short=False)
     if height is None:
         return whole
@@ -77,7 +75,7 @@ def _panel(state: SideState, width: int, *, is_short: bool) -> Panel:
 
 
 def headline(state: SideState) -> str:
-    """Return the state of a side in one line."""
+    """State of a side in one line."""
     clutch = {True: "clutch closed", False: "clutch open"}.get(state.last("clutch"), "")
     peer = state.last("peer_state")
     other = "slave" if state.side == "master" else "master"

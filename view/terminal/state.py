@@ -81,7 +81,6 @@ class SideState:
         self.dropped = 0
         """Records that never reached the sender."""
         self.ticks = 0
-        """Ticks seen."""
         self.events: deque[tuple[float, str]] = deque(maxlen=MAX_EVENTS)
         """The newest ladder changes and trips with times in s."""
         self.events_seen = 0
@@ -138,7 +137,7 @@ class SideState:
         return 0.0 if self._begun_s is None else self.time_s - self._begun_s
 
     def last(self, name: str) -> Any:  # noqa: ANN401  # by the kind of the signal
-        """Return the last value of a signal, a list for "axes"; None if unknown."""
+        """Last value of a signal, a list for "axes"; None if unknown."""
         if not self._samples or name not in self._samples[-1].signals:
             return None
         value = self._samples[-1].signals[name]
@@ -153,7 +152,7 @@ class SideState:
                 return value
 
     def extremes(self, name: str) -> tuple[float, float] | None:
-        """Return minimum and maximum of a number, or of all axes, in the last second; None if unknown."""
+        """Minimum and maximum of a number, or of all axes, in the last second; None if unknown."""
         if name not in self.kinds:
             return None
         of = [
@@ -167,17 +166,17 @@ class SideState:
         return (min(low), max(high)) if low and high else None
 
     def peak(self, name: str) -> float | None:
-        """Return the largest magnitude of a number, or of any axis, in the last second."""
+        """Largest magnitude of a number, or of any axis, in the last second."""
         extremes = self.extremes(name)
         return None if extremes is None else max(abs(extremes[0]), abs(extremes[1]))
 
     def norm(self, name: str) -> float | None:
-        """Return the norm of the last values of the axes."""
+        """Norm of the last values of the axes."""
         values = self.last(name)
         return None if values is None or None in values else math.hypot(*values)
 
     def observers(self) -> list[Observer]:
-        """Return the controllers of the scene; if it is unknown, those with observations."""
+        """Controllers of the scene; if it is unknown, those with observations."""
         safety = (self.hello.scene or {}).get("safety") or {}
         thresholds = {
             "vfc": 1.0,
@@ -208,15 +207,15 @@ class SideState:
         return found
 
     def signal_of(self, controller: str) -> str:
-        """Return the signal that a controller observes."""
+        """Signal that a controller observes."""
         return OBSERVED_SIGNALS[controller].signal
 
     def is_held(self) -> bool:
-        """Return True if hold-off or ramp extended an intervention in the last second."""
+        """True if hold-off or ramp extended an intervention in the last second."""
         return bool(self._bits("tripped") & TRIP_BITS["held"])
 
     def loss(self) -> float | None:
-        """Return the fraction of the peer's frames lost in the last second; None without frames.
+        """Fraction of the peer's frames lost in the last second; None without frames.
 
         An overtaken frame counts as lost until it arrives.
         """

@@ -35,7 +35,6 @@ class LiveWindow(Window):
         self._generation = following.live.generation
         self._frame_s = self._line_s = 0.0
         self.frames = 0
-        """Frames drawn."""
         super().__init__([following.live.description], size=size, camera=camera)
 
     def update(self) -> None:
