@@ -100,7 +100,6 @@ def run_demo(
 
 
 def _simulated_arm(scene: DemoScene) -> tuple[str, ...]:
-    """Return the slave's options for the model."""
     return (
         "--wall-stiffness", str(scene.wall_stiffness), "--push-at-s", str(scene.push_at_s),
         "--push-force-n", str(scene.push_force_n), "--push-duration-s", str(scene.push_duration_s),
@@ -164,7 +163,7 @@ def draw_demo(scene: DemoScene, results: Sequence[PushResult], folder: Path, pat
         columns: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing (`haptether[analysis]`).
         ValueError: The ending is invalid.
     """
     signals = ("velocity", "device_force", "position")

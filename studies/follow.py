@@ -243,7 +243,7 @@ def _play(
 
 
 def hand_path(scene: FollowScene, leader: Leader) -> str:
-    """Return the hand's path as servo angles: the trigger closes, all joints move, the trigger opens."""
+    """The hand's path as servo angles: the trigger closes, all joints move, the trigger opens."""
     times = scene.close_at_s, scene.close_at_s + 0.5, scene.open_at_s, scene.open_at_s + 0.4
     closed = 0.0, 1.0, 1.0, 0.0
     legs = [(scene.carry_at_s, np.zeros(3)), (scene.carry_s, np.full(3, scene.led_rad))]
@@ -286,7 +286,7 @@ def measured(
 
 
 def trigger_of(arm: ArmDescription) -> Trigger:
-    """Return the leader's trigger; the same servo of the follower drives its gripper."""
+    """The leader's trigger; the same servo of the follower drives its gripper."""
     if arm.trigger is None:
         message = f"{arm.name}: must have a trigger"
         raise ValueError(message)
@@ -294,13 +294,13 @@ def trigger_of(arm: ArmDescription) -> Trigger:
 
 
 def follower_file(arm: ArmDescription) -> str:
-    """Return the file of a follower with the servos of a description."""
+    """File of a follower with the servos of a description."""
     settings = arm_settings(LeaderOptions(port="", arm=arm.name), msgspec.structs.replace(arm, trigger=None))
     return calibration_text(settings.baud, settings.servos)
 
 
 def scene_text(scene: FollowScene, controller: str, arm: ArmDescription, ports: tuple[str, str], file: Path) -> str:
-    """Return the scene of both sides, with the device of the emulator."""
+    """Scene of both sides, with the device of the emulator."""
     trigger = trigger_of(arm)
     finger = JointSettings.of(trigger.servo_model)
     loads = [servo.joint.settings for servo in servos_of(arm, baud=4_000_000, firmware=52)][: len(arm.joints)]
@@ -346,7 +346,7 @@ def draw_follow(
         columns: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing (`haptether[analysis]`).
         ValueError: The ending is invalid.
     """
     with styled():
@@ -404,5 +404,5 @@ def draw_follow(
 
 
 def _begun_s(scene: FollowScene, near: dict[str, npt.NDArray[Any]]) -> float:
-    """Return the start of the hand on the master's clock; its trigger closes first."""
+    """Start of the hand on the master's clock; its trigger closes first."""
     return float(near["time_s"][np.flatnonzero(near["trigger"] > BEGUN)[0]]) - scene.close_at_s

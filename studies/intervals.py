@@ -11,13 +11,13 @@ FEWEST_OF_MEDIAN = 6
 
 
 def poisson_interval(count: int) -> tuple[float, float]:
-    """Return the exact 95 % interval of the mean of a Poisson count, with 2.5 % at either end.
+    """Exact 95 % interval of the mean of a Poisson count, with 2.5 % at either end.
 
     Source: Garwood 1936.
     """
 
     def mean_where(most: int, share: float) -> float:
-        """Return the mean at which a count is at most `most` with probability `share`."""
+        """Mean at which a count is at most `most` with probability `share`."""
         spread = 20.0 + 10.0 * sqrt(most + 1.0)
         low, high = max(0.0, most - spread), most + spread
         # Lower counts have a probability below 1e-20 at all of these means.
@@ -34,7 +34,7 @@ def poisson_interval(count: int) -> tuple[float, float]:
 
 
 def wilson_interval(count: float, of: float) -> tuple[float, float]:
-    """Return the 95 % interval of a share; `of` is at least 1.
+    """95 % interval of a share; `of` is at least 1.
 
     Source: Wilson 1927.
     """
@@ -45,7 +45,7 @@ def wilson_interval(count: float, of: float) -> tuple[float, float]:
 
 
 def median_interval(values: Sequence[float]) -> tuple[float, float] | None:
-    """Return two of the values that bracket the median with at least 95 %; None for fewer than six.
+    """Two of the values that bracket the median with at least 95 %; None for fewer than six.
 
     `P(X_(k) <= m <= X_(n+1-k)) = 1 - 2 P(B(n, 1/2) < k)` for any distribution of the values.
 
@@ -62,13 +62,13 @@ def median_interval(values: Sequence[float]) -> tuple[float, float] | None:
 
 
 def binomial_interval(count: int, of: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Return the exact interval of a share; `of` is at least 1, and each end has half of the remaining probability.
+    """Exact interval of a share; `of` is at least 1, and each end has half of the remaining probability.
 
     Source: Clopper and Pearson 1934.
     """
 
     def at_most(most: int, share: float) -> float:
-        """Return P(B(of, share) <= most)."""
+        """P(B(of, share) <= most)."""
         if share <= 0.0 or share >= 1.0:
             return 1.0 if share <= 0.0 or most >= of else 0.0
         logs = (lgamma(of + 1.0) - lgamma(n + 1.0) - lgamma(of - n + 1.0) for n in range(most + 1))
@@ -81,7 +81,7 @@ def binomial_interval(count: int, of: int, confidence: float = 0.95) -> tuple[fl
 
 
 def gamma_quantile(share: float, shape: float) -> float:
-    """Return the quantile of a gamma variable of scale 1; `chi2_(2 k) / 2` for a whole shape k.
+    """Quantile of a gamma variable of scale 1; `chi2_(2 k) / 2` for a whole shape k.
 
     Computed by bisection on the regularised incomplete gamma function P(k, x).
 
@@ -92,10 +92,10 @@ def gamma_quantile(share: float, shape: float) -> float:
 
 
 def exceedance_interval(order: float, ratio: float, confidence: float = 0.95) -> tuple[int, int]:
-    """Return the range of counts of a new sample above the `order`-th largest point of this one, for any distribution.
+    """Range of counts of a new sample above the `order`-th largest point of this one, for any distribution.
 
-    With `T lambda ~ Gamma(k)` the count of a time T' is negative binomial, `P(n) = C(n + k - 1, n) p^k (1 - p)^n`, `p =
-    T / (T + T')`.
+    With `T lambda ~ Gamma(k)` the count of a time T' is negative binomial, `P(n) = C(n + k - 1, n) p^k (1 - p)^n`,
+    `p = T / (T + T')`.
 
     Args:
         order: k, above 0; not whole if points come in groups.
@@ -119,7 +119,7 @@ def exceedance_interval(order: float, ratio: float, confidence: float = 0.95) ->
 
 
 def _root_of_falling(of: Callable[[float], float], value: float, low: float, high: float) -> float:
-    """Return where a falling function reaches a value."""
+    """Argument at which a falling function reaches a value."""
     for _ in range(80):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if of(middle) > value else (low, middle)

@@ -27,7 +27,6 @@ LEADER_S: Final = 2.5
 SETTLE_S: Final = 1.5
 """Delay before the hand begins."""
 ROW_S: Final = 0.02
-"""Time between two points of the hand's path."""
 HAND: Final = (60.0, 60.0, 60.0, 15.0, 15.0, 15.0, 2.0)
 """Stiffness of the hand at each joint and at the trigger in N m/rad; chosen as 1 kN/m at the tool's distance."""
 HAND_DAMPING: Final = (1.0, 1.0, 1.0, 0.2, 0.2, 0.2, 0.02)
@@ -108,7 +107,7 @@ class Leader:
         return [*(joint.servo for joint in self.arm.joints), *trigger]
 
     def servo_angles(self, q: Array, closed: float) -> list[float]:
-        """Return servo angles for joint angles and a trigger, 0 open to 1 closed."""
+        """Servo angles for joint angles and a trigger, 0 open to 1 closed."""
         angles = [joint.sign * float(at) + joint.offset_rad for joint, at in zip(self.arm.joints, q, strict=True)]
         if (trigger := self.arm.trigger) is not None:
             angles.append(trigger.open_rad + closed * (trigger.closed_rad - trigger.open_rad))
@@ -156,14 +155,14 @@ def emulated_arm(limit: str, stack: contextlib.ExitStack, stopped: "StopRequest"
 
 
 def free_port() -> int:
-    """Return a free port of this machine."""
+    """Free port of this machine."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def hand_path(leader: Leader, duration_s: float) -> str:
-    """Return the hand's path of the scene as servo angles: a CSV for the control line's `lead`."""
+    """The hand's path of the scene as servo angles: a CSV for the control line's `lead`."""
     scene = load_scene("ur_pick")
     operator = scene.operator
     assert operator is not None
@@ -186,7 +185,7 @@ def hand_path(leader: Leader, duration_s: float) -> str:
 
 
 def along(legs: list[tuple[float, Array]], at_s: float, *, absolute: bool) -> Array:
-    """Return the position on minimum-jerk legs from 0 at a time; ends are positions if `absolute`, else offsets."""
+    """Position on minimum-jerk legs from 0 at a time; ends are positions if `absolute`, else offsets."""
     at, begun_s = np.zeros(3), 0.0
     for duration_s, end in legs:
         goal = end if absolute else at + end
@@ -199,7 +198,7 @@ def along(legs: list[tuple[float, Array]], at_s: float, *, absolute: bool) -> Ar
 
 
 def solved(kinematics: ArmKinematics, q: Array, place: Array, quat: Array) -> Array:
-    """Return joint angles near q that bring the tool to a pose, by Newton's method.
+    """Joint angles near q that bring the tool to a pose, by Newton's method.
 
     Raises:
         RuntimeError: There are none nearby.
@@ -220,13 +219,13 @@ def solved(kinematics: ArmKinematics, q: Array, place: Array, quat: Array) -> Ar
 
 
 def product(one: Array, other: Array) -> Array:
-    """Return Hamilton's product of quaternions w, x, y, z."""
+    """Hamilton's product of quaternions w, x, y, z."""
     w, v, s, u = one[0], one[1:], other[0], other[1:]
     return np.concatenate(([w * s - v @ u], w * u + s * v + np.cross(v, u)))
 
 
 def turn_quat(turn: Array) -> Array:
-    """Return the quaternion of an axis times an angle in rad."""
+    """Quaternion of an axis times an angle in rad."""
     angle = float(np.linalg.norm(turn))
     axis = turn / angle if angle > 0.0 else np.zeros(3)
     return np.concatenate(([math.cos(0.5 * angle)], math.sin(0.5 * angle) * axis))

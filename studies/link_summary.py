@@ -15,7 +15,6 @@ class LinkSummary(msgspec.Struct, frozen=True, kw_only=True):
     realtime: str
     """Real-time resources granted to the loop's thread."""
     rate_hz: float
-    """Ticks per second."""
     late_cycles: int
     """Wakes late by more than a period, after which ticks were skipped."""
     skipped_ticks: int
@@ -193,7 +192,7 @@ def judge_link(
 
 
 def bearable_text(bearable_delay_s: float | None, stable_delays_s: Sequence[tuple[float, float]]) -> str:
-    """Return the delays in ms that contact tolerates: up to the first oscillation, and in later intervals."""
+    """Delays in ms that contact tolerates: up to the first oscillation, and in later intervals."""
     if bearable_delay_s is None or math.isinf(bearable_delay_s):
         return "any delay"
     later = [f"{low * 1e3:.1f} to {high * 1e3:.1f} ms" for low, high in stable_delays_s if low >= bearable_delay_s]

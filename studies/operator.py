@@ -51,7 +51,7 @@ class Operator(msgspec.Struct, frozen=True, kw_only=True):
         return self.approach_s + self.first_s + self.creep_s + self.hold_s
 
     def pressing(self, stiffness: float, depth: float) -> Hand:
-        """Return a hand that presses a wall of `stiffness` in N/m to `depth` in m and releases.
+        """Hand that presses a wall of `stiffness` in N/m to `depth` in m and releases.
 
         At the depth D the spring of the hand must carry K D, so its target lies K D / K_h deeper.
         """
@@ -75,7 +75,7 @@ class Operator(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     def gripping(self, load_n: float, release_at_s: float | None) -> Hand:
-        """Return a hand that holds the stylus at the origin against a load of up to `load_n` N."""
+        """Hand that holds the stylus at the origin against a load of up to `load_n` N."""
         release = None if release_at_s is None else (release_at_s, self.release_s)
         return Hand(
             stiffness=self.stiffness,

@@ -46,7 +46,6 @@ class PickResult(msgspec.Struct, frozen=True, kw_only=True):
     """Results of arm and gripper, from the slave's recording."""
 
     grips: int
-    """Number of grips."""
     carried_m: float
     """Lateral displacement of the tool while holding."""
     turned_rad: float
@@ -144,7 +143,7 @@ def _ur_arm(limit: str, stack: contextlib.ExitStack, stopped: StopRequest) -> tu
 
 
 def angles(quat_wxyz: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the rotation of each orientation, shape `(n, 4)`, from the first, in rad."""
+    """Rotation of each orientation, shape `(n, 4)`, from the first, in rad."""
     between: npt.NDArray[np.float64] = np.abs(quat_wxyz @ quat_wxyz[0])
     return np.asarray(2.0 * np.arccos(np.minimum(between, 1.0)))
 
@@ -179,7 +178,7 @@ def draw_pick(scene: PickScene, folder: Path, path: Path, columns: Columns = 2) 
     """Draw height, lateral displacement, rotation and gripper of hand and arm from the files in `folder`.
 
     Raises:
-        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing (`haptether[analysis]`).
     """
     far = read_recording(folder / "pick.mcap").signals
     with np.load(folder / "pick.npz") as arrays:

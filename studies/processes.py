@@ -56,7 +56,7 @@ class Process:
                 self._lines.put(line.strip())
 
     def headline(self, stopped: StopRequest) -> str:
-        """Return the line that reports the open socket.
+        """Line that reports the open socket.
 
         Raises:
             Interrupted: A stop was requested.
@@ -80,13 +80,13 @@ class Process:
         raise RuntimeError(message)
 
     def last(self) -> str:
-        """Return its last line about a failure, or else its last line."""
+        """Last line about a failure, or else the last line."""
         lines = [line for line in self._all if line]
         wrong = [line for line in lines if "fault:" in line or line.startswith(("haptether:", "hold", "stop"))]
         return next(reversed(wrong or lines), f"{self.name} said nothing")
 
     def said(self) -> str:
-        """Return its output so far in one line."""
+        """Output so far in one line."""
         return " / ".join(line for line in self._all if line)
 
     def failure(self, other: "Process") -> str:

@@ -90,7 +90,7 @@ class RavenReport(msgspec.Struct, frozen=True, kw_only=True):
         return all(row.effect == row.expected and row.is_safe for row in self.rows)
 
     def as_json(self) -> bytes:
-        """Return the report as JSON."""
+        """Report as JSON."""
         rows = [{**msgspec.to_builtins(row), "works": row.works, "is_safe": row.is_safe} for row in self.rows]
         return msgspec.json.format(msgspec.json.encode({"rows": rows, "is_as_expected": self.is_as_expected}), indent=2)
 
@@ -155,13 +155,12 @@ def measure_attack(attack: RavenAttack, security: Security) -> RavenRow:
 
 
 def _nobody(scene: Scene) -> list[str]:
-    """Return overrides that remove the attacks."""
     links = {} if scene.link is None else {"forward": scene.link.forward, "backward": scene.link.backward}
     return [f"link.{direction}.attacks=[]" for direction, link in links.items() if link is not None and link.attacks]
 
 
 def _stiffness(scene: Scene) -> float:
-    """Return the largest stiffness that the arm can touch in N/m."""
+    """Largest stiffness that the arm can touch in N/m."""
     objects = () if scene.environment is None else scene.environment.objects
     return max((item.contact.stiffness for item in objects), default=0.0)
 
@@ -171,19 +170,19 @@ def _signal(run: Run, name: str) -> Array:
 
 
 def _coupled(run: Run, name: str) -> Flags:
-    """Return a mask of the ticks at which a side was coupled."""
+    """Mask of the ticks at which a side was coupled."""
     codes = _signal(run, name)
     coupled = [code for code in np.unique(codes) if ladder_state_name(int(code)) in ("engaged", "stale")]
     return np.isin(codes, coupled)
 
 
 def _parted(coupled: Flags) -> bool:
-    """Return True if a coupled side was decoupled."""
+    """True if a coupled side was decoupled."""
     return bool((coupled[:-1] & ~coupled[1:]).any())
 
 
 def _astray(hand: Array, command: Array, coupled: Flags) -> float:
-    """Return the largest distance in m of the command from all places to which the hand had led it so far.
+    """Largest distance in m of the command from all places to which the hand had led it so far.
 
     On one axis these places are an interval, because the hand's path is continuous.
     """
@@ -198,7 +197,7 @@ def _astray(hand: Array, command: Array, coupled: Flags) -> float:
 
 
 def _lag(attacked: Run, alone: Run) -> float:
-    """Return the largest difference in m between the commands of two runs while all their sides were coupled."""
+    """Largest difference in m between the commands of two runs while all their sides were coupled."""
     both = [_coupled(run, side) for run in (attacked, alone) for side in ("state", "slave_state")]
     commands = [_signal(run, "slave_command") for run in (attacked, alone)]
     ticks = min(map(len, [*both, *commands]))
@@ -207,14 +206,14 @@ def _lag(attacked: Run, alone: Run) -> float:
 
 
 def _travel(command: Array, coupled: Flags) -> float:
-    """Return the travel in m of the command between ticks at which the side was no longer coupled."""
+    """Travel in m of the command between ticks at which the side was no longer coupled."""
     ever = np.logical_or.accumulate(coupled)
     held = (ever & ~coupled)[:-1] & ~coupled[1:]
     return float(abs(np.diff(command))[held].sum())
 
 
 def _force_in_hold(run: Run, coupled: Flags) -> float:
-    """Return the largest force in N on the hand later than `FADE_S` after its side was decoupled."""
+    """Largest force in N on the hand later than `FADE_S` after its side was decoupled."""
     time_s, force = _signal(run, "time_s"), _signal(run, "device_force")
     newest = np.maximum.accumulate(np.where(coupled, time_s, -np.inf))
     later = np.isfinite(newest) & (time_s - newest > FADE_S + 1e-9)
@@ -222,7 +221,7 @@ def _force_in_hold(run: Run, coupled: Flags) -> float:
 
 
 def _refused(run: Run) -> int:
-    """Return the number of datagrams that either side refused, from the texts of the run's events."""
+    """Number of datagrams that either side refused, from the texts of the run's events."""
     details = [event.detail for event in run.events if event.kind == "refused"]
     return sum(int(word) for detail in details for word in detail.split() if word.isdigit())
 

@@ -81,4 +81,3 @@ RAVEN_ATTACKS = (
         because="refused at the door, before the sequence counts",
     ),
 )  # fmt: skip
-"""All attacks."""

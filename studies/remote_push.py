@@ -91,7 +91,7 @@ class PushResult(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def _along(signal: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return a signal of one axis unchanged, or the norm of several axes."""
+    """Signal of one axis unchanged, or the norm of several axes."""
     return signal if signal.ndim == 1 else np.sqrt((signal**2).sum(axis=1))
 
 

@@ -27,7 +27,6 @@ class SummaryRow(Struct, frozen=True, kw_only=True):
     quantity: str
     """A metric, for its mean, or a condition on one, for the share of rows that meet it."""
     rows: int
-    """Rows of the combination."""
     measured: int
     """Rows in which the quantity was measured."""
     diverged: int
@@ -109,7 +108,7 @@ def sweep_summary(
 
 
 def bootstrap_interval(values: Array, rng: np.random.Generator) -> tuple[float, float] | None:
-    """Return the 95 % interval of a mean by the percentiles of resampled means; None for fewer than two values.
+    """95 % interval of a mean by the percentiles of resampled means; None for fewer than two values.
 
     The interval is too narrow for few values: for ten normal values it holds the mean in 90 %.
 
@@ -160,13 +159,13 @@ _KINDS = {"outcome": "U", "reason": "U", "diverged": "b", "ticks": "u"}
 
 
 def metric_of(quantity: str) -> str:
-    """Return the column of a quantity of `sweep_summary`."""
+    """Column of a quantity of `sweep_summary`."""
     condition = SHARE.fullmatch(quantity.strip())
     return condition["metric"] if condition else quantity.strip()
 
 
 def _parsed(quantity: str, kinds: Mapping[str, str]) -> tuple[str, str | None, Any]:
-    """Return the column of a quantity, and of a condition its relation and limit."""
+    """Column of a quantity, and of a condition its relation and limit."""
     condition = SHARE.fullmatch(quantity.strip())
     name = metric_of(quantity)
     if condition is None and re.search("[<>=]", quantity):
@@ -209,7 +208,7 @@ def _shown(value: object) -> str:
 
 
 def _level(baseline: tuple[str, Any], levels: Mapping[str, Sequence[Any]]) -> tuple[int, Any]:
-    """Return the index of the baseline's column, and the baseline's value."""
+    """Index of the baseline's column, and the baseline's value."""
     column, value = baseline
     if column not in levels:
         message = f"baseline: {column} is none of {', '.join(levels) or 'what varies: nothing but samples does'}"
@@ -225,7 +224,7 @@ def _level(baseline: tuple[str, Any], levels: Mapping[str, Sequence[Any]]) -> tu
 
 
 def _values(sweep: Sweep, quantity: str) -> tuple[Array, bool]:
-    """Return a quantity in each row, NaN if not measured, and whether it is a share."""
+    """Quantity in each row, NaN if not measured, and whether it is a share."""
     name, relation, limit = _parsed(quantity, {name: column.dtype.kind for name, column in sweep.columns.items()})
     column = sweep[name]
     if column.dtype.kind == "U":
@@ -240,7 +239,7 @@ def _values(sweep: Sweep, quantity: str) -> tuple[Array, bool]:
 def _beside(
     baseline: tuple[str, Any], by: Sequence[str], groups: Mapping[tuple[Any, ...], list[int]]
 ) -> dict[tuple[Any, ...], tuple[Any, ...]]:
-    """Return the baseline combination of each combination."""
+    """Baseline combination of each combination."""
     levels = {name: list(dict.fromkeys(key[place] for key in groups)) for place, name in enumerate(by)}
     place, chosen = _level(baseline, levels)
     beside = {key: (*key[:place], chosen, *key[place + 1 :]) for key in groups}
@@ -251,7 +250,7 @@ def _beside(
 
 
 def _paired(values: Array, rows: Sequence[int], baseline: Sequence[int], samples: Sequence[tuple[Any, ...]]) -> Array:
-    """Return differences to the baseline, sample by sample, where both are measured."""
+    """Differences to the baseline, sample by sample, where both are measured."""
     of_baseline = {samples[row]: row for row in baseline}
     if len(of_baseline) < len(baseline):
         message = "baseline: several rows of one combination have the same samples: vary run.seed"

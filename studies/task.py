@@ -62,9 +62,7 @@ THRESHOLD_TASKS = (
 )
 """Bundled scenes with a working hand."""
 ROUND_TRIPS_S = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5)
-"""Default round trips in s."""
 HANDS = 8
-"""Default number of hands per task."""
 RELEASES = 4
 """Default number of release times per task."""
 DIRECTIONS: tuple[Direction, Direction] = ("forward", "backward")
@@ -116,8 +114,7 @@ class HandBounds(Struct, frozen=True, kw_only=True):
     """Frequency of the tremor in Hz (Elble and Koller 1990)."""
     population: str | None = None
     """Name or file of a population that provides stiffness, damping and tremor where it has them. Hands softer than
-    1.25
-    times the felt stiffness are skipped.
+    1.25 times the felt stiffness are skipped.
     """
 
 
@@ -144,11 +141,11 @@ class Network(Struct, frozen=True, kw_only=True):
         return None if self.own_delay_s is None else round(sum(self.own_delay_s), 4)
 
     def links(self, delay_s: float) -> tuple[LinkSettings, LinkSettings]:
-        """Return forward and backward links; `delay_s` is the delay of each, unless the network has its own."""
+        """Forward and backward links; `delay_s` is the delay of each, unless the network has its own."""
         return self.own or (self.link(delay_s),) * 2
 
     def link(self, delay_s: float) -> LinkSettings:
-        """Return one direction of a network without its own delay."""
+        """One direction of a network without its own delay."""
         settings = LinkSettings(delay_s=delay_s)
         if self.jitter > 0.0 and delay_s > 0.0:
             settings = replace(settings, jitter_s=self.jitter * delay_s, distribution="gamma")
@@ -158,7 +155,7 @@ class Network(Struct, frozen=True, kw_only=True):
 
 
 def network_of(name: str) -> Network:
-    """Return a preset of `haptether netsim list`, or a recording of `haptether netsim record` or IRTT.
+    """Preset of `haptether netsim list`, or a recording of `haptether netsim record` or IRTT.
 
     Args:
         name: Name of the preset, or path of the .csv or .json file.
@@ -184,7 +181,7 @@ def network_of(name: str) -> Network:
 
 
 def _mean_delay_s(settings: LinkSettings, direction: Direction) -> float | None:
-    """Return the mean delay in s of arriving packets over a minute, or over the length of the link's recording."""
+    """Mean delay in s of arriving packets over a minute, or over the length of the link's recording."""
     if (known := asked(settings, direction).mean_s) is not None:
         return known
     lasts_s = repeats_every_s(settings, direction) or MEASURED_S
@@ -282,7 +279,7 @@ class Task:
         """True if forces can be felt: there is an arm, or something to touch."""
 
     def replaced(self) -> tuple[str, ...]:
-        """Return remarks on parts of the scene that the task does not use."""
+        """Remarks on parts of the scene that the task does not use."""
         remarks: list[str] = []
         links, ours = self.base.link or LinksTable(), {"delay_s", "jitter_s", "distribution", "jitter_correlation_s"}
         dropped = {
@@ -304,7 +301,7 @@ class Task:
         return tuple(remarks)
 
     def _held(self) -> Scene:
-        """Return the scene with a hand that never releases, and without recording."""
+        """Scene with a hand that never releases, and without recording."""
         operator = replace(self.operator, release=None, grip_strength_n=None, tremor=TremorTable(), legs=self._legs())
         if operator.rotation is not None:
             operator = replace(operator, rotation=replace(operator.rotation, release=None))
@@ -317,7 +314,7 @@ class Task:
         return replace(self.base, operator=operator, safety=safety, run=run, record=None, security=None)
 
     def _legs(self) -> tuple[LegTable, ...]:
-        """Return the path of the scene; if it only goes in, add strokes out, in and out again."""
+        """Path of the scene; plus strokes out, in and out if it only goes in."""
         legs = self.operator.legs
         self.strokes = 0
         if not legs or self.operator.trigger or legs[-1].end == self.operator.start:
@@ -327,7 +324,7 @@ class Task:
         return legs + tuple(LegTable(duration_s=1.0, end=ends[place % 2]) for place in range(STROKES))
 
     def _delayed(self, scene: Scene) -> Scene:
-        """Return the scene with forces that return after the round trip."""
+        """Scene with forces that return after the round trip."""
         delay_s = 0.5 * self.round_trip_s
         if scene.slave is not None and self.network is not None:
             forward, backward = self.network.links(delay_s)
@@ -348,7 +345,7 @@ class Task:
         return replace(scene, environment=replace(scene.environment, delay_ticks=ticks))
 
     def with_controllers(self, scene: Scene, controllers: str | None, fixed: dict[str, float | str]) -> Scene:
-        """Return a scene with controllers of force, torque and trigger, separated by commas, or with none.
+        """Scene with controllers of force, torque and trigger, separated by commas, or with none.
 
         A Python controller has the options that the scene gives it.
         """
@@ -374,7 +371,7 @@ class Task:
         return override_scene(scene, [f"safety.controllers=[{names}]", *changes])
 
     def felt_stiffness(self) -> float:
-        """Return the largest stiffness in N/m that the hand feels: of objects, or of a softer arm servo."""
+        """Largest stiffness in N/m that the hand feels: of objects, or of a softer arm servo."""
         felt = touched(self.base, scene_numbers(self.base)).stiffness
         if (slave := self.base.slave) is None:
             return felt
@@ -384,7 +381,7 @@ class Task:
         return felt if coupling is None else felt * coupling.force_scale * coupling.position_scale
 
     def hands(self, count: int, seed: int, bounds: HandBounds) -> dict[str, Array]:
-        """Return hands as rows of a sweep; equal seeds give equal hands at any round trip."""
+        """Hands as rows of a sweep; equal seeds give equal hands at any round trip."""
         rng = np.random.default_rng([seed, *Path(self.name).stem.encode()])
         softest = max(bounds.stiffness[0], STIFFER * self.felt_stiffness())
         pace = _log_uniform(rng, bounds.pace, count)
@@ -408,7 +405,7 @@ class Task:
         return rows
 
     def _people(self, population: str, count: int, seed: int) -> dict[str, Array]:
-        """Return the first hands of a population that satisfy `STIFFER`.
+        """First hands of a population that satisfy `STIFFER`.
 
         Raises:
             SceneError: There is no such population.
@@ -428,14 +425,14 @@ class Task:
         return {path: column[stiff][:count] for path, column in drawn.items()}
 
     def lasting(self, bounds: HandBounds) -> Scene:
-        """Return the held task, as long as its slowest hand needs."""
+        """Held task, as long as its slowest hand needs."""
         slowest = 1.0 if self.operator.trigger or not self.operator.legs else bounds.pace[1]
         longest_s = self.base.run.duration_s * slowest + self.strokes * bounds.withdrawal_s[1]
         duration_s = round(longest_s + 2.0 * self.round_trip_s, 3)
         return replace(self.held, run=replace(self.held.run, duration_s=duration_s))
 
     def alone(self, scene: Scene, hands: dict[str, Array], hand: int) -> Scene:
-        """Return one hand of a sweep as a scene."""
+        """One hand of a sweep as a scene."""
         values = {path: float(column[hand]) for path, column in hands.items()}
         fields = [f"{path}={int(value) if path == 'run.seed' else repr(value)}" for path, value in values.items()]
         return override_scene(scene, fields)
@@ -454,7 +451,7 @@ class Task:
     def releases(
         self, hands: dict[str, Array], held: Iterable[HeldRun], places: int, after_s: float = WITHIN_S
     ) -> Releases | None:
-        """Return hands that release under more than half of the largest force that they feel without a controller.
+        """Hands that release under more than half of the largest force that they feel without a controller.
 
         Args:
             hands: Hands as rows of a sweep.
@@ -534,12 +531,12 @@ def held_run(run: Run, period_s: float, lever_m: float) -> HeldRun:
 
 
 def ejection_metrics(scene: Scene) -> list[str]:
-    """Return the metrics that `ejection_speeds` needs from a sweep."""
+    """Metrics that `ejection_speeds` needs from a sweep."""
     return ["max_ejection_velocity", *(["max_ejection_rate"] if scene.master.kind == "pose" else [])]
 
 
 def ejection_speeds(scene: Scene, found: Sweep) -> Array:
-    """Return the largest speed in m/s after each release of a sweep: of the device, or of a handle at its lever."""
+    """Largest speed in m/s after each release of a sweep: of the device, or of a handle at its lever."""
     speed = np.nan_to_num(np.asarray(found["max_ejection_velocity"], dtype=np.float64))
     if "max_ejection_rate" in found.columns:
         lever_m = (scene.safety.rotation or RotationSafetyTable()).lever_m

@@ -66,7 +66,7 @@ def check_scene(scene: Scene, *, speed: float | None = None, remedies: bool = Tr
 
 
 def check_at_once(scene: Scene, bound: EjectionBound | None = None) -> tuple[Finding, ...]:
-    """Return the findings of `check_scene` without delay analysis, runs of the link, and remedies.
+    """Findings of `check_scene` without delay analysis, runs of the link, and remedies.
 
     Args:
         scene: Scene of any kind.
@@ -79,7 +79,7 @@ def check_at_once(scene: Scene, bound: EjectionBound | None = None) -> tuple[Fin
 
 
 def _limit(scene: Scene, speed: float | None) -> float | None:
-    """Return the speed limit after a release in m/s or rad/s; None for joints by default."""
+    """Speed limit after a release in m/s or rad/s; None for joints by default."""
     unit = Units.of(scene_numbers(scene)).speed
     if speed is None:
         return THROWN_SPEED if unit == "m/s" else None
@@ -241,7 +241,7 @@ def _ejection(
 
 
 def _unknown(controller: str, limit: float | None, unit: str) -> Finding:
-    """Return the finding for a Python controller, for which no bound is known."""
+    """Finding for a Python controller, for which no bound is known."""
     text = f"no bound on the speed after a release is known of {controller}, a controller of your own"
     return Finding(
         name="ejection",
@@ -299,7 +299,7 @@ def _vfc(spec: dict[str, Any], limit: float | None) -> Iterator[Finding]:
 
 
 def _strokes(spec: dict[str, Any]) -> tuple[float, float]:
-    """Return the largest speed in m/s and acceleration in m/s² of the hand's path."""
+    """Largest speed in m/s and acceleration in m/s² of the hand's path."""
     operator = spec["operator"]
     if operator is None:
         return 0.0, 0.0
@@ -465,7 +465,7 @@ def _named(events: list[SingleEvent]) -> str:
 
 
 def _once_on_link(scene: Scene) -> tuple[State, str, int]:
-    """Return state, text, and count of holds and stops, of events that a pure delay tolerates, over the whole link."""
+    """State, text, and count of holds and stops, of events that a pure delay tolerates, over the whole link."""
     both = single_events_on_link(scene)
     assert both is not None, "something happens once"
     found, without = both

@@ -26,13 +26,13 @@ class Touched(Struct, frozen=True, kw_only=True):
 
 
 def scene_numbers(scene: Scene) -> dict[str, Any]:
-    """Return all numbers of a scene, with presets and defaults."""
+    """All numbers of a scene, with presets and defaults."""
     spec: dict[str, Any] = msgspec.json.decode(scene_json(scene))
     return spec
 
 
 def touched(scene: Scene, spec: dict[str, Any]) -> Touched:
-    """Return the contact of a scene: K and B of objects, holes and handles, and parts beyond a spring.
+    """Contact of a scene: K and B of objects, holes and handles, and parts beyond a spring.
 
     A nonlinear law counts with its slope at the largest rendered force, `dF/dd = n F / d` for `F = K d^n`.
 
@@ -68,20 +68,20 @@ def touched(scene: Scene, spec: dict[str, Any]) -> Touched:
 
 
 def _largest_force_n(spec: dict[str, Any]) -> float:
-    """Return the largest force in N at the contact that a limiter lets through."""
+    """Largest force in N at the contact that a limiter lets through."""
     limiter, device_n = spec["safety"]["limiter"], spec["master"]["max_force_n"]
     force_n: float = (device_n or DEFAULT_FORCE_N) if limiter is None else limiter["max_force_n"]
     return force_n / largest_scale(spec, "force_scale") if spec["slave"] is not None else force_n
 
 
 def largest_scale(spec: dict[str, Any], key: str) -> float:
-    """Return the largest value of a scale of the coupling, including its changes."""
+    """Largest value of a scale of the coupling, including its changes."""
     coupling = spec["coupling"]
     return float(max(state[key] for state in (coupling, *coupling["changes"]) if state[key] is not None))
 
 
 def _beyond(scene: Scene, environment: dict[str, Any]) -> list[str]:
-    """Return the contacts that one spring along an axis does not represent."""
+    """Contacts that one spring along an axis does not represent."""
     slave = scene.slave
     assert slave is not None
     said = []
@@ -103,7 +103,7 @@ def _beyond(scene: Scene, environment: dict[str, Any]) -> list[str]:
 
 
 def rendered(scene: Scene, spec: dict[str, Any]) -> frozenset[Rendered]:
-    """Return the loads that can act on the device: force, torque on the handle, force at the trigger.
+    """Loads that can act on the device: force, torque on the handle, force at the trigger.
 
     A real arm may touch anything; attacks on the backward link may send anything.
     """
@@ -131,7 +131,7 @@ def rendered(scene: Scene, spec: dict[str, Any]) -> frozenset[Rendered]:
 
 
 def felt_axes(spec: dict[str, Any]) -> frozenset[int]:
-    """Return the axes of the arm with a felt force: those not locked in every state of the coupling."""
+    """Axes of the arm with a felt force: those not locked in every state of the coupling."""
     coupling = spec["coupling"]
     states = [state["locked_axes"] for state in (coupling, *coupling["changes"]) if state["locked_axes"] is not None]
     return frozenset(range(spec["master"]["axes"])) - set.intersection(*map(set, states))

@@ -47,9 +47,10 @@ class ContactLoop(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def largest_delay_s(loop: ContactLoop) -> float:
-    """Return the least sum of both delays in s at which contact oscillates; infinite if none, 0 if without delay.
+    """Least sum of both delays in s at which contact oscillates; infinite if none, 0 if without delay.
 
-    The delay margin is `min (pi + arg L(jw)) / w` over all w with `|L(jw)| = 1`, for
+    The delay margin is `min (pi + arg L(jw)) / w` over all w with `|L(jw)| = 1`:
+
     `L(s) = lambda_f lambda_p (K_e + B_e s) G(s) / (m s² + b s + k)`.
 
     The model is linear, without Coulomb friction, limiter and safety controllers.
@@ -67,11 +68,11 @@ def largest_delay_s(loop: ContactLoop) -> float:
 
 
 def stable_delays(loop: ContactLoop, up_to_s: float) -> tuple[tuple[float, float], ...]:
-    """Return the intervals of the sum of both delays in s, from 0 to `up_to_s`, in which contact does not oscillate.
+    """Intervals of the sum of both delays in s, from 0 to `up_to_s`, in which contact does not oscillate.
 
-    Roots of `bottom + top e^(-sT)` cross into or out of the right half plane in pairs. They cross at the delays `(phase
-    + 2 pi n) / w` of all w with `|top| = |bottom|`, inwards if `|bottom|² - |top|²` grows with w. Linear, as in
-    `largest_delay_s`.
+    Roots of `bottom + top e^(-sT)` cross into or out of the right half plane in pairs. They cross at the
+    delays `(phase + 2 pi n) / w` of all w with `|top| = |bottom|`, inwards if `|bottom|² - |top|²` grows with w. The
+    model is linear, as in `largest_delay_s`.
 
     Raises:
         ValueError: `up_to_s` is negative or infinite.
@@ -104,7 +105,7 @@ def stable_delays(loop: ContactLoop, up_to_s: float) -> tuple[tuple[float, float
 
 
 def stable_together(loops: Iterable[ContactLoop], up_to_s: float) -> tuple[tuple[float, float], ...]:
-    """Return the intervals of the sum of both delays in s in which none of several loops oscillates.
+    """Intervals of the sum of both delays in s, from 0 to `up_to_s`, in which none of several loops oscillates.
 
     Raises:
         ValueError: `up_to_s` is negative or infinite.
@@ -118,7 +119,7 @@ def stable_together(loops: Iterable[ContactLoop], up_to_s: float) -> tuple[tuple
 
 
 def _polynomials(loop: ContactLoop) -> tuple[Array, Array]:
-    """Return the polynomials of `bottom(s) + top(s) e^(-sT) = 0`; `top` is empty without contact."""
+    """Polynomials of `bottom(s) + top(s) e^(-sT) = 0`; `top` is empty without contact."""
     gain = loop.force_scale * loop.position_scale
     contact = [loop.environment_damping, loop.environment_stiffness]
     top = np.trim_zeros(gain * np.array(contact), "f")
@@ -131,7 +132,7 @@ def _polynomials(loop: ContactLoop) -> tuple[Array, Array]:
 
 
 def _crossings(top: Array, bottom: Array) -> tuple[Array, Array, "npt.NDArray[np.bool_]"]:
-    """Return each w in rad/s with `|top| = |bottom|`, `w T` in rad of its first delay, and the sense of crossing."""
+    """Each w in rad/s with `|top| = |bottom|`, `w T` in rad of its first delay, and the sense of crossing."""
     # |top|² = |bottom|² is a polynomial in w².
     excess = np.polysub(_squared(bottom), _squared(top))
     crossings = np.roots(excess)
@@ -143,7 +144,7 @@ def _crossings(top: Array, bottom: Array) -> tuple[Array, Array, "npt.NDArray[np
 
 
 def _squared(polynomial: Array) -> Array:
-    """Return `|p(jw)|²` as a polynomial in w²."""
+    """`|p(jw)|²` as a polynomial in w²."""
     mirrored = polynomial * (-1.0) ** np.arange(polynomial.size)[::-1]
     even = np.polymul(polynomial, mirrored)[::-1][::2]
     # s² = -w².

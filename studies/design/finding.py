@@ -19,9 +19,7 @@ class Finding(Struct, frozen=True, kw_only=True):
     name: str
     """Subject of the finding."""
     state: State
-    """Result: bad, warning (small margin, or at a price), not judged (the method does not cover the scene), good, or a
-    note.
-    """
+    """Result: bad, warning (small margin, or at a price), not judged (beyond the method), good, or a note."""
     text: str
     """One sentence with numbers and units."""
     value: float | None = None
@@ -29,12 +27,8 @@ class Finding(Struct, frozen=True, kw_only=True):
     """Limit of `value`, if it is one number."""
     unit: str = ""
     remedy: str | None = None
-    """Remedy in words."""
     changes: tuple[str, ...] = ()
-    """Overrides that improve or remove the finding and worsen no other, as `override_scene` takes them. Empty if no
-    such
-    field was found.
-    """
+    """Overrides for `override_scene` that mend the finding and worsen no other; empty if none was found."""
 
 
 class DesignCheck(Struct, frozen=True, kw_only=True):
@@ -43,7 +37,7 @@ class DesignCheck(Struct, frozen=True, kw_only=True):
     findings: tuple[Finding, ...]
 
     def of(self, state: State) -> tuple[Finding, ...]:
-        """Return the findings in a state."""
+        """Findings in this state."""
         return tuple(finding for finding in self.findings if finding.state == state)
 
 
@@ -57,14 +51,14 @@ class Units(Struct, frozen=True, kw_only=True):
 
     @classmethod
     def of(cls, spec: dict[str, Any]) -> "Units":
-        """Return the units of a scene: for joints those of angles and torques."""
+        """Units of a scene: for joints those of angles and torques."""
         if spec["master"]["kind"] == "joints":
             return cls(speed="rad/s", force="N m", stiffness="N m/rad", damping="N m s/rad")
         return cls(speed="m/s", force="N", stiffness="N/m", damping="N s/m")
 
 
 def link_delays_s(spec: dict[str, Any]) -> tuple[float, float] | None:
-    """Return mean and 99 % quantile of the sum of both delays in s, ticks included; None for a recorded delay."""
+    """Mean and 99 % quantile of the sum of both delays in s, ticks included; None for a recorded delay."""
     delay_s, variance = 2.0 * max(spec["run"]["period_s"], spec["slave"]["period_s"]), 0.0
     for direction in (spec["link"] or {}).values():
         if direction is None or "delay_s" not in direction:

@@ -81,7 +81,6 @@ class OnceOnLink(Struct, frozen=True, kw_only=True):
     stops: int
     """Number of transitions to STOP in all runs."""
     uncoupled: int
-    """Runs that ended decoupled."""
 
 
 def link_with_single_events(scene: Scene) -> IdleLink | None:
@@ -114,7 +113,7 @@ def single_events_on_link(scene: Scene) -> tuple[OnceOnLink, OnceOnLink] | None:
 
 
 def single_events(scene: Scene) -> tuple[SingleEvent, ...]:
-    """Return the single events of a scene's link in the order of time."""
+    """Single events of a scene's link in the order of time."""
     links, found = scene.link, list[SingleEvent]()
     for direction in DIRECTIONS:
         settings: LinkSettings | None = getattr(links, direction, None)
@@ -142,7 +141,7 @@ def _run_events(scene: Scene) -> tuple[SingleEvent, ...]:
 
 
 def _seconds_with(scene: Scene) -> float | None:
-    """Return the length in s of a run with the single events; None without events."""
+    """Length in s of a run with the single events; None without events."""
     ends_s = [event.end_s for event in _run_events(scene)]
     return min(max(ends_s) + SETTLED_S, MAX_RUN_S) if ends_s else None
 
@@ -164,7 +163,6 @@ def _runs_with(scene: Scene, link: LinksTable | None, events: tuple[SingleEvent,
 
 
 def _without_single_events(links: LinksTable | None) -> LinksTable | None:
-    """Return the links without single events."""
     if links is None:
         return None
     changed = links
@@ -185,7 +183,6 @@ def _without_single_events(links: LinksTable | None) -> LinksTable | None:
 
 
 def _single_events_over_delay(scene: Scene) -> LinksTable:
-    """Return the links with only delay and single events."""
     changed = LinksTable() if scene.link is None else scene.link
     delays = scene_numbers(scene)["link"] or {}
     for direction in DIRECTIONS:

@@ -9,7 +9,7 @@ from haptether.studies.design.delay import ContactLoop, Follower
 
 
 def scene_loops(scene: Scene, wall_stiffness: float | None = None, *, held: bool = True) -> list[ContactLoop]:
-    """Return one loop per felt axis: device, hand, arm and the stiffest contact.
+    """One loop per felt axis: device, hand, arm and the stiffest contact.
 
     A nonlinear law counts with its slope at the largest rendered force.
 
@@ -42,7 +42,7 @@ def scene_loops(scene: Scene, wall_stiffness: float | None = None, *, held: bool
 
 
 def _arm(slave: dict[str, Any]) -> Follower:
-    """Return an arm with the equivalent K_s and B_s of its control, as in `slave/src/arm/model.rs`."""
+    """Arm with the equivalent K_s and B_s of its control, as in `slave/src/arm/model.rs`."""
     mass_kg, pole = slave["mass_kg"], 2.0 * math.pi * slave["bandwidth_hz"]
     stiffness, damping = {
         "position": (mass_kg * pole**2, 2.0 * mass_kg * pole),
@@ -55,6 +55,6 @@ def _arm(slave: dict[str, Any]) -> Follower:
 
 
 def scene_times(scene: Scene) -> tuple[float, float]:
-    """Return the longer of both periods, and the silence in s after which the ladder holds."""
+    """The longer period, and the silence in s after which the ladder holds."""
     spec = scene_numbers(scene)
     return max(spec["run"]["period_s"], spec["slave"]["period_s"]), spec["safety"]["ladder"]["hold_after_s"]

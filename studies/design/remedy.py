@@ -59,13 +59,13 @@ class Judge(Protocol):
     """Check of a scene against all inequalities."""
 
     def __call__(self, scene: Scene, /, *, link: bool) -> tuple[Finding, ...]:
-        """Return the findings, optionally with those of the idle link."""
+        """Findings, optionally with those of the idle link."""
 
 
 def with_remedies(
     scene: Scene, findings: tuple[Finding, ...], judge: Judge, limit: float | None
 ) -> tuple[Finding, ...]:
-    """Return the findings, with a remedy for each bad one and each warning.
+    """Findings, with a remedy for each bad one and each warning.
 
     The first change that leaves neither is taken; otherwise those that improve most, without unnecessary parts. A
     change counts only if it improves or removes the finding and worsens no other.
@@ -83,7 +83,7 @@ def with_remedies(
 
 
 def is_better(after: Finding | None, before: Finding) -> bool:
-    """Return True if a finding is gone, in a better state, or in the same state with less excess."""
+    """True if a finding is gone, in a better state, or in the same state with less excess."""
     if after is None:
         return True
     rank, old = RANKS[after.state], RANKS[before.state]
@@ -91,7 +91,7 @@ def is_better(after: Finding | None, before: Finding) -> bool:
 
 
 def is_worse(after: Finding, before: Finding | None) -> bool:
-    """Return True if a finding is in a worse state; a new one counts as worse if it is bad or a warning."""
+    """True if a finding is in a worse state; a new one counts as worse if it is bad or a warning."""
     old = RANKS["good"] if before is None else RANKS[before.state]
     return RANKS[after.state] < min(old, RANKS["not judged"]) or (
         before is not None
@@ -101,7 +101,7 @@ def is_worse(after: Finding, before: Finding | None) -> bool:
 
 
 def _excess(finding: Finding) -> float:
-    """Return value over limit; infinite without a value."""
+    """Value over limit; infinite without a value."""
     if finding.value is None:
         return inf
     return finding.value / finding.limit if finding.limit else finding.value
@@ -114,7 +114,7 @@ def _mended(
     on_link = finding.name in {"link", "outage"}
 
     def tried(changes: Changes) -> Finding | bool | None:
-        """Return the finding after changes, None if it is gone, False if they are invalid or no remedy."""
+        """Finding after changes, None if it is gone, False if they are invalid or no remedy."""
         try:
             found = {one.name: one for one in judge(override_scene(scene, changes), link=on_link)}
         except SceneError:
@@ -306,7 +306,7 @@ def _measured(scene: Scene, changes: list[str]) -> Iterator[Changes]:
 
 
 def _within_assumptions(spec: dict[str, Any]) -> list[str]:
-    """Return changes that satisfy the assumptions of the bound (docs/ejection_bound.md, A1)."""
+    """Changes that satisfy the assumptions of the bound (docs/ejection_bound.md, A1)."""
     limiter, device_n, environment = spec["safety"]["limiter"], spec["master"]["max_force_n"], spec["environment"]
     changes = []
     if limiter is None:

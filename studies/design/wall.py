@@ -15,7 +15,7 @@ HALVINGS = 60
 def largest_wall_stiffness(
     *, mass_kg: float, damping: float, hand_stiffness: float, wall_damping: float, period_s: float, late_ticks: int
 ) -> float:
-    """Return the largest K in N/m of a sampled wall with stable device and hand; 0 if unstable without it.
+    """Largest K in N/m of a sampled wall with stable device and hand; 0 if unstable without it.
 
     `1 + (K + B (1 - 1/z) / T) G(z) / z^d = 0` with G(z) of `1 / (m s² + b s + k)` behind a zero-order hold. The result
     is the least real, positive K on `z = e^(jwT)`. Linear, without Coulomb friction and quantisation.
@@ -68,7 +68,7 @@ class _Discrete:
         self.step, self.push = whole[:2, :2], whole[:2, 2]
 
     def response(self, z: Complex) -> Complex:
-        """Return X over F."""
+        """X over F."""
         (a, b), (c, d) = self.step
         first, second = self.push
         found: Complex = ((z - d) * first + b * second) / ((z - a) * (z - d) - b * c)
@@ -76,7 +76,7 @@ class _Discrete:
 
 
 def _exponential(matrix: "npt.NDArray[np.float64]") -> "npt.NDArray[np.float64]":
-    """Return the matrix exponential by scaling and squaring of its series (Moler and Van Loan 2003, method 3)."""
+    """Matrix exponential by scaling and squaring of its series (Moler and Van Loan 2003, method 3)."""
     squarings = max(0, int(np.ceil(np.log2(max(np.abs(matrix).sum(axis=1).max(), 1e-300)))) + 4)
     small = matrix / 2.0**squarings
     term = whole = np.eye(len(matrix))

@@ -133,7 +133,7 @@ def evaluate(
 
 
 def round_trips_of(network: Network, round_trips_s: Sequence[float]) -> Sequence[float]:
-    """Return the requested round trips at which a network runs; only its own if it has one."""
+    """Requested round trips at which a network runs; only its own if it has one."""
     return round_trips_s if network.round_trip_s is None else (network.round_trip_s,)
 
 
@@ -194,7 +194,7 @@ class _Runs:
         self.uncontrolled_speeds = self._speeds(self.releases, None)[0] if self.releases else np.empty(0)
 
     def _speeds(self, releases: Releases, controllers: str | None) -> tuple[Array, Array]:
-        """Return per release the largest speed in m/s, NaN if the run did not reach it, and the time to a trip."""
+        """Per release the largest speed in m/s, NaN if the run did not reach it, and the time to a trip."""
         scene = self.task.with_controllers(releases.scene, controllers, {})
         metrics = [*ejection_metrics(scene), "time_to_trip_s"]
         found = sweep(scene, samples=releases.rows, threads=self.threads, metrics=metrics)
@@ -204,7 +204,7 @@ class _Runs:
         return speeds, trip if controllers else np.full(len(speeds), np.nan)
 
     def cell(self, names: str) -> tuple[EvaluationCell, WorstRelease | None]:
-        """Return the results of one controller set, and its worst release."""
+        """Results of one controller set, and its worst release."""
         controllers = None if names == "none" else names.replace("+", ",")
         watched = self.task.with_controllers(self.lasting, controllers, {})
         held = self.task.hold(watched, self.hands, self.threads) if controllers else self.uncontrolled
@@ -260,7 +260,7 @@ class _Runs:
         return self.task.network
 
     def _released(self, names: str, controllers: str | None) -> tuple[Array, Array, Array, int, WorstRelease | None]:
-        """Return speeds, speeds without a controller and trip times; the count already tripped; the worst release.
+        """Speeds, speeds without a controller and trip times; the count already tripped; the worst release.
 
         Releases under an intervention that began while the hand held are excluded and only counted.
         """
@@ -287,13 +287,13 @@ class _Runs:
         return *of, release
 
     def _transmitted(self, controllers: str | None) -> tuple[float | None, float | None]:
-        """Return stiffness in N/m and damping in N s/m that the scene's hand feels while it presses."""
+        """Stiffness in N/m and damping in N s/m that the scene's hand feels while it presses."""
         scene = self.task.with_controllers(self.task.held, controllers, {})
         return transmitted_impedance(simulate(replace(scene, record=RecordTable())))
 
 
 def transmitted_impedance(run: Run) -> tuple[float | None, float | None]:
-    """Return K in N/m and B in N s/m of `-F_device = K x + B V + F_0` while a hand presses, along the mean force.
+    """K in N/m and B in N s/m of `-F_device = K x + B V + F_0` while a hand presses, along the mean force.
 
     Least squares over the ticks with a force above a tenth of the largest. None for too few ticks, or if the fit
     explains less than 80 % of the force's variance.

@@ -43,7 +43,7 @@ HATCH = "//////"
 
 
 def words_of(found: Evaluation, cells: "Sequence[EvaluationCell]") -> str:
-    """Return a verdict in words, with the hands needed to confirm it."""
+    """Verdict in words, with the hands needed to confirm it."""
     verdict = found.verdict(cells)
     if verdict != "safe" or found.is_confirmed(cells):
         return VERDICT_WORDS[verdict]
@@ -52,7 +52,7 @@ def words_of(found: Evaluation, cells: "Sequence[EvaluationCell]") -> str:
 
 
 def trip_words(found: Evaluation, round_trip_s: float) -> list[str]:
-    """Return a round trip with the names of the networks that have it as their own."""
+    """Round trip with the names of the networks that have it as their own."""
     own = [network.name for network in found.networks if network.round_trip_s == round_trip_s]
     return [f"{round_trip_s * 1e3:g} ms", *own]
 
@@ -69,7 +69,7 @@ def draw_evaluation(found: Evaluation, path: str | PathLike[str] | None = None, 
         columns: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing (`haptether[analysis]`).
         ValueError: The ending is invalid.
         OSError: The file cannot be written, or is a symbolic link.
     """

@@ -31,7 +31,6 @@ class Section(Struct, frozen=True):
 
     title: str
     text: str = ""
-    """A paragraph."""
     items: tuple[str, ...] = ()
     table: Table | None = None
 
@@ -72,7 +71,7 @@ def sections(found: Evaluation, worst: str | None) -> Iterator[Section]:
 
 
 def confirmation(found: Evaluation) -> str:
-    """Return the condition of confirmation, and the number of confirmed cells."""
+    """Condition of confirmation, and the number of confirmed cells."""
     cells = [
         found.of(controllers=name, round_trip_s=trip_s) for name in found.controllers for trip_s in found.round_trips_s
     ]
@@ -87,18 +86,18 @@ def confirmation(found: Evaluation) -> str:
 
 
 def statements(found: Evaluation) -> tuple[str, ...]:
-    """Return for each controller set the round trip up to which it is safe."""
+    """For each controller set the round trip up to which it is safe."""
     return tuple(_statement(found, controllers) for controllers in found.controllers)
 
 
 def verdict_rows(found: Evaluation) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...]]:
-    """Return head and rows of the table of verdicts, all tasks together, as text."""
+    """Head and rows of the table of verdicts, all tasks together, as text."""
     table = _verdict_table(found, None)
     return table.head, tuple(tuple(_text(cell) for cell in row) for row in table.rows)
 
 
 def evaluation_markdown(found: Evaluation, *, command: str = "", worst: str | None = None) -> str:
-    """Return the page as Markdown.
+    """The page as Markdown.
 
     Args:
         found: Evaluation to show.
@@ -116,10 +115,10 @@ def evaluation_markdown(found: Evaluation, *, command: str = "", worst: str | No
 
 
 def evaluation_html(found: Evaluation, *, command: str = "", worst: str | None = None) -> str:
-    """Return the page as one self-contained HTML file.
+    """The page as one self-contained HTML file.
 
     Raises:
-        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing (`haptether[analysis]`).
     """
     drawn = io.StringIO()
     draw_evaluation(found).savefig(drawn, format="svg", metadata={"Date": None})
@@ -169,7 +168,7 @@ def _made_by(found: Evaluation, command: str) -> str:
 
 
 def _statement(found: Evaluation, controllers: str) -> str:
-    """Return the round trip up to which a controller set is safe, and the reason for its end."""
+    """Round trip up to which a controller set is safe, and the reason for its end."""
     safe_s, unthrown_s = found.safe_up_to_s(controllers), found.unthrown_up_to_s(controllers)
     parts = [_up_to("safe", safe_s)]
     if unthrown_s != safe_s:
@@ -196,7 +195,7 @@ def _statement(found: Evaluation, controllers: str) -> str:
 
 
 def _confirmed(found: Evaluation, controllers: str) -> str:
-    """Return the round trip up to which safety is confirmed; empty if that is the whole safe range."""
+    """Round trip up to which safety is confirmed; empty if that is the whole safe range."""
     safe_s, confirmed_s = found.safe_up_to_s(controllers), found.confirmed_up_to_s(controllers)
     if safe_s is None or confirmed_s == safe_s:
         return ""

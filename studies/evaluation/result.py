@@ -100,7 +100,7 @@ class EvaluationCell(Struct, frozen=True, kw_only=True):
     """Transmitted damping in N s/m of the same fit."""
 
     def verdict(self, limits: EvaluationLimits) -> Verdict:
-        """Return the worst finding; without a release the verdict is "not-measured"."""
+        """Worst finding; without a release the verdict is "not-measured"."""
         rate = self.false_trips_per_h
         applies: dict[Verdict, bool] = {
             "diverged": self.held.get("diverged", 0) > 0,
@@ -198,7 +198,7 @@ class Evaluation(Struct, frozen=True, kw_only=True):
     def of(
         self, *, task: str | None = None, controllers: str | None = None, round_trip_s: float | None = None
     ) -> tuple[EvaluationCell, ...]:
-        """Return the cells that match the arguments."""
+        """Cells that match the arguments."""
         return tuple(
             cell
             for cell in self.cells
@@ -208,7 +208,7 @@ class Evaluation(Struct, frozen=True, kw_only=True):
         )
 
     def verdict(self, cells: Iterable[EvaluationCell]) -> Verdict:
-        """Return the worst verdict of several cells. False trips are counted over all tasks, because a cell has few.
+        """Worst verdict of several cells. False trips are counted over all tasks, because a cell has few.
 
         A task without felt forces has no releases and does not affect the verdict of the others.
 
@@ -230,7 +230,7 @@ class Evaluation(Struct, frozen=True, kw_only=True):
         return "safe" if has_releases(cells) else "not-measured"
 
     def hands_needed(self, cells: Sequence[EvaluationCell]) -> int:
-        """Return the hands per task needed for the 95 % intervals to confirm safety, at most 100 000.
+        """Hands per task needed for the 95 % intervals to confirm safety, at most 100 000.
 
         The intervals are Wilson's for the share of thrown releases and Garwood's for false trips per hour, with counts
         that grow with the hands. Neither may reach its limit. The result is `hands` if those that ran suffice.
@@ -257,11 +257,11 @@ class Evaluation(Struct, frozen=True, kw_only=True):
         return high
 
     def is_confirmed(self, cells: Sequence[EvaluationCell]) -> bool:
-        """Return True if the cells are safe and enough hands ran to confirm it."""
+        """True if the cells are safe and enough hands ran to confirm it."""
         return self.verdict(cells) == "safe" and self.hands_needed(cells) <= self.hands
 
     def unconfirmed(self, controllers: str, task: str | None = None) -> tuple[float, ...]:
-        """Return the round trips in s with safe cells but too few hands to confirm it."""
+        """Round trips in s with safe cells but too few hands to confirm it."""
         trips = (
             (trip_s, self.of(task=task, controllers=controllers, round_trip_s=trip_s)) for trip_s in self.round_trips_s
         )
@@ -270,7 +270,7 @@ class Evaluation(Struct, frozen=True, kw_only=True):
         )
 
     def confirmed_up_to_s(self, controllers: str, task: str | None = None) -> float | None:
-        """Return `safe_up_to_s`, limited to confirmed round trips.
+        """`safe_up_to_s`, limited to confirmed round trips.
 
         Raises:
             ValueError: The controller set or task was not evaluated.
@@ -280,7 +280,7 @@ class Evaluation(Struct, frozen=True, kw_only=True):
         return max((trip_s for trip_s in trips if trip_s < min(unconfirmed, default=inf)), default=None)
 
     def safe_up_to_s(self, controllers: str, task: str | None = None) -> float | None:
-        """Return the largest round trip in s up to which all are safe; None if the least is not.
+        """Largest round trip in s up to which all are safe; None if the least is not.
 
         Raises:
             ValueError: The controller set or task was not evaluated.
@@ -288,7 +288,7 @@ class Evaluation(Struct, frozen=True, kw_only=True):
         return self._up_to_s(controllers, task, UNSAFE | INTERFERING)
 
     def unthrown_up_to_s(self, controllers: str, task: str | None = None) -> float | None:
-        """Return the same for throws and divergence only; false trips interfere but are safe.
+        """`safe_up_to_s` for throws and divergence only; false trips interfere but are safe.
 
         Raises:
             ValueError: The controller set or task was not evaluated.
@@ -310,13 +310,13 @@ class Evaluation(Struct, frozen=True, kw_only=True):
 
 
 def has_releases(cells: Iterable[EvaluationCell]) -> bool:
-    """Return True if each cell with felt forces has releases, and at least one has."""
+    """True if each cell with felt forces has releases, and at least one has."""
     cells = tuple(cells)
     return all(cell.releases > 0 or not cell.can_push for cell in cells) and any(cell.releases > 0 for cell in cells)
 
 
 def totals(cells: Sequence[EvaluationCell]) -> Totals:
-    """Return counts of several cells at one round trip: of each task those of its worst network.
+    """Counts of several cells at one round trip: of each task those of its worst network.
 
     The same hands meet every network, so sums over networks would overstate the evidence.
     """

@@ -60,7 +60,7 @@ class ReleaseBounds(Struct, frozen=True, kw_only=True):
     loss: float = 0.05
     """Largest fraction of lost packets."""
     push: Literal["auto", "any", "steady"] = "auto"
-    """"any" force up to the cap, or "steady": neither growing nor turning; "auto": the kind covered by the bound."""
+    """Push: "any" force up to the cap, "steady" (neither grows nor turns), or "auto" as covered by the bound."""
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -143,7 +143,7 @@ class Releases:
         return 3 + 2 * self.bounds.steps + (self.axes - 1) + 4 * self.has_link
 
     def of(self, numbers: Sequence[float] | Array) -> Release:
-        """Return the release of numbers between 0 and 1."""
+        """Release of numbers between 0 and 1."""
         bounds = self.bounds
         x = np.clip(np.asarray(numbers, dtype=float), 0.0, 1.0)
         held, steps = self.cap_n * (0.05 + 0.95 * x[0]), bounds.steps
@@ -179,7 +179,7 @@ class Releases:
         )
 
     def numbers(self, release: Release, *, fill: float = 0.5) -> Array:
-        """Return the numbers of a release with any number of steps; surplus steps are dropped.
+        """Numbers of a release with any number of steps; surplus steps are dropped.
 
         `fill` is the value for missing steps, direction and link.
         """
@@ -205,7 +205,7 @@ class Releases:
         return clipped
 
     def _direction(self, numbers: Array) -> tuple[float, ...]:
-        """Return the unit vector of numbers between 0 and 1: slopes against the lightest axis, which is at 0.5 each."""
+        """Unit vector of numbers between 0 and 1: slopes against the lightest axis, which is at 0.5 each."""
         along = np.zeros(self.axes)
         others = [axis for axis in range(self.axes) if axis != self.lightest]
         along[self.lightest] = 1.0
@@ -214,7 +214,7 @@ class Releases:
         return tuple(map(float, along))
 
     def samples(self, releases: Sequence[Release]) -> dict[str, Array]:
-        """Return releases as rows of a sweep of `scene_of` for any of them with all steps."""
+        """Releases as rows of a sweep of `scene_of` for any of them with all steps."""
         rows = [self._row(release) for release in releases]
         return {path: np.array([row[path] for row in rows]) for path in rows[0]}
 
@@ -240,14 +240,14 @@ class Releases:
         return row
 
     def _pushes(self, release: Release) -> list[tuple[float, float]]:
-        """Return sending time and size of each step, so that none arrives before the release."""
+        """Sending time and size of each step, so that none arrives before the release."""
         early = release.delay_s[1] if self.has_link else 0.0
         steps = zip(release.after_s, itertools.pairwise((release.held_n, *release.level_n)), strict=True)
         # Round to ns and nN, so that the written scene equals the run.
         return [(round(self.at_s + after - early, 9), round(new - old, 9)) for after, (old, new) in steps]
 
     def scene_of(self, release: Release, title: str = "", *, whole: bool = False) -> Scene:
-        """Return the scene of a release; `whole` keeps steps without a change, for a sweep."""
+        """Scene of a release; `whole` keeps steps without a change, for a sweep."""
         base = self.scene
         stiffness = HAND_RATE**2 * self.mass_kg
         pushes = [(0.0, release.held_n)]
@@ -285,7 +285,6 @@ class Releases:
         )
 
     def _along(self, force_n: float, release: Release) -> "float | tuple[float, ...]":
-        """Return a force in the direction of a release."""
         if self.axes == 1:
             return force_n
         return tuple(round(force_n * along, 9) for along in release.direction)

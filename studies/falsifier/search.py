@@ -48,9 +48,7 @@ class Falsified(Struct, frozen=True, kw_only=True):
     margin: float | None
     """Bound minus `worst` in m/s; negative if exceeded. None without a bound."""
     tried: int
-    """Number of releases tried."""
     seed: int
-    """Seed of the search."""
     interrupted: bool
     """True if the user ended it."""
 
@@ -147,7 +145,7 @@ class _Search:
         self.rising = () if releases.bounds.push == "steady" else rising_push(releases.scene)
 
     def speeds(self, tried: list[Release]) -> Array:
-        """Return the speed after each release in m/s; 0 if not measured."""
+        """Speed after each release in m/s; 0 if not measured."""
         base = self.releases.scene_of(tried[0], whole=True)
         wanted = "max_ejection_velocity"
         seen = sweep(base, samples=self.releases.samples(tried), threads=self.threads, metrics=[wanted])[wanted]
@@ -188,7 +186,7 @@ class _Search:
                 best = max(best, float(speeds.max()))
 
     def _start(self, rng: np.random.Generator) -> tuple[Array, float]:
-        """Return start and spread of a search: random, alternating, as in the bound, or near the best."""
+        """Start and spread of a search: random, alternating, as in the bound, or near the best."""
         kind = rng.integers(4)
         if kind == 0 and self.best is not None:
             return self._near_the_best(rng), NEAR
@@ -203,7 +201,7 @@ class _Search:
         return start, SPREAD
 
     def _near_the_best(self, rng: np.random.Generator) -> Array:
-        """Return the best release so far with an inserted step."""
+        """Best release so far with an inserted step."""
         assert self.best is not None
         release = self.best
         steps = self.releases.bounds.steps
@@ -218,12 +216,11 @@ class _Search:
         )
         numbers = self.releases.numbers(added)
         beyond = 3 + 2 * steps
-        # Keep direction and link.
         numbers[beyond:] = self.numbers[beyond:]
         return numbers
 
     def _rising(self, rng: np.random.Generator) -> Array:
-        """Return a push up to near the threshold, then the one after which V leads its estimate V^ most."""
+        """Push up to near the threshold, then the one after which V leads its estimate V^ most."""
         releases = self.releases
         cap_n, period_s = releases.cap_n, releases.scene.run.period_s
         slow_n, lasts_s = cap_n * rng.uniform(-0.1, 1.0) ** 3, rng.uniform(0.0, 0.1) ** 2 * 10.0
@@ -245,7 +242,7 @@ class _Search:
         return releases.numbers(release)
 
     def simplified(self, speed: float, until_s: float) -> Release:
-        """Return the simplest release that keeps most of a speed, by repeatedly removing a part or rounding.
+        """Simplest release that keeps most of a speed, by repeatedly removing a part or rounding.
 
         Args:
             speed: Speed in m/s.
@@ -268,14 +265,13 @@ class _Search:
 
 
 def _without_idle_steps(release: Release) -> Release:
-    """Return the release without steps that change nothing."""
     steps = zip(release.after_s, itertools.pairwise((release.held_n, *release.level_n)), strict=True)
     kept = [(after, new) for after, (old, new) in steps if new != old]
     return replace(release, after_s=tuple(after for after, _ in kept), level_n=tuple(new for _, new in kept))
 
 
 def _parts(release: Release) -> float:
-    """Return the complexity of a release: steps, then digits."""
+    """Complexity of a release: steps, then digits."""
     levels = (release.held_n, *release.level_n)
     steps = sum(new != old for old, new in itertools.pairwise(levels))
     numbers = (
@@ -331,5 +327,4 @@ def _nearest(level: float, levels: tuple[float, ...]) -> float:
 
 
 def _rounded(value: float) -> float:
-    """Round to three digits."""
     return float(f"{value:.{DIGITS}g}")

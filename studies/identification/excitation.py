@@ -83,7 +83,7 @@ class Segment:
     _recent: deque[tuple[float, float]] = field(default_factory=deque)
 
     def force(self, at_s: float, x: float, v: float, bounds: Bounds) -> float:
-        """Return the force at a time, for displacement and speed of the axis."""
+        """Force at a time, for displacement and speed of the axis."""
         if self.begun_s is None:
             self.begun_s = at_s + SETTLE_S
         if at_s < self.begun_s:
@@ -152,7 +152,7 @@ class Excitation:
         return self._begun_s
 
     def duration_s(self, axes: int) -> float:
-        """Return the longest duration of the motions in s."""
+        """Longest duration of the motions in s."""
         count = axes if self._axes is None else len(self._axes)
         each = sum(SETTLE_S + GROWS_S + max(HOLD_S, PERIODS / of) + FADE_S for of in self._frequencies)
         return FIRST_S + count * each
@@ -162,7 +162,7 @@ class Excitation:
         self._begin_asked_s = time.monotonic() if at_s is None else at_s
 
     def step(self, sample: object, at_s: float) -> Written | None:
-        """Return the force after a sample.
+        """Force after a sample.
 
         Raises:
             EndOfRunError: All motions are done, or a check failed: zero is written.

@@ -34,7 +34,6 @@ STUCK_S = 0.025
 TURN_S, MARGIN = 0.01, 1.2
 """Within this time of a turn, the force must exceed c by this factor; otherwise the device rests there."""
 FEWEST = 100
-"""Smallest number of usable windows."""
 DETERMINED = 0.1
 """Ratio of half interval to value above which a number is not determined."""
 MEANS_NOTHING = 0.3
@@ -138,7 +137,7 @@ class _Turns:
     """Half the length over which the velocity was computed."""
 
     def signs(self, grid: Array) -> Array:
-        """Return the mean sign of the velocity over each step of a grid."""
+        """Mean sign of the velocity over each step of a grid."""
         step_s = float(grid[1] - grid[0])
         knots = np.concatenate([[grid[0] - step_s], self.time_s, [grid[-1] + step_s]])
         slopes = self.before * (-1.0) ** np.arange(len(knots) - 1)
@@ -147,7 +146,7 @@ class _Turns:
         return np.asarray((after - before) / step_s)
 
     def refined(self, grid: Array, held: "_Held", values: Array) -> "tuple[_Turns, NDArray[np.bool_]]":
-        """Return the turns corrected for friction, and a mask of grid points at rest, even for a millisecond.
+        """Turns corrected for friction, and a mask of grid points at rest, even for a millisecond.
 
         At a turn friction changes its sign, and the acceleration changes from `(F + c) / m` to `(F - c) / m`. The slope
         of the line through x over 2 h is then zero later than V. The delay is s with `s - 3 r s^2 / (4 h) = 3 r h / 8`,
@@ -164,7 +163,7 @@ class _Turns:
 
 
 def _turns(grid: Array, x: Array) -> tuple[_Turns, NDArray[np.bool_], float]:
-    """Return the turns, a mask of possible sticking, and the largest speed."""
+    """Turns, a mask of possible sticking, and the largest speed."""
     period_s = float(grid[1] - grid[0])
     half = max(2, round(0.5 * SMOOTH_S / period_s))
     at = np.arange(-half, half + 1)
@@ -200,11 +199,11 @@ class _Held:
         self._impulse = np.concatenate([[0.0], np.cumsum(force[:-1] * np.diff(written_s))])
 
     def at(self, time_s: Array) -> Array:
-        """Return the force in N."""
+        """Force in N."""
         return np.asarray(self.force[np.clip(np.searchsorted(self.written_s, time_s, "right") - 1, 0, None)])
 
     def impulse(self, time_s: Array) -> Array:
-        """Return the integral of the force in N s, piecewise linear between writes."""
+        """Integral of the force in N s, piecewise linear between writes."""
         return np.asarray(np.interp(time_s, self.written_s, self._impulse))
 
 
@@ -229,7 +228,7 @@ def _moving(windows: _Windows, speed: float) -> _Windows:
 
 
 def _weak(grid: Array, x: Array, sign: Array, is_stuck: NDArray[np.bool_], held: _Held) -> _Windows:
-    """Return the weak form of each window."""
+    """Weak form of each window."""
     period_s = float(grid[1] - grid[0])
     count = max(16, round(WINDOW_S / period_s))
     length_s = count * period_s
@@ -258,7 +257,7 @@ def _weak(grid: Array, x: Array, sign: Array, is_stuck: NDArray[np.bool_], held:
 
 
 def _solved(rows: Array, targets: Array) -> tuple[Array, float]:
-    """Return m, b, c, F_0 and the delay by least squares, and the unexplained fraction of the squared force."""
+    """m, b, c, F_0 and the delay by least squares, and the unexplained fraction of the squared force."""
     solutions = np.linalg.lstsq(rows, targets, rcond=None)[0]
     left = ((targets - rows @ solutions) ** 2).sum(axis=0) / np.maximum((targets**2).sum(axis=0), 1e-300)
     best = int(np.argmin(left))

@@ -10,7 +10,7 @@ from haptether.studies.identification.fit import EXPLAINED, Estimate, Identified
 
 
 def encoder_quantum(position: NDArray[np.float64]) -> float | None:
-    """Return the resolution of positions of shape `(n,)` if all steps are multiples of it; else None."""
+    """Resolution of positions of shape `(n,)` if all steps are multiples of it; else None."""
     steps = np.abs(np.diff(position))
     steps = steps[steps > 1e-12]
     if len(steps) < 20:
@@ -29,7 +29,7 @@ def master_table(
     axes: Sequence[IdentifiedAxis],
     quantum: float | None,
 ) -> str:
-    """Return the table in TOML. A number indistinguishable from 0 is written as 0."""
+    """Table in TOML. A number indistinguishable from 0 is written as 0."""
 
     def per_axis(name: str, floor: float | None = None) -> str:
         numbers = []
@@ -58,7 +58,7 @@ def master_table(
 
 
 def warnings(axes: Mapping[int, IdentifiedAxis], kind: str) -> list[str]:
-    """Return undetermined numbers and model deviations of each axis, keyed by its number."""
+    """Undetermined numbers and model deviations of each axis, keyed by its number."""
     force = "N m" if kind == "joints" else "N"
     per_speed = "N m s/rad" if kind == "joints" else "N s/m"
     said = []

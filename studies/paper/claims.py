@@ -49,7 +49,7 @@ MOVES = 1e-3
 
 
 def as_printed(*controllers: ControllerName, **thresholds: Any) -> SafetySettings:  # noqa: ANN401
-    """Return the paper's law: a trip cancels the force, which returns as soon as nothing trips."""
+    """The paper's law: a trip cancels the force, which returns as soon as nothing trips."""
     law = {"hold_off_s": 0.0, "release_ramp_s": 0.0, "probe_force_n": 0.0, "release_tries": 0}
     gates = {"hsc_velocity_threshold": 0.0, "wsc_force_threshold_n": 0.0}
     return SafetySettings(controllers, **{**law, **gates, **thresholds})
@@ -75,12 +75,12 @@ class Bench:
         self._traces: dict[tuple[object, ...], LocalTrace] = {}
 
     def law(self, *controllers: ControllerName, **thresholds: Any) -> SafetySettings:  # noqa: ANN401
-        """Return the printed law with the F_t of the conditions."""
+        """Printed law with the F_t of the conditions."""
         declared = {"hsc_force_threshold_n": self.conditions.hsc_force_threshold_n}
         return as_printed(*controllers, **declared | thresholds)
 
     def read_as(self, reading: Change) -> "Bench":
-        """Return the same runs with other values of the factors `READINGS`, which change no run."""
+        """The same runs with other values of the factors `READINGS`, which change no run."""
         other = Bench(changed(self.conditions, reading))
         other._traces = self._traces
         return other
@@ -125,11 +125,11 @@ class Bench:
         return round(self.operator.release_at_s / PERIOD_S)
 
     def after_release(self, signal: npt.NDArray[np.generic]) -> Array:
-        """Return a signal of `press` from the release on."""
+        """Signal of `press` from the release on."""
         return np.asarray(signal[self.release_tick :], dtype=np.float64)
 
     def since_release(self, condition: npt.NDArray[np.bool_]) -> float | None:
-        """Return the time in s from the release, by the conditions' clock, until a condition first holds."""
+        """Time in s from the release, by the conditions' clock, until a condition first holds."""
         time = first_time(self.after_release(condition) > 0.0)
         if time is None:
             return None
@@ -140,23 +140,23 @@ class Bench:
         return time
 
     def ejection(self, trace: LocalTrace) -> float:
-        """Return MEV in m/s: the largest speed away from the wall within the conditions' time after the release."""
+        """MEV in m/s: the largest speed away from the wall within the conditions' time after the release."""
         return float(self.after_release(trace.velocity)[: round(self.conditions.mev_within_s / PERIOD_S)].max())
 
 
 def first_time(condition: npt.NDArray[np.bool_]) -> float | None:
-    """Return the time in s of the first tick that satisfies the condition."""
+    """Time in s of the first tick that satisfies the condition."""
     ticks = np.flatnonzero(condition)
     return float(ticks[0]) * PERIOD_S if ticks.size else None
 
 
 def met_by(experiment: str) -> str:
-    """Return the change `MET_BY` of an experiment, in words."""
+    """`MET_BY` of an experiment in words."""
     return f"met by: {change_text(MET_BY[experiment])}"
 
 
 def held_trip(trace: LocalTrace, release_tick: int) -> str:
-    """Return the reason why a run is void, if a controller tripped while the hand still held."""
+    """Reason why a run is void, if a controller tripped while the hand still held."""
     held = trace.tripped[max(0, release_tick - round(HELD_S / PERIOD_S)) : release_tick]
     return "tripped before the release" if (held > 0).any() else ""
 

@@ -67,7 +67,7 @@ class Factor(msgspec.Struct, frozen=True, kw_only=True):
     """Sources of the rows that it may explain; empty for all."""
 
     def text(self, value: float | str) -> str:
-        """Return a value in words."""
+        """Value in words."""
         if isinstance(value, str):
             return f"{self.title} {value}"
         return f"{self.title} {value * self.scale:g}{' ' if self.unit else ''}{self.unit}"
@@ -180,19 +180,19 @@ def single_changes() -> Iterator[Change]:
 
 
 def design() -> list[Change]:
-    """Return all runs of the sensitivity, before readings."""
+    """All runs of the sensitivity, before readings."""
     return [*single_changes(), *GRID]
 
 
 def changed(conditions: Conditions, change: Change) -> Conditions:
-    """Return the conditions with a change applied."""
+    """Conditions with a change applied."""
     for name, value in change.items():
         conditions = FACTORS[name].apply(conditions, value)
     return conditions
 
 
 def change_text(change: Change) -> str:
-    """Return a change in words."""
+    """Change in words."""
     return ", ".join(FACTORS[name].text(value) for name, value in change.items()) or "as declared"
 
 
@@ -207,6 +207,5 @@ MET_BY: dict[str, Change] = {
     "Fig. 12": {"mass_kg": 0.055},
 }
 """Runs of the design that meet all numbers of an experiment at once, where the declared run does not. The rows' notes
-cite
-them, and a test verifies them.
+cite them, and a test verifies them.
 """

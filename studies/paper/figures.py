@@ -44,7 +44,7 @@ def draw_paper(report: PaperReport, folder: Path, form: PictureFormat = "png", c
         columns: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing (`haptether[analysis]`).
         OSError: The folder cannot be written.
     """
     bench = Bench(Conditions(operator=report.operator, encoder_quantum=report.device["encoder_quantum"]))
@@ -92,7 +92,7 @@ def _time(operator: Operator, ticks: int) -> np.ndarray:
 
 
 def _value(report: PaperReport, source: str, quantity: str, **of: Any) -> PaperRow:  # noqa: ANN401  # value of a row
-    """Return the row of a claim."""
+    """Row of a claim."""
     return next(
         row
         for row in report.rows
@@ -300,7 +300,7 @@ def _sensitivity(bench: Bench, report: PaperReport, columns: Columns) -> "Figure
 
 
 def _ratio(row: PaperRow, value: float | None) -> float:
-    """Return ours over the paper's number, clipped; a time before the release is at the left edge."""
+    """Ours over the paper's number, clipped; a time before the release is at the left edge."""
     return float(np.clip(_known(value) / _known(row.paper), NARROWEST, WIDEST))
 
 

@@ -81,13 +81,13 @@ class PaperRow(msgspec.Struct, frozen=True, kw_only=True):
         return self.difference_of(self.ours)
 
     def difference_of(self, value: float | None) -> float | None:
-        """Return `difference` for another value than ours."""
+        """`difference` for another value than ours."""
         if self.paper is None or value is None or self.paper == 0.0:
             return None
         return value / self.paper - 1.0
 
     def meets(self, value: float | None) -> bool:
-        """Return True if a value agrees with the paper: within 10 % of its number, or within its bound."""
+        """True if a value agrees with the paper: within 10 % of its number, or within its bound."""
         if self.paper is None or value is None:
             return False
         if self.relation != "=":
@@ -158,7 +158,7 @@ class PaperReport(msgspec.Struct, frozen=True, kw_only=True):
     joint_fits: list[JointFit] = []
 
     def as_json(self) -> bytes:
-        """Return the report as JSON, each row with its verdict."""
+        """Report as JSON, each row with its verdict."""
         rows = [
             {**msgspec.to_builtins(row), "paper_inside": row.paper_inside, "verdict": row.verdict} for row in self.rows
         ]

@@ -28,7 +28,7 @@ def paper_sensitivity(
     changes: Sequence[Change] | None = None,
     progress: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> PaperReport:
-    """Return the report with each row's range over the factors, its explanations, and the run that fits most rows.
+    """Report with each row's range over the factors, its explanations, and the run that fits most rows.
 
     Args:
         report: Result of `reproduce_paper`.
@@ -62,7 +62,7 @@ def paper_sensitivity(
 
 
 def different(declared: Conditions, change: Change) -> Change:
-    """Return the part of a change that differs from the declared conditions."""
+    """Part of a change that differs from the declared conditions."""
     return {name: value for name, value in change.items() if changed(declared, {name: value}) != declared}
 
 
@@ -74,12 +74,12 @@ def readings() -> Iterator[Change]:
 
 
 def counted(row: PaperRow) -> float | None:
-    """Return ours, or None if the row is void."""
+    """Ours, or None if the row is void."""
     return None if row.says_nothing else row.ours
 
 
 def row_sensitivity(declared: PaperRow, runs: Sequence[tuple[Change, PaperRow]]) -> Sensitivity:
-    """Return the sensitivity of a row, from the same row of each run of the design."""
+    """Sensitivity of a row, from the same row of each run of the design."""
     counts = [
         (change, value) for change, row in runs if (value := counted(row)) is not None and admits(declared, change)
     ]
@@ -104,22 +104,22 @@ def row_sensitivity(declared: PaperRow, runs: Sequence[tuple[Change, PaperRow]])
 
 
 def admits(row: PaperRow, change: Change) -> bool:
-    """Return True if a change may explain the row; a value fitted to a figure may not explain that figure."""
+    """True if a change may explain the row; a value fitted to a figure may not explain that figure."""
     return all(not FACTORS[name].only or row.source in FACTORS[name].only for name in change)
 
 
 def explanation(change: Change, value: float) -> Explanation:
-    """Return a run in words."""
+    """Explanation of a row by a run."""
     return Explanation(change=change, text=change_text(change), ours=value)
 
 
 def distance(row: PaperRow, value: float) -> float:
-    """Return the distance of a value from the paper's number, in the unit of the row."""
+    """Distance of a value from the paper's number, in the unit of the row."""
     return abs(value - (row.paper or 0.0))
 
 
 def explanations(row: PaperRow, counts: Sequence[tuple[Change, float]]) -> list[Explanation]:
-    """Return the runs that meet the paper's number: the nearest per factor, or else the nearest with several."""
+    """Runs that meet the paper's number: the nearest per factor, or else the nearest with several."""
     meeting = sorted((of for of in counts if row.meets(of[1])), key=lambda of: distance(row, of[1]))
     alone: dict[str, Explanation] = {}
     for change, value in meeting:
@@ -129,13 +129,13 @@ def explanations(row: PaperRow, counts: Sequence[tuple[Change, float]]) -> list[
 
 
 def experiment(row: PaperRow) -> str:
-    """Return the experiment of a row: a figure or the table; the two readings of VFC are separate."""
+    """Experiment of a row: a figure or the table; the two readings of VFC are separate."""
     figure = re.sub(r"[a-c]$", "", row.source)
     return f"{figure} {row.controller}" if figure == "Fig. 8" else figure
 
 
 def joint_fits(declared: Sequence[PaperRow], runs: Sequence[Run]) -> list[JointFit]:
-    """Return the run that meets most rows, over all rows and for each experiment with several numbers.
+    """Run that meets most rows, over all rows and for each experiment with several numbers.
 
     Ties prefer the fewest changes, then the nearest numbers.
     """

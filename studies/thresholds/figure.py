@@ -30,7 +30,7 @@ def draw_trade_off(found: TradeOff, path: str | PathLike[str] | None = None, col
         columns: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing (`haptether[analysis]`).
         ValueError: The ending is invalid.
         OSError: The file cannot be written, or is a symbolic link.
     """
@@ -87,5 +87,4 @@ def _panel(panel: "Axes", found: TradeOff, laws: list[ThresholdLaw], trips: list
 
 
 def _hours(found: TradeOff, laws: list[ThresholdLaw]) -> float:
-    """Return the time in h of one point of a line."""
     return found.over(laws[0].name, laws[0].values[0], round_trip_s=found.round_trips_s[0]).hours

@@ -9,13 +9,11 @@ class ThresholdLaw(Struct, frozen=True, kw_only=True):
     name: str
     """Name in the table."""
     controller: str
-    """Name of the controller."""
     source: str
     """Origin: "paper" or "ours"."""
     threshold: str
     """Swept field of `[safety]`."""
     unit: str
-    """Unit of the swept field."""
     values: tuple[float, ...]
     """Values, most sensitive first."""
     fixed: dict[str, float | str] = {}

@@ -95,7 +95,7 @@ class TradeOff(Struct, frozen=True, kw_only=True):
     def over(
         self, law: str, threshold: float, *, task: str | None = None, round_trip_s: float | None = None
     ) -> "Counts":
-        """Return the counts of a law and threshold, summed over tasks and round trips that are not given."""
+        """Counts of a law and threshold, summed over tasks and round trips that are not given."""
         rows = [
             row
             for row in self.rows
@@ -112,7 +112,7 @@ class TradeOff(Struct, frozen=True, kw_only=True):
         )
 
     def points(self) -> tuple[TradeOffPoint, ...]:
-        """Return the points of each law and threshold at each round trip, over all tasks."""
+        """Points of each law and threshold at each round trip, over all tasks."""
         points = []
         for law in self.laws:
             for threshold in law.values:
@@ -234,20 +234,20 @@ class TaskRuns:
         self.thrown = self._speeds(self.releases, None)[0] > MISSED_SPEED if self.releases else np.empty(0, dtype=bool)
 
     def _over(self, law: ThresholdLaw, rows: dict[str, Array]) -> dict[str, Array]:
-        """Return each hand with each threshold, threshold by threshold."""
+        """Each hand with each threshold, threshold by threshold."""
         count = len(rows["run.seed"])
         tiled = {path: np.tile(values, len(law.values)) for path, values in rows.items()}
         return tiled | {f"safety.{law.threshold}": np.repeat(np.array(law.values), count)}
 
     def _speeds(self, releases: Releases, law: ThresholdLaw | None) -> Array:
-        """Return the largest speed in m/s after each release, by threshold and hand."""
+        """Largest speed in m/s after each release, by threshold and hand."""
         watched = self.task.with_controllers(releases.scene, law.controller if law else None, law.fixed if law else {})
         samples = self._over(law, releases.rows) if law else releases.rows
         found = sweep(watched, samples=samples, threads=self.threads, metrics=ejection_metrics(watched))
         return ejection_speeds(releases.scene, found).reshape(len(law.values) if law else 1, -1)
 
     def released(self, law: ThresholdLaw) -> list[tuple[int, int, Array]]:
-        """Return per threshold: releases that throw without a controller, those missed, and their speeds in m/s.
+        """Per threshold: releases that throw without a controller, those missed, and their speeds in m/s.
 
         A speed is the largest within `WITHIN_S` after the end of the grip.
         """
@@ -258,7 +258,7 @@ class TaskRuns:
         return [(int(thrown.sum()), int((each > MISSED_SPEED).sum()), each) for each in speeds]
 
     def rows(self, laws: Sequence[ThresholdLaw]) -> list[TradeOffRow]:
-        """Return the rows of all laws and thresholds."""
+        """Rows of all laws and thresholds."""
         rows = []
         for law in laws:
             held = sweep(

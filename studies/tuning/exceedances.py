@@ -20,8 +20,8 @@ class Boundary(Struct, frozen=True, kw_only=True):
 
     Events beyond a high value are a Poisson process (Leadbetter 1976), whose rate lambda(u) falls with u. At the k-th
     largest of T hours `T lambda(u) ~ Gamma(k, 1)` for any distribution of the values: `T lambda` maps the events, from
-    the largest on, to a process of rate 1. The mean is therefore k / T, and the bound with confidence C is `chi2_(2
-    k)(C) / (2 T)`. For the largest value this is `-ln(1 - C) / T`, at 95 % the rule of three.
+    the largest on, to a process of rate 1. The mean is therefore k / T, and the bound with confidence C is
+    `chi2_(2 k)(C) / (2 T)`. For the largest value this is `-ln(1 - C) / T`, at 95 % the rule of three.
 
     Events of one hand are grouped, n_i of them in block i. They are equivalent to `k' = (sum n_i)^2 / sum n_i^2`
     independent events, each for `D = sum n_i^2 / sum n_i`: `T lambda / D ~ Gamma(k', 1)`.
@@ -45,16 +45,16 @@ class Boundary(Struct, frozen=True, kw_only=True):
         return self.order / self.hours
 
     def quantile_per_hour(self, share: float) -> float:
-        """Return a quantile of lambda(u) in 1/h: `D Q(share; k') / T`, Q of Gamma(k', 1)."""
+        """Quantile of lambda(u) in 1/h: `D Q(share; k') / T`, Q of Gamma(k', 1)."""
         return self.grouping * gamma_quantile(share, self.order / self.grouping) / self.hours
 
     def interval_per_hour(self, confidence: float) -> tuple[float, float]:
-        """Return the interval of the rate in 1/h, with equal tails."""
+        """Interval of the rate in 1/h, with equal tails."""
         tail = 0.5 * (1.0 - confidence)
         return self.quantile_per_hour(tail), self.quantile_per_hour(1.0 - tail)
 
     def expected_count(self, hours: float, confidence: float) -> tuple[int, int]:
-        """Return the range of exceedances expected in other recordings of so many hours."""
+        """Range of exceedances expected in other recordings of so many hours."""
         low, high = exceedance_interval(self.order / self.grouping, hours / self.hours, confidence)
         return math.floor(low * self.grouping), math.ceil(high * self.grouping)
 
@@ -78,11 +78,11 @@ class Exceedances:
         self._tick, self._block = scores.tick[falling], scores.block[falling]
 
     def count(self, value: float) -> int:
-        """Return the number of events above a value."""
+        """Number of events above a value."""
         return len(self._events(self._ticks_above(value)))
 
     def boundary(self, order: int) -> Boundary | None:
-        """Return the `order`-th largest event; None if there are fewer."""
+        """`order`-th largest event; None if there are fewer."""
         ticks, high = len(self._value), min(order, len(self._value))
         while high < ticks and len(self._events(high)) < order:
             high = min(2 * high, ticks)
@@ -99,7 +99,7 @@ class Exceedances:
         return Boundary(value=float(self._value[high - 1]), order=order, grouping=grouping, hours=self.hours)
 
     def rate_of(self, value: float, confidence: float) -> tuple[float, tuple[float, float]]:
-        """Return events per hour above an independently chosen value, with an interval (Garwood 1936, grouped)."""
+        """Events per hour above an independently chosen value, with an interval (Garwood 1936, grouped)."""
         events = self._events(self._ticks_above(value))
         count, grouping = len(events), _grouping(events) if len(events) else 1.0
         tail = 0.5 * (1.0 - confidence)
@@ -108,7 +108,7 @@ class Exceedances:
         return count / self.hours, (grouping * low / self.hours, grouping * high / self.hours)
 
     def peaks(self, most: int) -> list[float]:
-        """Return the largest events in falling order; a cut-off peak is infinite."""
+        """Largest events in falling order; a cut-off peak is infinite."""
         order = np.argsort(self._tick)
         tick, value = self._tick[order], self._value[order]
         begins = np.flatnonzero(np.diff(tick, prepend=-self._gap - 1) > self._gap)
@@ -117,7 +117,7 @@ class Exceedances:
         return falling
 
     def at_most(self, per_hour: float, confidence: float) -> Boundary | None:
-        """Return the lowest boundary with at most so many exceedances in 1/h at a confidence; None without one.
+        """Lowest boundary with at most so many exceedances in 1/h at a confidence; None without one.
 
         If all events would be allowed, it is the largest one: the data then give no lower limit.
         """
@@ -136,11 +136,10 @@ class Exceedances:
         return boundary is not None and boundary.quantile_per_hour(confidence) <= per_hour
 
     def _ticks_above(self, value: float) -> int:
-        """Return the number of ticks above a value."""
         return int(np.searchsorted(-self._value, -value, "left"))
 
     def _events(self, ticks: int) -> npt.NDArray[np.int64]:
-        """Return the blocks of the events formed by the highest ticks."""
+        """Blocks of the events formed by the highest ticks."""
         order = np.argsort(self._tick[:ticks])
         tick, block = self._tick[:ticks][order], self._block[:ticks][order]
         begins: npt.NDArray[np.int64] = block[np.diff(tick, prepend=-self._gap - 1) > self._gap]
@@ -148,13 +147,13 @@ class Exceedances:
 
 
 def _grouping(blocks: npt.NDArray[np.int64]) -> float:
-    """Return D of events in blocks."""
+    """D of events in blocks."""
     counts = np.bincount(blocks)
     return float((counts**2).sum() / counts.sum())
 
 
 def hours_for(per_hour: float, confidence: float) -> float:
-    """Return the event-free time in h that hands must hold to claim a rate: `-ln(1 - C) / rate`.
+    """Event-free time in h that hands must hold to claim a rate: `-ln(1 - C) / rate`.
 
     Source: Hanley and Lippman-Hand 1983 (the rule of three at 95 %).
     """

@@ -25,7 +25,7 @@ def draw_tuning(found: Tuning, path: str | PathLike[str] | None = None, columns:
         columns: Width in columns of a page.
 
     Raises:
-        ImportError: matplotlib is missing; it comes with `haptether[analysis]`.
+        ImportError: matplotlib is missing (`haptether[analysis]`).
         ValueError: The ending is invalid.
         OSError: The file cannot be written, or is a symbolic link.
     """

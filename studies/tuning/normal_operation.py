@@ -37,7 +37,6 @@ NEVER_TRIPPING = (
 )
 """Thresholds that no signal exceeds: observers run without interventions."""
 OBSERVERS = ("vfc", "hsc", "wsc")
-"""Controllers whose observers are replayed."""
 READ_BY_OBSERVERS = {
     "wsc": ("energy_threshold_j", "window", "energy_ratio", "wsc_force_threshold_n"),
     "hsc": ("grasp_threshold", "hsc_force_threshold_n", "hsc_velocity_threshold", "grasp_floor_n"),
@@ -139,8 +138,7 @@ def read_normal_operation(
     Raises:
         OSError: A file cannot be read.
         ValueError: There is no file, a duplicate, or none of a master; no side was coupled; a hand released; or
-            devices,
-            rates or observer settings differ.
+            devices, rates or observer settings differ.
     """
     fields, overrides = tuple(fields), tuple(overrides)
     if not files:
@@ -208,14 +206,14 @@ class _Recorded:
         self.counted = engaged & ~_extended(tripped != 0, after)
 
     def score(self, field: str) -> Array:
-        """Return the least threshold that avoids a trip at each tick, shape `(n_ticks,)`; -inf if none would trip.
+        """Least threshold that avoids a trip at each tick, shape `(n_ticks,)`; -inf if none would trip.
 
         - `energy_threshold_j`: `-E_wso` (paper Eq. 13), where `F_v.V / |V| > F_w` or F_w is 0.
         - `grasp_threshold`: `S_h` (Eq. 14), where F_v, present and aligned with F_h, exceeds F_t, and `F_v.V / |F_v|`
           exceeds V_s or V_s is 0.
         - `hsc_force_threshold_n`: the lesser of both F_v, where `S_h > zeta` and V_s is exceeded.
-        - `velocity_threshold`: for form "product" `V.F_v / F_t` (Eq. 1); for "both" `V.F_v / |F_v|` where `|F_v| >
-          F_t`.
+        - `velocity_threshold`: for form "product" `V.F_v / F_t` (Eq. 1); for "both" `V.F_v / |F_v|` where
+          `|F_v| > F_t`.
 
         Source: safety/src/controller; the conditions are those of the tick.
         """
@@ -254,7 +252,7 @@ def _name(file: str | os.PathLike[str] | Recording) -> str:
 
 
 def _recorded(file: str | os.PathLike[str] | Recording, overrides: tuple[str, ...]) -> _Recorded:
-    """Return a recording, checked to be of normal operation."""
+    """Recording, checked to be of normal operation."""
     name = _name(file)
     recording = file if isinstance(file, Recording) else read_recording(file)
     if recording.side != "master":
@@ -348,7 +346,7 @@ def check_device(ours: Scene, theirs: Scene, names: str) -> None:
 
 
 def _trips(run: Run) -> npt.NDArray[np.int64]:
-    """Return the bits of the intervening controllers of all layers at each tick."""
+    """Bits of the intervening controllers of all layers at each tick."""
     tripped = np.zeros(len(run.signals["time_s"]), dtype=np.int64)
     for name in ("tripped", "rotation_tripped"):
         if name in run.signals:
@@ -362,19 +360,18 @@ def _norm(vectors: Array) -> Array:
 
 
 def _onsets(states: Bools) -> Bools:
-    """Return a mask of the starts of a state."""
     onsets: Bools = states & ~np.concatenate([[False], states[:-1]])
     return onsets
 
 
 def _extended(states: Bools, ticks: int) -> Bools:
-    """Return a mask of ticks at which a state is, or was at most so many ticks ago."""
+    """Mask of ticks at which a state is, or was at most so many ticks ago."""
     last: npt.NDArray[np.int64] = np.maximum.accumulate(np.where(states, np.arange(len(states)), -ticks - 1))
     within: Bools = np.arange(len(states)) <= last + ticks
     return within
 
 
 def _intervals_of(states: Bools) -> list[tuple[int, int]]:
-    """Return first tick and end of each interval of a state."""
+    """First tick and end of each interval of a state."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], states, [False]])))
     return [(int(begin), int(end)) for begin, end in edges.reshape(-1, 2)]

@@ -55,7 +55,6 @@ class TunedThreshold(Struct, frozen=True, kw_only=True):
     field: str
     unit: str
     point: RocPoint
-    """The tuned threshold."""
     order: int
     """Rank of the threshold among the largest events; 0 if there is none, and the recorded threshold stays."""
     grouping: float
@@ -68,8 +67,7 @@ class TunedThreshold(Struct, frozen=True, kw_only=True):
     """Time in h that hands must hold, as in the recordings, to reach it."""
     interventions: tuple[str, ...]
     """Recorded trips of this controller, file and time in s. They cut the observer's peak off, so each counts as above
-    every
-    threshold.
+    every threshold.
     """
     recorded: RocPoint
     """The recorded threshold, for comparison."""
@@ -117,7 +115,7 @@ class Tuning(Struct, frozen=True, kw_only=True):
         return all(each.reached for each in self.thresholds)
 
     def toml(self) -> str:
-        """Return a table `[safety]` with the thresholds; rates, intervals and MEV are comments."""
+        """Table `[safety]` with the thresholds; rates, intervals and MEV are comments."""
         names = dict.fromkeys(each.controller for each in self.thresholds)
         lines = ["[safety]", f"controllers = [{', '.join(map(_toml, names))}]"]
         for each in self.thresholds:
@@ -257,7 +255,7 @@ def _release_runs(
     bounds: HandBounds,
     threads: int | None,
 ) -> tuple[TaskRuns | None, list[str]]:
-    """Return hands that release in the scene, with device, estimator and observers of the recordings."""
+    """Hands that release in the scene, with device, estimator and observers of the recordings."""
     round_trip_s, hands, releases, seed = how
     if scene is None:
         task_scene = seen.scene
@@ -327,7 +325,7 @@ def _tuned(
 
 
 def _orders(found: Boundary | None) -> list[int]:
-    """Return the ranks of a ROC curve: 1, 2, 3, 4, 6, 8, ... up to a multiple of the tuned rank, and that rank."""
+    """Ranks of a ROC curve: 1, 2, 3, 4, 6, 8, ... up to a multiple of the tuned rank, and that rank."""
     last = max(64, 4 * (found.order if found else 0))
     orders = np.unique(np.round(np.geomspace(1.0, last, MOST_POINTS)).astype(int)).tolist()
     return sorted({*orders, *([found.order] if found else [])})
@@ -340,7 +338,7 @@ def _points(
     runs: TaskRuns | None,
     confidence: float,
 ) -> dict[float, RocPoint]:
-    """Return the points by threshold, most sensitive first."""
+    """Points by threshold, most sensitive first."""
     ordered = sorted(values, key=abs)
     law = ThresholdLaw(
         name=field, controller=controller, source="ours", threshold=field, unit="", values=tuple(ordered)
