@@ -46,7 +46,7 @@ class PushResult(msgspec.Struct, frozen=True, kw_only=True):
 
     controller: str
     security: str
-    """"secure", or "insecure" for frames in the clear."""
+    """Security: "secure", or "insecure" for frames in the clear."""
     engaged_s: float | None
     """Time of engagement since the start."""
     release_s: float | None

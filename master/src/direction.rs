@@ -89,7 +89,7 @@ impl Direction {
         if most > 0.0 && last.clone().all(reaches) {
             return f64::INFINITY;
         }
-        // y_n| ~ y_0 / rho^n. Only the largest root is computed; a piecewise linear logarithm selects it.
+        // |y_n| ~ y_0 / rho^n. Only the largest root is computed; a piecewise linear logarithm selects it.
         let rough_log = |value: f64| (value.to_bits() as f64 * 2_f64.powi(-52) - 1023.0).max(-1023.0);
         let growth = |n: usize| (n, (self.inverse[n] / self.inverse[0]).abs());
         let largest = last

@@ -202,7 +202,7 @@ pub(crate) fn refused(error: LiveError) -> PyErr {
     }
 }
 
-/// Observation and commands of a loop. Its mutexes are never contended; they make it `Sync`.
+/// Observation and commands of a loop. Its mutexes are never contended; they only let threads share it.
 pub(crate) struct Watched {
     pub(crate) handle: LiveHandle,
     watch: Mutex<LiveWatch>,

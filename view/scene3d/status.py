@@ -69,11 +69,11 @@ class Status:
     """True if a controller acts, hold-off included."""
     gauges: tuple[Gauge, ...]
     speed: float
-    """V| of the hand's device in m/s, or of its fastest joint in rad/s; NaN if not recorded."""
+    """|V| of the hand's device in m/s, or of its fastest joint in rad/s; NaN if not recorded."""
     device_force: float
-    """F_device| in N, or the largest joint torque in N m."""
+    """|F_device| in N, or the largest joint torque in N m."""
     environment_force: float
-    """F_e| in N, or the largest joint torque in N m; NaN without an arm."""
+    """|F_e| in N, or the largest joint torque in N m; NaN without an arm."""
     joints: bool
     """True if the values are of joints."""
 
