@@ -1,4 +1,4 @@
-//! Vectors over the axes of a device, and the numbers they are made of.
+//! Vectors over the axes of a device, and their scalar types.
 
 use std::ops::Neg;
 
@@ -11,10 +11,10 @@ use num_traits::{One, Zero};
 /// One value per axis: position in m (rad), velocity in m/s (rad/s) or force in N (N m).
 pub type Axes<const N: usize, S = f64> = SVector<S, N>;
 
-/// A real number, or one for each of several scenarios that are advanced side by side.
+/// A real number, or one lane per scenario when several scenarios advance side by side.
 ///
-/// Code that is generic over it chooses with `select` where scenarios may differ and branches only on what they share,
-/// so a lane computes exactly the bits that `f64` does.
+/// Generic code uses `select` where lanes may differ and branches only on what they share. Each lane is
+/// therefore bit-identical to `f64`.
 pub trait Real:
     Scalar
     + Copy
@@ -28,15 +28,15 @@ pub trait Real:
     + SimdPartialOrd
     + SimdValue<Element = f64>
 {
-    /// The square root of each.
+    /// Square root per lane.
     #[must_use]
     fn root(self) -> Self;
 
-    /// The absolute value of each.
+    /// Absolute value per lane.
     #[must_use]
     fn magnitude(self) -> Self;
 
-    /// The nearest whole number of each, halves away from zero.
+    /// Nearest whole number per lane, halves away from zero.
     #[must_use]
     fn rounded(self) -> Self;
 }
@@ -58,8 +58,8 @@ impl<S: SimdRealField + SimdValue<Element = f64> + Copy> Real for S {
     }
 }
 
-/// The Euclidean norm in each lane; along one axis without a root, to the same bits unless the square leaves the range of
-/// numbers.
+/// Euclidean norm per lane. One axis needs no root; the bits are the same unless the square over- or
+/// underflows.
 #[inline(always)]
 pub(crate) fn norm<const N: usize, S: Real>(value: &Axes<N, S>) -> S {
     if N == 1 { value[0].magnitude() } else { value.dot(value).root() }

@@ -4,7 +4,7 @@ use nalgebra::SimdBool as _;
 
 use crate::{Axes, ModelError, Real, require};
 
-/// How friction acts on several axes.
+/// Friction over several axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(
     feature = "serde",
@@ -12,10 +12,10 @@ use crate::{Axes, ModelError, Real, require};
     serde(rename_all = "kebab-case")
 )]
 pub enum Friction {
-    /// `c V / |V|`: a stylus in space, whatever the frame.
+    /// `c V / |V|`, in any frame: a stylus in space.
     #[default]
     Vector,
-    /// `c sign(V)` on each axis by itself: joints.
+    /// `c sign(V)` on each axis: joints.
     Axis,
 }
 
@@ -23,7 +23,7 @@ pub enum Friction {
 ///
 /// Source: paper Eq. 3.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema))] // unknown keys: the table's to refuse
+#[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema))] // the table rejects unknown keys
 pub struct DeviceParameters<const N: usize> {
     /// m in kg (> 0).
     #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
@@ -31,17 +31,17 @@ pub struct DeviceParameters<const N: usize> {
     /// b in N s/m; may be negative.
     #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
     pub viscous: Axes<N>,
-    /// c in N (>= 0): friction while moving, and the largest force that friction withstands at rest. With
-    /// [`Friction::Vector`] all axes have the same.
+    /// c in N (>= 0): friction while moving, and the largest force that friction withstands at rest. All axes
+    /// have the same value with [`Friction::Vector`].
     #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
     pub coulomb: Axes<N>,
-    /// How it acts on several axes.
+    /// Friction over several axes.
     pub friction: Friction,
     /// Resolution of the position measurement in m (>= 0); 0 is exact.
     pub encoder_quantum: f64,
-    /// Whether it measures V itself, exactly.
+    /// True if the device measures V itself, exactly.
     pub measures_velocity: bool,
-    /// Positions in m of the mechanical stops, which take all speed; infinite without stops.
+    /// Positions in m of the mechanical stops, which absorb all speed; infinite without stops.
     #[cfg_attr(
         feature = "serde",
         serde(deserialize_with = "stops"),
@@ -56,7 +56,8 @@ pub struct DeviceParameters<const N: usize> {
 }
 
 impl<const N: usize> DeviceParameters<N> {
-    /// The same m in kg, b in N s/m and c in N on each axis; measures exactly, without stops or bounds.
+    /// A device with the same m in kg, b in N s/m and c in N on each axis, exact measurement, no stops and no
+    /// bounds.
     pub fn ideal(mass_kg: f64, viscous: f64, coulomb: f64) -> Self {
         Self {
             mass_kg: Axes::repeat(mass_kg),
@@ -73,12 +74,12 @@ impl<const N: usize> DeviceParameters<N> {
 
     /// PHANTOM Desktop: m, b, c from the paper, section 4.1; 0.023 mm is the vendor's nominal resolution.
     ///
-    /// Its stops are left out: the paper throws the stylus over 0.14 m and plots no stop.
+    /// Stops are left out: the paper throws the stylus over 0.14 m and plots no stop.
     pub fn phantom_desktop() -> Self {
         Self { encoder_quantum: 2.3e-5, measures_velocity: false, ..Self::ideal(0.157, -0.005, 0.038) }
     }
 
-    /// Refuses what no device can have.
+    /// Returns an error if a parameter is invalid.
     pub fn check(&self) -> Result<(), ModelError> {
         for axis in 0..N {
             require("mass_kg", self.mass_kg[axis], self.mass_kg[axis] > 0.0, "finite and above 0")?;
@@ -88,7 +89,7 @@ impl<const N: usize> DeviceParameters<N> {
                 let same = self.coulomb[axis] == self.coulomb[0];
                 require("coulomb", self.coulomb[axis], same, "the same on each axis of vector friction")?;
             }
-            // Infinite stops are allowed, so this is not `require`.
+            // `require` would refuse infinite stops, which are valid.
             let (lower, upper) = (self.stops.0[axis], self.stops.1[axis]);
             if lower.is_nan() || upper.is_nan() || lower >= upper {
                 return Err(ModelError { name: "lower stop", seen: lower, allowed: "below the upper stop" });
@@ -113,13 +114,12 @@ impl<const N: usize> DeviceParameters<N> {
         }
     }
 
-    /// Whether friction couples the axes.
     pub(crate) fn rubs_along_motion(&self) -> bool {
         N > 1 && self.friction == Friction::Vector && self.coulomb[0] > 0.0
     }
 }
 
-/// Stops from one pair per axis; none are infinite.
+/// Reads one pair of stops per axis; no value means infinite stops.
 #[cfg(feature = "serde")]
 fn stops<'de, D: serde::Deserializer<'de>, const N: usize>(
     deserializer: D,
@@ -135,39 +135,40 @@ fn stops<'de, D: serde::Deserializer<'de>, const N: usize>(
     Ok((Axes::from_fn(|axis, _| pairs[axis].0), Axes::from_fn(|axis, _| pairs[axis].1)))
 }
 
-/// A bound, infinite where there is none.
+/// Reads a bound; no value means infinite.
 #[cfg(feature = "serde")]
 fn infinite_or<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     use serde::Deserialize as _;
     Ok(Option::deserialize(deserializer)?.unwrap_or(f64::INFINITY))
 }
 
-/// 2^52, from which on every number is whole.
+/// 2^52: every number from here on is whole.
 const WHOLE: f64 = 4_503_599_627_370_496.0;
 
-/// A quantity rounded to a resolution; 0 leaves it as it is.
+/// Rounds to a multiple of `quantum`; 0 leaves the value unchanged.
 #[inline(always)]
 pub(crate) fn quantised<S: Real>(value: S, quantum: S, is_exact: bool) -> S {
     if is_exact {
         return value;
     }
     let count = value / quantum;
-    // Numbers of that many quanta are whole as they are, and more are infinite.
+    // From 2^52 quanta on, a value is already whole or infinite.
     let has_parts = count.magnitude().simd_lt(S::splat(WHOLE));
     let whole = if S::LANES == 1 { S::splat(nearest_whole(count.extract(0))) } else { count.rounded() };
     (whole * quantum).select(quantum.simd_gt(S::splat(0.0)) & has_parts, value)
 }
 
-/// The whole number nearest to one below 2^52 in absolute value, halves away from zero: [`f64::round`] without a call.
+/// The nearest whole number below 2^52 in absolute value, halves away from zero: [`f64::round`] without a
+/// call.
 #[inline(always)]
-#[allow(clippy::cast_possible_truncation, clippy::cast_precision_loss)] // what is cut off are the parts
+#[allow(clippy::cast_possible_truncation, clippy::cast_precision_loss)] // truncation is intended
 fn nearest_whole(number: f64) -> f64 {
-    // Half would carry 0.49999999999999994 to 1.
+    // Exactly 0.5 would round 0.49999999999999994 up to 1.
     let shifted = number + (0.5_f64).next_down().copysign(number);
     (shifted as i64 as f64).copysign(number)
 }
 
-/// The force that the motors exert of the commanded one: bounded as a vector, then rounded per axis.
+/// Force that the motors exert for a command: bounded as a vector, then rounded per axis.
 #[inline(always)]
 pub(crate) fn exerted<const N: usize, S: Real>(
     commanded: &Axes<N, S>,
@@ -180,10 +181,10 @@ pub(crate) fn exerted<const N: usize, S: Real>(
     if is_exact && is_within.all() {
         return *commanded;
     }
-    // An infinite bound must not meet 0 in a quotient.
+    // Avoid infinity / 0 for an infinite bound.
     let share = S::splat(1.0).select(is_within, max_force_n / norm);
-    // A copy and no closure: all that the caller has beside what a call gets the address of would stand in memory at each
-    // tick.
+    // A copy instead of a closure: a closure takes addresses, and the caller's values would then stay in
+    // memory.
     let mut force = *commanded;
     for axis in 0..N {
         force[axis] = quantised(force[axis] * share, quantum, is_exact);
@@ -197,7 +198,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn a_quantum_below_rounding_is_none() {
+    fn quantum_below_rounding_has_no_effect() {
         for quantum in [5e-324, 1e-300, 1e-18] {
             for value in [0.0, -0.3, 7.9, 1e9] {
                 assert_eq!(quantised(value, quantum, false), value);
@@ -208,7 +209,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_nearest_whole_number_is_that_of_the_library(
+        fn rounding_matches_the_library(
             number in prop_oneof![
                 -4e15..4e15f64,
                 -10.0..10.0f64,
@@ -236,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn refuses_what_is_no_device() {
+    fn rejects_invalid_device() {
         let good = DeviceParameters::<3>::phantom_desktop();
         assert!(good.check().is_ok());
         let bad = [

@@ -8,7 +8,7 @@ use crate::{
     polynomial::{INVERSE, Series, TERMS},
 };
 
-/// Share h / rho of the radius of convergence up to which the terms beyond the last are below rounding:
+/// Fraction h / rho of the radius of convergence at which the omitted terms fall below rounding:
 /// `(h / rho)^TERMS = 1e-16`.
 const SHARE_OF_RADIUS: f64 = 0.1;
 
@@ -25,10 +25,12 @@ impl Direction {
         Self { square: [0.0; TERMS], inverse: [0.0; TERMS], per_square: 0.0 }
     }
 
-    /// Coefficient n of `w / |w|`, once those of w before it and the `newest`, its nth, are known; requested in order.
+    /// Coefficient n of `w / |w|`, from the earlier coefficients of w and the `newest`, its nth. Call in
+    /// order of n.
     ///
-    /// Terms that do not depend on the newest w are summed apart, the oldest first, so that few operations remain once it is known.
-    /// It is handed over by itself, and stored by the caller as `w[n]` before the next: what was just written would be waited for.
+    /// Terms without the newest w are summed separately, oldest first, so that few operations remain once it
+    /// is known. It is passed by value, and the caller stores it as `w[n]` afterwards: reading back a fresh
+    /// store would stall.
     #[inline]
     pub(crate) fn coefficient<const N: usize>(
         &mut self,
@@ -44,7 +46,8 @@ impl Direction {
             return newest * inverse[0];
         }
         let half = half_squared_inside(w, n);
-        // y = s^p with p = -1/2: n s_0 y_n = sum_i (p i - (n - i)) s_i y_{n-i}; beside it sum_i w_i y_{n-i}.
+        // y = s^p with p = -1/2: n s_0 y_n = sum_i (p i - (n - i)) s_i y_{n-i}. The second sum is sum_i w_i
+        // y_{n-i}.
         let (mut sum, mut direction) = (0.0, Axes::zeros());
         if n > 1 {
             let inner = 2..(n - 1).max(2);
@@ -63,7 +66,7 @@ impl Direction {
             sum += (0.5 - n as f64) * square[1] * inverse[n - 1];
             direction += w[1] * inverse[n - 1];
         }
-        // Of s_n there is -n / 2 s_n y_0.
+        // The share of s_n is -n / 2 s_n y_0.
         let slope = inverse[0] * *per_square;
         let known = sum * (*per_square * INVERSE[n]) - half * slope;
         let along = w[0].dot(newest);
@@ -72,11 +75,11 @@ impl Direction {
         direction + newest * inverse[0] + w[0] * inverse[n]
     }
 
-    /// Time within which the terms beyond the last are below rounding, to 0.6 %; infinity where it is no less than `wanted` in
-    /// s.
+    /// Time in s within which the omitted terms are below rounding, to 0.6 %; infinity if it is at least
+    /// `wanted`.
     pub(crate) fn reach(&self, wanted: f64) -> f64 {
         let last = TERMS - 5..TERMS - 2;
-        // Without a root, where they need not be taken.
+        // Avoid roots if the reach suffices.
         let (rate, most) = (wanted / SHARE_OF_RADIUS, self.inverse[0].abs());
         let mut power = (1..last.start).map(|_| rate).product::<f64>();
         let reaches = |n: usize| {
@@ -86,14 +89,14 @@ impl Direction {
         if most > 0.0 && last.clone().all(reaches) {
             return f64::INFINITY;
         }
-        // |y_n| ~ y_0 / rho^n. Of the largest of these roots alone, by logarithms that are a line from power to power of two.
+        // |y_n| ~ y_0 / rho^n. Only the largest root is computed; a piecewise linear logarithm selects it.
         let rough_log = |value: f64| (value.to_bits() as f64 * 2_f64.powi(-52) - 1023.0).max(-1023.0);
         let growth = |n: usize| (n, (self.inverse[n] / self.inverse[0]).abs());
         let largest = last
             .map(growth)
             .max_by(|(n, a), (m, b)| (rough_log(*a) / *n as f64).total_cmp(&(rough_log(*b) / *m as f64)));
         let rate = largest.map_or(0.0, |(n, growth)| growth.powf(1.0 / n as f64));
-        // A length that has overflowed reaches nowhere.
+        // An overflowed length has reach 0.
         if rate > 0.0 {
             SHARE_OF_RADIUS / rate
         } else if rate == 0.0 {
@@ -104,16 +107,16 @@ impl Direction {
     }
 }
 
-/// Term n of the series of `|w|²`: each product of two different terms counts twice.
+/// Term n of the series of `|w|²`; each product of two different terms counts twice.
 #[inline]
 pub(crate) fn squared<const N: usize>(w: &[Axes<N>; TERMS], n: usize) -> f64 {
     if n == 0 { w[0].norm_squared() } else { 2.0 * (half_squared_inside(w, n) + w[0].dot(&w[n])) }
 }
 
-/// Half of that term, n > 0, without the product of the first and the last; the oldest first.
+/// Half of term n > 0 of `|w|²`, without the product of the first and the last; the oldest first.
 #[inline]
 fn half_squared_inside<const N: usize>(w: &[Axes<N>; TERMS], n: usize) -> f64 {
-    // A sum of its own for each axis, so that none waits for another.
+    // One sum per axis, so that the sums are independent.
     let mut half = if n.is_multiple_of(2) { w[n / 2].component_mul(&w[n / 2]) * 0.5 } else { Axes::zeros() };
     for (early, late) in w[1..n.div_ceil(2)].iter().rev().zip(&w[n / 2 + 1..n]) {
         half += early.component_mul(late);
@@ -125,7 +128,7 @@ fn half_squared_inside<const N: usize>(w: &[Axes<N>; TERMS], n: usize) -> f64 {
 mod tests {
     use super::*;
 
-    /// `|w|²` and `w / |w|` of polynomials: against the sum of all products, and against the quotient within the series' reach.
+    /// `|w|²` equals the sum of all products, and `w / |w|` equals the quotient within the reach.
     #[test]
     fn a_direction_is_the_quotient_of_its_series() {
         let mut w = [Axes::<3>::zeros(); TERMS];
@@ -139,16 +142,17 @@ mod tests {
             let products: f64 = (0..=n).map(|i| w[i].dot(&w[n - i])).sum();
             assert!((squared(&w, n) - products).abs() < 1e-14, "{n}");
         }
-        // Who asks for less than it reaches is told so, and whoever asks for more, how far that is.
+        // `reach` returns infinity for less than the reach, and the reach for more.
         let reach = direction.reach(f64::INFINITY);
         let largest = (TERMS - 5..TERMS - 2)
             .map(|n| (direction.inverse[n] / direction.inverse[0]).abs().powf(1.0 / n as f64))
             .fold(0.0, f64::max);
-        // The root whose rough logarithm is the largest may be another, smaller by less than 2^(0.09 / 11).
+        // The root with the largest rough logarithm may be smaller than the largest root, by less than
+        // 2^(0.09 / 11).
         assert!((1.0 - 1e-12..1.006).contains(&(reach * largest / SHARE_OF_RADIUS)), "{}", reach * largest);
         assert_eq!(direction.reach(0.9 * reach), f64::INFINITY);
         assert_eq!(direction.reach(1.1 * reach), reach);
-        // A length that overflows reaches nowhere, whatever is asked for.
+        // An overflowed length has reach 0 for any request.
         let mut beyond = Direction::new();
         let huge = w.map(|term| term * 1e160);
         for n in 0..TERMS {

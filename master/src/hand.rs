@@ -1,4 +1,4 @@
-//! A hand: an impedance towards a path, held by a finite grip that lets go and takes hold again.
+//! A hand: an impedance towards a path, held by a finite grip that can release and regrasp.
 
 use std::f64::consts::TAU;
 
@@ -10,7 +10,7 @@ use crate::{
     require,
 };
 
-/// What decays while a hand lets go.
+/// Quantity that decays during a release.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(
     feature = "serde",
@@ -18,30 +18,30 @@ use crate::{
     serde(rename_all = "kebab-case")
 )]
 pub enum ReleaseKind {
-    /// The grip strength: nothing moves until it has fallen to the load, then the stylus slips.
+    /// Grip strength: nothing moves until it has fallen to the load, then the stylus slips.
     #[default]
     Strength,
-    /// The whole impedance: `F_h = g (K_h (target - x) - B_h V)` with g from 1 to 0.
+    /// Whole impedance: `F_h = g (K_h (target - x) - B_h V)` with g from 1 to 0.
     Gain,
 }
 
-/// How the grip is given up.
+/// Release of the grip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct Release {
-    /// When it begins, in s.
+    /// Start in s.
     pub at_s: f64,
-    /// Time in s over which the grip falls linearly to zero; 0 lets go at once.
+    /// Time in s over which the grip falls linearly to zero; 0 releases at once.
     pub decay_s: f64,
-    /// What falls.
+    /// Quantity that decays.
     pub kind: ReleaseKind,
 }
 
-/// How a hand that has let go takes hold again.
+/// Regrasp after a release.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct Regrasp {
-    /// Time in s from the end of the release to the first grip: the reaction time of the operator.
+    /// Time in s from the end of the release to the first grip: the operator's reaction time.
     pub reaction_s: f64,
     /// Time in s over which the grip grows linearly to its full strength; 0 grips at once.
     pub rise_s: f64,
@@ -59,12 +59,11 @@ pub struct Tremor {
     pub frequency_hz: f64,
 }
 
-/// A hand that steers the device along a path, with as much force as its grip can pass on.
+/// A hand that steers the device along a path with a limited grip.
 ///
-/// `F_h = K_h (x_target - x) - B_h V`, its norm clipped to the grip strength: beyond it the stylus slips through the
-/// fingers. Operators hold with a margin above the load, so a loosening grip first changes nothing, then slips.
-///
-/// Source: impedance of a hand, Hogan 1989; grip margin, Johansson and Westling 1984.
+/// `F_h = K_h (x_target - x) - B_h V`, its norm clipped to the grip strength; beyond it the stylus slips
+/// through the fingers. Operators hold with a margin above the load, so a loosening grip first changes
+/// nothing, then slips.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Hand<const N: usize> {
     stiffness: f64,
@@ -73,15 +72,16 @@ pub struct Hand<const N: usize> {
     path: Path<N>,
     release: Option<Release>,
     regrasp: Option<Regrasp>,
-    /// When the release has ended, the hand grips again and has its full strength again, in s; none without a release.
+    /// Times in s at which the release has ended, the grip begins again and is full again; none without a
+    /// release.
     schedule: Option<[f64; 3]>,
     tremor: Option<Tremor>,
 }
 
 impl<const N: usize> Hand<N> {
-    /// `K_h` in N/m and `B_h` in N s/m (>= 0), grip strength in N (>= 0), the path it follows, when it lets go.
+    /// A hand with `K_h` in N/m, `B_h` in N s/m and grip strength in N (each >= 0), a path and a release.
     ///
-    /// An infinite grip strength never slips; it cannot decay, so only the gain may.
+    /// An infinite grip strength never slips and cannot decay; only its gain may.
     pub fn new(
         stiffness: f64,
         damping: f64,
@@ -107,12 +107,12 @@ impl<const N: usize> Hand<N> {
         Ok(Self { stiffness, damping, strength_n, path, release, regrasp: None, schedule, tremor: None })
     }
 
-    /// No hand at all: the device rests at `position` in m and nobody holds it.
+    /// No hand: the device rests at `position` in m.
     pub fn absent(position: Axes<N>) -> Result<Self, ModelError> {
         Self::new(0.0, 0.0, 0.0, Path::new(position, Vec::new())?, None)
     }
 
-    /// The same hand, which takes hold again after its release.
+    /// The same hand with a regrasp after its release.
     pub fn with_regrasp(self, regrasp: Regrasp) -> Result<Self, ModelError> {
         let Regrasp { reaction_s, rise_s } = regrasp;
         require("reaction time", reaction_s, reaction_s >= 0.0, "finite and 0 or more")?;
@@ -145,12 +145,11 @@ impl<const N: usize> Hand<N> {
         self.damping
     }
 
-    /// The same hand with another grip strength in N.
     pub(crate) fn with_strength(&self, strength_n: f64) -> Self {
         Self { strength_n, ..self.clone() }
     }
 
-    /// Whether it follows the same path, lets go and takes hold again as another, and trembles so.
+    /// True if path, release, regrasp and tremor equal those of `other`.
     pub(crate) fn moves_as(&self, other: &Self) -> bool {
         let Self { path, release, regrasp, schedule, tremor, .. } = self;
         (path, release, regrasp, schedule, tremor)
@@ -165,19 +164,19 @@ impl<const N: usize> Hand<N> {
         self.tremor
     }
 
-    /// The path that the hand means to follow.
+    /// Path of the hand's target.
     pub fn path(&self) -> &Path<N> {
         &self.path
     }
 
-    /// Where the hand means to be at time t in s, tremor included.
+    /// Target of the hand in m at time t in s, tremor included.
     pub fn target_at(&self, t: f64) -> Axes<N> {
         let shake =
             self.tremor.map_or(0.0, |tremor| tremor.amplitude * (TAU * tremor.frequency_hz * t).sin());
         self.path.at(t).add_scalar(shake)
     }
 
-    /// The Taylor series of the target about t.
+    /// Taylor series of the target about t.
     pub(crate) fn target_series(&self, t: f64) -> [Axes<N>; TERMS] {
         let mut series = [Axes::zeros(); TERMS];
         series[..=DEGREE].copy_from_slice(&self.path.taylor(t));
@@ -194,7 +193,7 @@ impl<const N: usize> Hand<N> {
         series
     }
 
-    /// The share of its grip that the hand has at time t, from 1 before the release to 0 after it and to 1 again.
+    /// Grip as a fraction of the full grip at time t: 1 before the release, 0 after it, 1 after a regrasp.
     pub fn grip_at(&self, t: f64) -> f64 {
         let (Some(Release { at_s, decay_s, .. }), Some([ends, begins, full])) = (self.release, self.schedule)
         else {
@@ -219,7 +218,7 @@ impl<const N: usize> Hand<N> {
         held.max(regained)
     }
 
-    /// Grip strength in N at time t in s; a release of the gain leaves it as it is.
+    /// Grip strength in N at time t in s; a release of the gain leaves it unchanged.
     pub fn strength_at(&self, t: f64) -> f64 {
         match self.release.map(|release| release.kind) {
             Some(ReleaseKind::Strength) => self.grip_at(t) * self.strength_n,
@@ -227,7 +226,7 @@ impl<const N: usize> Hand<N> {
         }
     }
 
-    /// How fast the grip changes just after time t, in 1/s.
+    /// Rate of the grip just after time t, in 1/s.
     fn grip_rate(&self, t: f64) -> f64 {
         let (Some(Release { at_s, decay_s, .. }), Some([ends, begins, full])) = (self.release, self.schedule)
         else {
@@ -240,7 +239,7 @@ impl<const N: usize> Hand<N> {
             .map_or(0.0, |Regrasp { rise_s, .. }| if t >= begins && t < full { rise_s.recip() } else { 0.0 })
     }
 
-    /// Gain and grip strength in N from t to the next kink, each as value and rate.
+    /// Gain, and grip strength in N, from t to the next kink, each as value and rate.
     pub(crate) fn grip_line(&self, t: f64) -> ([f64; 2], [f64; 2]) {
         let line = [self.grip_at(t), self.grip_rate(t)];
         match self.release.map(|release| release.kind) {
@@ -250,7 +249,7 @@ impl<const N: usize> Hand<N> {
         }
     }
 
-    /// The force in N of the hand on the device at time t.
+    /// Force in N of the hand on the device at time t.
     pub fn force(&self, t: f64, position: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
         let gain = match self.release.map(|release| release.kind) {
             Some(ReleaseKind::Gain) => self.grip_at(t),
@@ -269,20 +268,20 @@ impl<const N: usize> Hand<N> {
         [Some(at_s), Some(ends), again(begins), again(full)]
     }
 
-    /// The next time after t at which path or grip cease to be smooth.
+    /// Next time after t at which path or grip is not smooth.
     pub(crate) fn next_kink(&self, t: f64) -> Option<f64> {
         let kinks = self.kinks().into_iter().flatten().chain(self.path.next_knot(t));
         kinks.filter(|&kink| kink > t).min_by(f64::total_cmp)
     }
 }
 
-/// A time in s in which a grip changes, or 0 where it is too short for a rate: powers of it would overflow.
+/// Duration in s of a change of the grip; 0 if it is so short that powers of its rate would overflow.
 pub(crate) fn or_at_once(duration_s: f64) -> f64 {
     if duration_s < MIN_LEG_S { 0.0 } else { duration_s }
 }
 
-/// When a release has ended, the hand grips again, and has its full strength again, in s: whole ns, so that a sudden
-/// grip falls on the tick that it is meant for.
+/// Times in s at which a release has ended, the grip begins again and is full again. They are whole ns, so
+/// that a sudden grip falls on its tick.
 fn grip_times(release: Release, regrasp: Option<Regrasp>) -> [f64; 3] {
     let Regrasp { reaction_s, rise_s } = regrasp.unwrap_or(Regrasp { reaction_s: 0.0, rise_s: 0.0 });
     let ends = whole_ns(release.at_s + release.decay_s);
@@ -290,33 +289,33 @@ fn grip_times(release: Release, regrasp: Option<Regrasp>) -> [f64; 3] {
     [ends, begins, whole_ns(begins + rise_s)]
 }
 
-/// The number of s nearest to whole ns: a sum of decimal seconds lies a rounding beside the tick that it means.
+/// Rounds s to whole ns: a sum of decimal seconds differs from its tick by rounding.
 pub(crate) fn whole_ns(time_s: f64) -> f64 {
     (time_s * 1e9).round() / 1e9
 }
 
-/// A line as a series.
 pub(crate) fn line([value, rate]: [f64; 2]) -> Series {
     let mut series = [0.0; TERMS];
     (series[0], series[1]) = (value, rate);
     series
 }
 
-/// What a hand that would exert `wish` in N exerts with a grip of `strength`.
+/// Clips the hand's force `wish` in N to the grip `strength` in N.
 #[inline]
 pub(crate) fn gripped<const N: usize>(wish: &Axes<N>, strength: f64) -> Axes<N> {
-    // Mostly without a root, and far from where rounding decides.
+    // The common case, well below the strength, needs no root.
     if wish.norm_squared() < 0.99 * strength * strength {
         *wish
     } else if strength == 0.0 {
-        // Who has let go.
+        // The hand has released.
         wish * 0.0
     } else {
         gripped_at_most(wish, strength)
     }
 }
 
-/// The same near the strength and beyond; a function of its own, so that a hand that holds waits for no root and no division.
+/// The same near and beyond the strength; a separate function, so that a holding hand computes no root and no
+/// division.
 #[inline(never)]
 fn gripped_at_most<const N: usize>(wish: &Axes<N>, strength: f64) -> Axes<N> {
     let wished = norm(wish);
@@ -327,7 +326,7 @@ fn gripped_at_most<const N: usize>(wish: &Axes<N>, strength: f64) -> Axes<N> {
 mod tests {
     use super::*;
 
-    /// Against the law as it is written, by a root and a division.
+    /// Compares `gripped` with the law written with a root and a division.
     fn check_grip<const N: usize>(direction: Axes<N>) {
         for strength in [0.0, 1e-310, 1e-150, 20.0, 1e150, f64::INFINITY] {
             let size = if strength == f64::INFINITY { 1e9 } else { strength };
@@ -342,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn a_grip_bounds_what_a_hand_wishes() {
+    fn grip_clips_the_hand_force() {
         check_grip(Axes::<1>::new(-1.0));
         check_grip(Axes::<3>::new(0.6, -0.0, 0.8));
     }
@@ -383,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn refuses_what_no_hand_can_do() {
+    fn rejects_invalid_hand() {
         let path = || Path::new(Axes::<1>::zeros(), Vec::new()).unwrap();
         let fades = Release { at_s: 1.0, decay_s: 0.1, kind: ReleaseKind::Strength };
         assert!(Hand::new(300.0, 5.0, f64::INFINITY, path(), Some(fades)).is_err());

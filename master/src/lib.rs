@@ -1,4 +1,4 @@
-//! The master side: haptic device and human-hand models, advanced exactly in time.
+//! The master side: models of haptic device and hand, advanced exactly in time.
 
 mod axes;
 mod device;
@@ -25,15 +25,15 @@ pub use rotation::{
 pub use simulated::{MasterLanes, MasterLanesSample, MasterSample, SimulatedMaster, Touch};
 pub use wall::ContinuousWall;
 
-/// A parameter that a model cannot have.
+/// Invalid parameter of a model.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{name} = {seen}: must be {allowed}")]
 pub struct ModelError {
-    /// The field.
+    /// Name of the parameter.
     pub name: &'static str,
-    /// The value that was refused.
+    /// The rejected value.
     pub seen: f64,
-    /// What would have been accepted.
+    /// Valid values, in words.
     pub allowed: &'static str,
 }
 

@@ -1,8 +1,8 @@
-//! Where a hand means to be, over time.
+//! Target of a hand over time.
 
 use crate::{Axes, ModelError, require};
 
-/// How a leg of a path is travelled.
+/// Profile of a leg over its duration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(
     feature = "serde",
@@ -12,9 +12,9 @@ use crate::{Axes, ModelError, require};
 pub enum LegShape {
     /// Constant velocity.
     Linear,
-    /// `3 s² - 2 s³`: starts and ends at rest, with a jump of the acceleration.
+    /// `3 s² - 2 s³`: starts and ends at rest, with jumps of the acceleration.
     Smooth,
-    /// `10 s³ - 15 s⁴ + 6 s⁵`: starts and ends at rest without one.
+    /// `10 s³ - 15 s⁴ + 6 s⁵`: starts and ends at rest, without jumps of the acceleration.
     ///
     /// Source: Flash and Hogan 1985.
     MinimumJerk,
@@ -24,7 +24,7 @@ pub enum LegShape {
 pub(crate) const DEGREE: usize = 5;
 
 impl LegShape {
-    /// Coefficients of the share travelled, over s in \[0, 1\].
+    /// Coefficients of the fraction travelled, over s in \[0, 1\].
     pub(crate) fn coefficients(self) -> [f64; DEGREE + 1] {
         match self {
             Self::Linear => [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
@@ -34,10 +34,10 @@ impl LegShape {
     }
 }
 
-/// Shortest leg in s: the powers of its rate stay far from overflow.
+/// Shortest leg in s; powers of its rate stay far from overflow.
 pub(crate) const MIN_LEG_S: f64 = 1e-9;
 
-/// One leg: from where the last one ended to `end`, within `duration_s`.
+/// One leg, from the end of the previous one to `end` within `duration_s`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct Leg<const N: usize> {
@@ -46,7 +46,7 @@ pub struct Leg<const N: usize> {
     /// Position at its end in m.
     #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
     pub end: Axes<N>,
-    /// How it is travelled.
+    /// Profile of the leg.
     pub shape: LegShape,
 }
 
@@ -55,14 +55,14 @@ pub struct Leg<const N: usize> {
 pub struct Path<const N: usize> {
     start: Axes<N>,
     legs: Vec<Leg<N>>,
-    /// When each leg begins, and when the last one ends.
+    /// Start of each leg, and end of the last one.
     begins: Vec<f64>,
-    /// The powers of `1 / duration_s` of each leg.
+    /// Powers of `1 / duration_s` of each leg.
     rates: Vec<[f64; DEGREE + 1]>,
 }
 
 impl<const N: usize> Path<N> {
-    /// A path that begins at `start` in m, at time 0.
+    /// A path that begins at `start` in m at time 0.
     pub fn new(start: Axes<N>, legs: Vec<Leg<N>>) -> Result<Self, ModelError> {
         for x in &start {
             require("start", *x, true, "finite")?;
@@ -87,12 +87,12 @@ impl<const N: usize> Path<N> {
         Ok(Self { start, legs, begins, rates })
     }
 
-    /// Where leg `index` starts from, in m.
+    /// Start of leg `index` in m.
     fn from(&self, index: usize) -> &Axes<N> {
         if index == 0 { &self.start } else { &self.legs[index - 1].end }
     }
 
-    /// The leg travelled just after time t, if one is.
+    /// Leg just after time t, if any.
     pub(crate) fn leg_at(&self, t: f64) -> Option<usize> {
         let begun = self.begins.partition_point(|&begin| begin <= t);
         (begun > 0 && begun <= self.legs.len()).then(|| begun - 1)
@@ -103,12 +103,12 @@ impl<const N: usize> Path<N> {
         self.taylor(t)[0]
     }
 
-    /// The polynomial that the path is from time t in s to its next knot, in powers of the time since t.
+    /// Polynomial of the path from time t in s to the next knot, in powers of the time since t.
     pub(crate) fn taylor(&self, t: f64) -> [Axes<N>; DEGREE + 1] {
         self.taylor_in(self.leg_at(t), t)
     }
 
-    /// The same, where the leg at that time is known.
+    /// The same for a known leg.
     #[inline]
     pub(crate) fn taylor_in(&self, leg: Option<usize>, t: f64) -> [Axes<N>; DEGREE + 1] {
         let mut series = [Axes::zeros(); DEGREE + 1];
@@ -128,14 +128,14 @@ impl<const N: usize> Path<N> {
         series
     }
 
-    /// The next time after t at which the path ceases to be one polynomial.
+    /// Next time after t at which the polynomial changes.
     pub(crate) fn next_knot(&self, t: f64) -> Option<f64> {
         let next = self.begins.partition_point(|&begin| begin <= t);
         (!self.legs.is_empty()).then(|| self.begins.get(next).copied()).flatten()
     }
 }
 
-/// The coefficients of `p(s + x)` in powers of x.
+/// Coefficients of `p(s + x)` in powers of x.
 pub(crate) fn shifted<const TERMS: usize>(mut p: [f64; TERMS], s: f64) -> [f64; TERMS] {
     for first in 0..TERMS - 1 {
         for term in (first..TERMS - 1).rev() {

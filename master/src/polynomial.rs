@@ -1,12 +1,12 @@
-//! Where a polynomial first becomes negative: how events are located, not stepped over.
+//! First zero crossing of a polynomial: events are located, not stepped over.
 
 use crate::path::shifted;
 
-/// Terms of every Taylor series in this crate: at `rate h <= 1/2` the first one left out is below 1e-18 of the
+/// Terms of every Taylor series in this crate: at `rate h <= 1/2` the first omitted one is below 1e-18 of the
 /// position and 3e-17 of the velocity.
 pub(crate) const TERMS: usize = 16;
 
-/// `1 / n`: a division takes longer than all else that a term needs.
+/// `1 / n`: a division takes longer than the rest of a term.
 pub(crate) const INVERSE: [f64; TERMS + 1] = {
     let mut inverse = [0.0; TERMS + 1];
     let mut n = 1;
@@ -20,29 +20,28 @@ pub(crate) const INVERSE: [f64; TERMS + 1] = {
 /// Coefficients in rising powers of the time.
 pub(crate) type Series = [f64; TERMS];
 
-/// The value at t.
 pub(crate) fn value(p: &Series, t: f64) -> f64 {
     p.iter().rev().fold(0.0, |sum, term| sum * t + term)
 }
 
-/// The product, without the terms beyond [`TERMS`].
+/// Product, truncated to [`TERMS`].
 pub(crate) fn product(a: &Series, b: &Series) -> Series {
     std::array::from_fn(|n| (0..=n).map(|i| a[i] * b[n - i]).sum())
 }
 
-/// Rounding of a polynomial's value, as a share of the sum of the magnitudes of its terms.
+/// Rounding of a polynomial's value, as a fraction of the sum of the magnitudes of its terms.
 const ROUNDING: f64 = 4.0 * f64::EPSILON;
 
 /// Halvings of the interval; the last is 1e-9 of it.
 const DEPTH: u32 = 30;
 
-/// The first time in \[0, end\] at which `p` begins to be negative, located to rounding.
+/// First time in \[0, end\] at which `p` becomes negative, located to rounding.
 ///
-/// `p` starts at zero or above. If it starts at zero (within rounding), that zero is no crossing by itself: what counts
-/// is how `p` leaves it; `Some(0)` says that it leaves downwards. No crossing is missed, however short: an interval is
-/// given up only if bounds on the polynomial over all of it say that it stays positive, or that it is monotone.
+/// `p` starts at zero or above. A start at zero (within rounding) is a crossing, `Some(0)`, only if `p`
+/// leaves zero downwards. No crossing is missed, however short. The search drops an interval only if bounds
+/// prove that the polynomial stays positive or is monotone there.
 pub(crate) fn first_negative(p: &Series, end: f64) -> Option<f64> {
-    // The common case by far: the first term outweighs all others together.
+    // By far the most common case: the first term outweighs all others together.
     let mut power = 1.0;
     let mut scaled = [0.0; TERMS];
     for (term, p) in scaled.iter_mut().zip(p) {
@@ -50,11 +49,11 @@ pub(crate) fn first_negative(p: &Series, end: f64) -> Option<f64> {
         power *= end;
     }
     let total: f64 = scaled.iter().map(|term| term.abs()).sum();
-    // What is not a number crosses nothing: bounds on it would never give an interval up.
+    // NaN and infinity cross nothing: bounds on them would never drop an interval.
     if scaled[0] >= total - scaled[0].abs() || !total.is_finite() {
         return None;
     }
-    // Divide the zeros at the start away.
+    // Divide out the zeros at the start.
     let mut tolerance = ROUNDING * total;
     while scaled[0].abs() <= tolerance {
         scaled.rotate_left(1);
@@ -70,7 +69,7 @@ pub(crate) fn first_negative(p: &Series, end: f64) -> Option<f64> {
     search(&scaled, 0.0, 1.0, tolerance, DEPTH).map(|share| share * end)
 }
 
-/// The first crossing in \[a, b\], where `p(a)` is not negative.
+/// First crossing in \[a, b\], where `p(a)` is not negative.
 fn search(p: &Series, a: f64, b: f64, tolerance: f64, depth: u32) -> Option<f64> {
     let (middle, half) = (0.5 * (a + b), 0.5 * (b - a));
     let mut local = shifted(*p, middle);
@@ -88,13 +87,13 @@ fn search(p: &Series, a: f64, b: f64, tolerance: f64, depth: u32) -> Option<f64>
         return None;
     }
     if local[1].abs() > slopes || depth == 0 {
-        // Monotone: only a fall can cross.
+        // A monotone polynomial crosses only if it falls.
         return (local[1] < 0.0 && value(p, b) < -tolerance).then(|| fall(p, a, b));
     }
     search(p, a, middle, tolerance, depth - 1).or_else(|| search(p, middle, b, tolerance, depth - 1))
 }
 
-/// The zero of a falling `p` between a and b: Newton's method inside a shrinking bracket.
+/// Zero of a falling `p` between a and b, by Newton's method inside a shrinking bracket.
 fn fall(p: &Series, mut a: f64, mut b: f64) -> f64 {
     let mut t = 0.5 * (a + b);
     for _ in 0..100 {
@@ -139,7 +138,7 @@ mod tests {
             (vec![0.3, -1.0], 0.2, None),
             // (t - 0.1)(t - 0.100001): negative for a millionth of the interval.
             (vec![0.010_000_1, -0.200_001, 1.0], 1.0, Some(0.1)),
-            // (t - 0.5)²: touches and does not cross.
+            // (t - 0.5)²: touches zero without crossing.
             (vec![0.25, -1.0, 1.0], 1.0, None),
             (vec![0.0; 3], 1.0, None),
             (vec![0.0, f64::NAN], 1.0, None),
@@ -155,7 +154,8 @@ mod tests {
     }
 
     proptest! {
-        /// Polynomials made from their roots: the first simple root is found, to what its coefficients know of it.
+        /// Finds the first simple root of polynomials built from roots, to the accuracy of their
+        /// coefficients.
         #[test]
         fn finds_the_least_root(mut roots in prop::collection::vec(0.01..3.0f64, 1..6)) {
             roots.sort_by(f64::total_cmp);
@@ -164,7 +164,8 @@ mod tests {
             for root in &roots {
                 p = product(&p, &series(&[*root, -1.0]));
             }
-            // Rounded coefficients move it by their rounding over the slope; the terms are those of t plus each root.
+            // Rounding of the coefficients, divided by the slope, shifts the root. The terms are those of t
+            // plus each root.
             let magnitude: f64 = roots.iter().map(|root| 2.0 + root).product();
             let slope: f64 = roots[1..].iter().map(|root| root - roots[0]).product();
             let uncertain = 4.0 * ROUNDING * magnitude / slope;

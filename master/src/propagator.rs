@@ -1,63 +1,64 @@
-//! The motion over a whole tick without an event, as one linear map that is kept from tick to tick.
+//! Motion over a whole tick without an event, as a linear map kept from tick to tick.
 
 use crate::{Axes, DeviceParameters, Hand, Real, path::DEGREE};
 
-/// Terms of the series that a map is computed from, once for many ticks: far more than what it needs.
+/// Terms of the series of a map; computed once for many ticks, so far more than needed.
 const TERMS: usize = 32;
 
 /// Largest rate times dT: the first term left out is below `2^32 / 32! = 2e-26` of the first.
 const REACH: f64 = 2.0;
 
-/// Times that a tremor is turned on before its sine and cosine are computed anew. A turn rounds by 3e-16, and by 4e-16 for
-/// each rad of the angle: what the phase itself is rounded by.
+/// Rotations of a tremor's phase before its sine and cosine are recomputed. A rotation rounds by 3e-16, plus
+/// 4e-16 per rad of the angle, which is the rounding of the phase itself.
 const MAX_TURNS: u32 = 16;
 
-/// What a tick of `dT` does to a device under a linear law, with nothing but numbers in which rounding is all that is
-/// left out.
+/// Map of one tick of length dT under a linear law, exact to rounding.
 ///
-/// From x and V with the acceleration a, `e = x(t) - x - V t` obeys `e'' = a - k V t + w(t) - c e' - k e` with
-/// `k = K/m`, `c = B/m` and `w` what the target adds: its polynomial, and `a sin` of a tremor. Each part of the right
-/// side has its own solution from rest, so `(e, e')` at dT is a sum of products.
+/// From x and V with the acceleration a, the deviation `e = x(t) - x - V t` obeys:
+///
+/// `e'' = a - k V t + w(t) - c e' - k e` with `k = K/m`, `c = B/m`.
+/// `w` is the target's contribution: its polynomial, and `a sin` of a tremor. Each part of the right side has
+/// its own solution from rest, so `(e, e')` at dT is a sum of products.
 ///
 /// Source: variation of constants, Hairer, Norsett and Wanner 1993, section I.11.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Propagator<const N: usize> {
     duration: f64,
     impedance: [f64; 2],
-    /// One of each axis.
     pub(crate) axes: [AxisPropagator; N],
-    /// Whether mass and viscous friction are the same on each axis.
+    /// True if mass and viscous friction are equal on all axes.
     pub(crate) is_isotropic: bool,
-    /// Whether dT is short against all rates.
+    /// True if dT is short against all rates.
     pub(crate) reaches: bool,
-    /// Most by which `sin` and `cos` of a tremor move its target within the tick, in m per unit of each.
+    /// Largest shift of the target within the tick by `sin` and `cos` of a tremor, in m per unit of each.
     pub(crate) shakes: [f64; 2],
-    /// Of a tremor, amplitude in m and by how much its phase grows within the tick, in rad.
+    /// Amplitude of the tremor in m, and growth of its phase within the tick in rad.
     pub(crate) tremor: [f64; 2],
 }
 
-/// The answers `(e, e')` in m and m/s of one axis to each part of the acceleration, of one device or of several side by side.
+/// Responses `(e, e')` in m and m/s of one axis to each part of the acceleration, of one device or of several
+/// lanes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct AxisPropagator<S = f64> {
     pub(crate) inverse_mass: S,
-    /// Of the hand alone, `g K_h / m`.
+    /// `g K_h / m` of the hand.
     pub(crate) pull: S,
     /// `B / m` of hand and device.
     pub(crate) damping: S,
-    /// To an acceleration of 1.
+    /// Response to an acceleration of 1.
     pub(crate) to_acceleration: [S; 2],
-    /// To `-k t`, of a speed of 1.
+    /// Response to `-k t` at a speed of 1.
     pub(crate) to_speed: [S; 2],
-    /// To each power of the path, from the first.
+    /// Response to each power of the path, from the first.
     pub(crate) to_path: [[S; 2]; DEGREE],
-    /// To the sine and the cosine of a tremor at the begin.
+    /// Response to sine and cosine of a tremor at the start.
     pub(crate) to_tremor: [[S; 2]; 2],
-    /// Bound on `|V(t) - V|` in the tick for each unit of a bound on the right side without e.
+    /// Bound on `|V(t) - V|` in the tick, per unit of a bound on the right side without e.
     pub(crate) most: S,
 }
 
 impl<const N: usize> Propagator<N> {
-    /// A map of no time.
+    /// A map of zero duration.
     pub(crate) fn none() -> Self {
         Self {
             duration: 0.0,
@@ -70,18 +71,17 @@ impl<const N: usize> Propagator<N> {
         }
     }
 
-    /// The tick in s.
+    /// Tick length in s.
     pub(crate) fn duration(&self) -> f64 {
         self.duration
     }
 
-    /// Whether this is the map of such a tick, under an impedance of K in N/m and B in N s/m.
+    /// True if this map is for that tick length in s and impedance (K in N/m, B in N s/m).
     #[inline]
     pub(crate) fn is_of(&self, duration: f64, impedance: [f64; 2]) -> bool {
         self.duration == duration && self.impedance == impedance
     }
 
-    /// The map of a tick of `duration` in s.
     #[cold]
     pub(crate) fn new(
         device: &DeviceParameters<N>,
@@ -117,7 +117,7 @@ impl<const N: usize> Propagator<N> {
                 to_speed: answer(&|n| -pull * power(1, n)),
                 to_path: std::array::from_fn(|exponent| answer(&|n| pull * power(exponent + 1, n))),
                 to_tremor: [answer(&|n| wave(n, false)), answer(&|n| wave(n, true))],
-                // All signs the same: no term of the true series is larger.
+                // With equal signs, no term of the true series is larger.
                 most: respond(&|n| power(0, n), -pull, -magnitude, duration)[1] * (1.0 + 1e-12),
             }
         });
@@ -136,7 +136,6 @@ impl<const N: usize> Propagator<N> {
 }
 
 impl<S: Real> AxisPropagator<S> {
-    /// Of nothing.
     pub(crate) fn none() -> Self {
         let zero = S::zero();
         Self {
@@ -151,7 +150,6 @@ impl<S: Real> AxisPropagator<S> {
         }
     }
 
-    /// Takes over the map of one device.
     pub(crate) fn load(&mut self, lane: usize, of: &AxisPropagator) {
         self.inverse_mass.replace(lane, of.inverse_mass);
         self.pull.replace(lane, of.pull);
@@ -166,8 +164,8 @@ impl<S: Real> AxisPropagator<S> {
         }
     }
 
-    /// By how much x, beside `V dt`, and V change over the tick: of the acceleration and V at its begin, of the target's path
-    /// and of its tremor.
+    /// Changes over the tick: x beyond `V dt`, and V. They follow from acceleration and V at the start, and
+    /// from the target's path and tremor.
     #[inline(always)]
     pub(crate) fn change(
         &self,
@@ -176,7 +174,7 @@ impl<S: Real> AxisPropagator<S> {
         path: Option<[f64; DEGREE]>,
         wave: Option<[f64; 2]>,
     ) -> [S; 2] {
-        // Written out: a closure over lanes would be a call.
+        // Written out: a closure over lanes would not be inlined.
         let mut e = [
             self.to_acceleration[0] * acceleration + self.to_speed[0] * speed,
             self.to_acceleration[1] * acceleration + self.to_speed[1] * speed,
@@ -196,8 +194,8 @@ impl<S: Real> AxisPropagator<S> {
         e
     }
 
-    /// Bounds over the tick on how far x moves and on the change of V, where the target adds at most `target` to the
-    /// acceleration.
+    /// Bounds over the tick on the motion of x and on the change of V; the target adds at most `target` to
+    /// the acceleration.
     #[inline(always)]
     pub(crate) fn bounds(&self, acceleration: S, speed: S, target: S, duration: S) -> [S; 2] {
         let faster =
@@ -206,7 +204,7 @@ impl<S: Real> AxisPropagator<S> {
     }
 }
 
-/// `(e, e')` at t of `e'' = f - c e' - k e` from rest, for f as its Taylor series.
+/// `(e, e')` at t of `e'' = f - c e' - k e` from rest, f given by its Taylor coefficients.
 fn respond(f: &dyn Fn(usize) -> f64, k: f64, c: f64, t: f64) -> [f64; 2] {
     let mut e = [0.0; TERMS];
     for n in 0..TERMS - 2 {
@@ -220,35 +218,33 @@ fn respond(f: &dyn Fn(usize) -> f64, k: f64, c: f64, t: f64) -> [f64; 2] {
     [at * t, rate]
 }
 
-/// What the hand means to do from an instant on, computed once for the end of one tick and the begin of the next.
+/// The hand's intent from an instant on, computed once for the end of one tick and the start of the next.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Outlook<const N: usize> {
-    /// The instant in s.
+    /// Instant in s.
     pub(crate) time: f64,
-    /// The path from there, in powers of the time.
+    /// Path from there, in powers of the time.
     pub(crate) path: [Axes<N>; DEGREE + 1],
-    /// Its leg there.
+    /// Leg at the instant.
     leg: Option<usize>,
-    /// Whether the path is more than a point.
+    /// True if the path is more than a point.
     pub(crate) moves: bool,
     /// Sine and cosine of the tremor.
     pub(crate) wave: [f64; 2],
-    /// How often they were turned since they were computed.
+    /// Rotations since the last computation.
     turns: u32,
-    /// Length of the last tick in ns.
     tick_ns: u64,
-    /// Sine and cosine of the angle by which such a tick turns them; none until a second one.
+    /// Sine and cosine of the phase step of such a tick; none before a second one.
     turn: Option<[f64; 2]>,
-    /// Where the hand means to be, in m.
+    /// Target of the hand in m.
     pub(crate) target: Axes<N>,
     /// Gain, and grip strength in N, each as value and rate.
     pub(crate) grip: [[f64; 2]; 2],
-    /// Until when path and grip stay as smooth, in s.
+    /// End in s of the interval in which path and grip are smooth.
     pub(crate) until: f64,
 }
 
 impl<const N: usize> Outlook<N> {
-    /// At time t in s.
     pub(crate) fn new(hand: &Hand<N>, t: f64) -> Self {
         let (gain, strength) = hand.grip_line(t);
         let leg = hand.path().leg_at(t);
@@ -270,13 +266,13 @@ impl<const N: usize> Outlook<N> {
         outlook
     }
 
-    /// The path of the target along one axis, without where it is: the coefficients of t, t², ...
+    /// Path of the target along one axis without its constant term: the coefficients of t, t², ...
     #[inline(always)]
     pub(crate) fn path_of(&self, axis: usize) -> [f64; DEGREE] {
         std::array::from_fn(|degree| self.path[degree + 1][axis])
     }
 
-    /// Most by which the path moves the target along each axis, in m.
+    /// Largest shift of the target along each axis by the path, in m.
     #[inline(always)]
     pub(crate) fn most_moved(&self, duration: f64) -> Axes<N> {
         let (mut shift, mut power) = (Axes::zeros(), 1.0);
@@ -287,8 +283,8 @@ impl<const N: usize> Outlook<N> {
         shift
     }
 
-    /// Moves on to time t in s, which is `past_ns` later.
-    #[inline(always)] // once a tick, from few places
+    /// Advances to time t in s, `past_ns` later.
+    #[inline(always)] // called once per tick from few places
     pub(crate) fn advance(&mut self, hand: &Hand<N>, t: f64, past_ns: u64) {
         if t == self.time {
             return;
@@ -298,7 +294,7 @@ impl<const N: usize> Outlook<N> {
             *self = Self { turn, tick_ns: past_ns, ..Self::new(hand, t) };
             return;
         }
-        // The same leg, and the same of the grip's lines.
+        // Leg and lines of the grip are unchanged.
         self.time = t;
         if self.moves {
             self.path = hand.path().taylor_in(self.leg, t);
@@ -310,9 +306,9 @@ impl<const N: usize> Outlook<N> {
         self.shake(hand, past_ns);
     }
 
-    /// The tremor at this instant, `past_ns` after the last one: 0 for the first.
+    /// Updates the tremor `past_ns` after the last update; 0 for the first.
     ///
-    /// Ticks of one length turn its phase by one angle d: `sin(p + d) = sin p cos d + cos p sin d`.
+    /// Ticks of equal length advance the phase by one angle d: `sin(p + d) = sin p cos d + cos p sin d`.
     #[inline]
     fn shake(&mut self, hand: &Hand<N>, past_ns: u64) {
         self.target = self.path[0];
@@ -333,8 +329,8 @@ impl<const N: usize> Outlook<N> {
         self.target.add_scalar_mut(tremor.amplitude * self.wave[0]);
     }
 
-    /// Sine and cosine of a tremor of `rate` in rad/s and, once two ticks in a row were `past_ns` long, of the angle by
-    /// which such a tick turns it.
+    /// Computes sine and cosine of a tremor of `rate` in rad/s. After two ticks in a row of length `past_ns`,
+    /// also computes those of the phase step.
     #[inline(never)]
     fn compute_wave(&mut self, rate: f64, past_ns: u64) {
         let of = |angle: f64| <[f64; 2]>::from(angle.sin_cos());
@@ -360,10 +356,10 @@ mod tests {
     }
 
     proptest! {
-        /// Sine and cosine from tick to tick are those of the instant, whatever lengths the ticks have: within what at most
-        /// 16 turns round, and the phase.
+        /// Sine and cosine match the phase at every instant for any tick lengths, within the rounding of 16
+        /// rotations and of the phase.
         #[test]
-        fn a_tremor_that_is_turned_on_is_where_its_phase_is(
+        fn rotated_tremor_matches_its_phase(
             frequency_hz in 0.0..100.0f64,
             lengths in prop::collection::vec((prop_oneof![1..2_000_000u64, 1..200_000_000u64], 1..60usize), 1..30),
         ) {

@@ -1,4 +1,4 @@
-//! One smooth stretch of motion, exactly.
+//! One smooth stretch of motion, solved exactly.
 
 use crate::{
     Axes, ContinuousWall, DeviceParameters, Hand,
@@ -7,77 +7,77 @@ use crate::{
     polynomial::{Series, TERMS},
 };
 
-/// How the hand's force arises during a stretch.
+/// Source of the hand's force during a stretch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Grip {
-    /// The impedance acts as it is.
+    /// The full impedance.
     Holds,
-    /// It exceeds the grip strength, which acts along it.
+    /// The grip strength, along the impedance force that exceeds it.
     Slips,
 }
 
-/// How friction acts during a stretch.
+/// Friction during a stretch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Rub<const N: usize> {
-    /// With a constant force in N on each axis.
+    /// A constant force in N on each axis.
     Constant(Axes<N>),
-    /// Against the motion, as it rotates: `c V / |V|`.
+    /// `c V / |V|`, against the motion as it rotates.
     AlongMotion(f64),
 }
 
-/// What is constant in kind over a stretch: which laws act, not how strongly.
+/// Laws that act over a stretch; their strengths may vary.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Regime<const N: usize> {
     pub(crate) grip: Grip,
     pub(crate) rub: Rub<N>,
-    /// Axes that do not move: friction or a stop holds them.
+    /// Axes held by friction or a stop.
     pub(crate) stuck: [bool; N],
-    /// Walls that push, a bit for each.
+    /// Mask of the walls that push.
     pub(crate) pushing: u64,
-    /// The direction of a device that rubs along its motion and moves on a straight line.
+    /// Direction of a device that moves on a straight line with friction along its motion.
     pub(crate) straight: Option<Axes<N>>,
 }
 
-/// What acts over a stretch.
+/// Forces over a stretch.
 pub(crate) struct Law<'a, const N: usize> {
     pub(crate) device: &'a DeviceParameters<N>,
     pub(crate) hand: &'a Hand<N>,
     pub(crate) walls: &'a [ContinuousWall<N>],
-    /// The force of the motors in N.
+    /// Force of the motors in N.
     pub(crate) held: Axes<N>,
     pub(crate) target: &'a [Axes<N>; TERMS],
-    /// Share of the impedance, as value and rate.
+    /// Fraction of the impedance, as value and rate.
     pub(crate) gain: [f64; 2],
     /// Grip strength in N, as value and rate.
     pub(crate) strength: [f64; 2],
-    /// Longest time in s that a stretch is asked for; how much farther its series reach does not matter.
+    /// Longest stretch requested in s; a reach beyond it does not matter.
     pub(crate) wanted: f64,
 }
 
-/// The solution of `m x'' = F + g (K_h (target - x) - B_h x') + walls - b x' - friction`, as the Taylor series of
-/// itself about t = 0.
+/// Taylor series about t = 0 of the solution of
+/// `m x'' = F + g (K_h (target - x) - B_h x') + walls - b x' - friction`.
 ///
-/// The coefficients follow from a recursion: those of the acceleration up to order n give x to order n + 2. Where all
-/// laws are linear (one axis, or several that neither slip nor rub along the motion) the solution is entire, and one
-/// formula serves the over- and underdamped, the free and the negatively damped case. A direction `w / |w|` is carried
-/// as a series too; its radius of convergence then bounds the stretch. The derivative is as exact as the solution,
-/// which the event search needs.
+/// A recursion gives the coefficients: those of the acceleration up to order n give x to order n + 2. If all
+/// laws are linear, the solution is entire: one axis, or several that neither slip nor have friction along
+/// the motion. One formula then serves the over- and underdamped, the free and the negatively damped case. A
+/// direction `w / |w|` is a series too; its radius of convergence then bounds the stretch. The derivative is
+/// as exact as the solution, as the event search requires.
 ///
 /// Source: recursion for powers of series, Jorba and Zou 2005, section 2.
 #[derive(Clone, Debug)]
 pub(crate) struct Stretch<const N: usize> {
-    /// x.
+    /// Series of x.
     pub(crate) position: [Axes<N>; TERMS],
-    /// The force that the hand wishes to exert.
+    /// Force that the hand wishes to exert.
     pub(crate) wish: [Axes<N>; TERMS],
-    /// All forces but friction, on an axis that rests.
+    /// All forces except friction on an axis at rest.
     pub(crate) push: [Axes<N>; TERMS],
-    /// Longest time in s for which the series hold full precision.
+    /// Longest time in s with full precision of the series.
     pub(crate) reach: f64,
 }
 
-/// `1 / ((n + 1) (n + 2))`: from the series of the acceleration to that of x. A division takes longer than all else
-/// that a term needs.
+/// `1 / ((n + 1) (n + 2))`, from the series of the acceleration to that of x. A division takes longer than
+/// the rest of a term.
 const INVERSE: [f64; TERMS] = {
     let mut inverse = [0.0; TERMS];
     let mut n = 0;
@@ -88,11 +88,12 @@ const INVERSE: [f64; TERMS] = {
     inverse
 };
 
-/// Shares of 1 / e, in the time wanted, by which a motion relaxes that is worth a series of its own.
+/// Number of time constants within the wanted time from which a motion counts as stiff and gets its own
+/// series.
 const STIFF: f64 = 16.0;
 
 impl<const N: usize> Law<'_, N> {
-    /// Longest time in s for which the series of a linear motion holds full precision.
+    /// Longest time in s for which the series of a linear motion has full precision.
     pub(crate) fn linear_reach(&self, pushing: u64) -> f64 {
         let (mut damping, mut stiffness) = (self.hand.damping(), self.hand.stiffness());
         for (index, wall) in self.walls.iter().enumerate() {
@@ -108,7 +109,7 @@ impl<const N: usize> Law<'_, N> {
         if rate > 0.0 { 0.5 / rate } else { f64::INFINITY }
     }
 
-    /// The motion from x in m and V in m/s. Written where it is kept, for it is long to move.
+    /// Motion from x in m and V in m/s, written in place because it is large.
     pub(crate) fn follow(
         &self,
         regime: &Regime<N>,
@@ -124,7 +125,7 @@ impl<const N: usize> Law<'_, N> {
         let (mut grip_direction, mut motion_direction) = (Direction::new(), Direction::new());
         let (gain, strength) = (line(self.gain), line(self.strength));
         let inverse_mass = self.device.mass_kg.map(f64::recip);
-        // Those of the term before.
+        // Values of the previous term.
         let (mut slipping, mut impedance) = (Axes::zeros(), Axes::zeros());
         (x[0], v[0]) = (position, velocity);
         if N == 1 {
@@ -132,7 +133,7 @@ impl<const N: usize> Law<'_, N> {
         } else {
             x[1] = masked(velocity, &regime.stuck);
         }
-        // The newest by themselves: what has just been written would be waited for.
+        // The newest terms are held separately: reading back a fresh store would stall.
         let (mut place, mut ahead) = (x[0], x[1]);
         for n in 0..TERMS - 2 {
             let speed = ahead * (n + 1) as f64;
@@ -143,7 +144,7 @@ impl<const N: usize> Law<'_, N> {
             impedance = wished;
             let hand = match regime.grip {
                 Grip::Holds => wishes,
-                // Who has let go pulls in no direction.
+                // A released hand pulls in no direction.
                 Grip::Slips if self.strength == [0.0; 2] => Axes::zeros(),
                 Grip::Slips if N == 1 => wish[0].map(f64::signum) * strength[n],
                 Grip::Slips => {
@@ -184,7 +185,8 @@ impl<const N: usize> Law<'_, N> {
             reach = reach.min(grip_direction.reach(self.wanted));
         }
         if let Rub::AlongMotion(coulomb) = regime.rub {
-            // Across the motion, friction is a damping of c / |V|; a part too slow to change |V| shows it all the same.
+            // Across the motion, friction acts as damping c / |V|, even for a component too slow to change
+            // |V|.
             let turn_s = 0.5 * self.device.mass_kg.min() * velocity.norm() / coulomb;
             reach = reach.min(motion_direction.reach(self.wanted)).min(turn_s);
         }
@@ -193,11 +195,11 @@ impl<const N: usize> Law<'_, N> {
 }
 
 impl<const N: usize> Law<'_, N> {
-    /// Displacement in m and speed gained in m/s over a step of t in s whose end the forces are taken at: friction and
-    /// damping then only brake the motion, however stiff they are and however fast it rotates.
+    /// Displacement in m and gain of speed in m/s over a step of t in s, with the forces at its end. Friction
+    /// and damping then only brake, however stiff they are and however fast the motion rotates.
     ///
-    /// Linearly implicit Euler method, `(M + t B + t² K) dV = t (F + t F' )` with the forces F at the beginning and F'
-    /// of what moves on by itself. B and K stand for all directions, so they are no less than the true ones.
+    /// Linearly implicit Euler method, `(M + t B + t² K) dV = t (F + t F' )`. F are the forces at the start,
+    /// F' is their rate along the present motion. B and K are bounds over all directions.
     ///
     /// Source: Hairer and Wanner 1996, section IV.7 (W-methods).
     pub(crate) fn coarse_step(&self, regime: &Regime<N>, stretch: &Stretch<N>, t: f64) -> (Axes<N>, Axes<N>) {
@@ -237,14 +239,13 @@ impl<const N: usize> Law<'_, N> {
         self.walls.iter().enumerate().filter(move |(index, _)| pushes(index)).map(|(_, wall)| wall)
     }
 
-    /// The motion under damping so strong that the series of [`Law::follow`] reach only a small part of `wanted` s,
-    /// once what the damping takes at once has been taken; none before that, or where the axes do not move each by
-    /// itself under a linear law.
+    /// Motion under damping so strong that the series of [`Law::follow`] reach only a small part of `wanted`
+    /// s, after the initial transient. None during the transient, or if the axes are coupled or nonlinear.
     ///
-    /// Along an axis `x'' = -c x' - k x + u(t) = (r_1 + r_2) x' - r_1 r_2 x + u` with `r_1 << r_2 <= 0`, so
-    /// `w = x' - r_2 x` obeys `w' = r_1 w + u` and is `A e^(r_1 t)` beside a slow solution, whose series follows from
-    /// the last term down: `w_n = ((n + 1) w_(n+1) - u_n) / r_1`. Where A is within rounding, `x' = r_2 x + w` gives
-    /// the series of x, which reaches as far as `r_2` lets it.
+    /// Along an axis `x'' = -c x' - k x + u(t) = (r_1 + r_2) x' - r_1 r_2 x + u` with `r_1 << r_2 <= 0`.
+    /// So `w = x' - r_2 x` obeys `w' = r_1 w + u`: it is `A e^(r_1 t)` plus a slow solution.
+    /// The series of the slow solution follows from the last term down:
+    /// `w_n = ((n + 1) w_(n+1) - u_n) / r_1`. If A is within rounding, `x' = r_2 x + w` gives the series of x, whose reach depends on `r_2`.
     pub(crate) fn relaxed(
         &self,
         regime: &Regime<N>,
@@ -292,7 +293,7 @@ impl<const N: usize> Law<'_, N> {
             let root = (0.25 * c * c - k).sqrt();
             let fast = -(0.5 * c + root);
             let slow = k / fast;
-            // Without a number where the roots are no real ones.
+            // Complex roots give NaN, which is not stiff.
             let is_stiff = -fast * self.wanted > STIFF && fast < 4.0 * slow && -fast > 4.0 * tremor;
             if is_stiff {
                 let mut w = [0.0; TERMS + 1];
@@ -342,9 +343,9 @@ impl<const N: usize> Law<'_, N> {
     }
 }
 
-/// The V with `V + k V / |V| = free`, axis by axis; zero where friction stops it.
+/// Solution V of `V + k V / |V| = free`, axis by axis; zero if friction stops it.
 fn braked<const N: usize>(free: &Axes<N>, k: &Axes<N>) -> Axes<N> {
-    // Of the speed r: sum (free / (r + k))² falls with r, and is 1 at the solution.
+    // The sum (free / (r + k))² falls with the speed r and is 1 at the solution.
     let excess = |r: f64| free.zip_map(k, |free, k| free / (r + k)).norm_squared() - 1.0;
     let (mut least, mut most) = (0.0, free.norm());
     if excess(least) <= 0.0 {
@@ -367,7 +368,6 @@ fn masked<const N: usize>(mut value: Axes<N>, stuck: &[bool; N]) -> Axes<N> {
 }
 
 impl<const N: usize> Stretch<N> {
-    /// None yet.
     pub(crate) fn new() -> Self {
         let none = [Axes::zeros(); TERMS];
         Self { position: none, wish: none, push: none, reach: 0.0 }
@@ -384,12 +384,10 @@ impl<const N: usize> Stretch<N> {
         derivatives.fold(Axes::zeros(), |sum, (n, x)| sum * t + x * n as f64) * t
     }
 
-    /// The series of V along one axis.
     pub(crate) fn velocity_along(&self, axis: usize) -> Series {
         std::array::from_fn(|n| self.position.get(n + 1).map_or(0.0, |x| (n + 1) as f64 * x[axis]))
     }
 
-    /// The series of x along one axis.
     pub(crate) fn position_along(&self, axis: usize) -> Series {
         self.position.map(|x| x[axis])
     }
@@ -452,7 +450,7 @@ mod tests {
             let drag = follow(0.157, damping, 0.0, 0.0, 0.0, 1.2);
             assert!((drag.velocity(t)[0] - 1.2 * (-damping / 0.157 * t).exp()).abs() < 1e-15);
         }
-        // Overdamped: m = 1, d = 50, k = 600 has the roots -20 and -30.
+        // Overdamped: m = 1, d = 50, k = 600 has roots -20 and -30.
         let heavy = follow(1.0, 50.0, 600.0, 0.0, 1.0, 0.0);
         let (a, b) = ((-20.0 * t).exp(), (-30.0 * t).exp());
         assert!((heavy.position(t)[0] - (3.0 * a - 2.0 * b)).abs() < 1e-15);
@@ -464,8 +462,8 @@ mod tests {
         assert!((spring.position(spring.reach)[0] - 0.5_f64.cos()).abs() < 1e-15);
     }
 
-    /// Free motion under friction along it: `|V|` falls by c t / m while the direction stays; with a side force the
-    /// energy balance `d(m V²/2) = (F - c V/|V|)·dx` holds over the stretch.
+    /// Free motion with friction along it: `|V|` falls by c t / m in a constant direction. With a side force
+    /// the energy balance `d(m V²/2) = (F - c V/|V|)·dx` holds over the stretch.
     #[test]
     fn friction_along_the_motion_takes_its_energy() {
         let device = DeviceParameters::<3>::ideal(0.2, 0.0, 0.5);
@@ -493,7 +491,7 @@ mod tests {
         law.follow(&regime, Axes::zeros(), velocity, &mut stretch);
         let end = stretch.reach;
         assert!(end > 1e-3, "{end}");
-        // Work of friction is -c times the length of the path, by Simpson's rule on 200 intervals.
+        // Friction's work is -c times the path length, by Simpson's rule on 200 intervals.
         let speed = |i: i32| stretch.velocity(end * f64::from(i) / 200.0).norm();
         let simpson: f64 = (0..=200)
             .map(|i| {

@@ -1,13 +1,13 @@
-//! A wall that acts on the device at every instant, as physics does and no servo loop can.
+//! A wall that acts on the device at every instant, like a physical one and unlike a servo loop.
 
 use crate::{Axes, ModelError, polynomial::Series, require};
 
 /// A plane spring and damper on the device.
 ///
-/// With depth `d = x_w - n·x`: `F = n max(0, K d + B d')` while d > 0, else 0. A two-sided one acts everywhere, and
-/// pulls as well.
+/// With depth `d = x_w - n·x`: `F = n max(0, K d + B d')` while d > 0, else 0. A two-sided wall acts
+/// everywhere and also pulls.
 ///
-/// Source: paper Eq. 15, with the force kept from pulling.
+/// Source: paper Eq. 15, without pulling forces.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContinuousWall<const N: usize> {
     pub(crate) normal: Axes<N>,
@@ -18,8 +18,8 @@ pub struct ContinuousWall<const N: usize> {
 }
 
 impl<const N: usize> ContinuousWall<N> {
-    /// A wall behind the plane through `point` in m whose outward `normal` may have any length; K in N/m and B in
-    /// N s/m, both 0 or more.
+    /// A wall behind the plane through `point` in m with outward `normal` of any length, K in N/m and B in N
+    /// s/m (>= 0).
     pub fn new(
         point: Axes<N>,
         normal: Axes<N>,
@@ -43,12 +43,12 @@ impl<const N: usize> ContinuousWall<N> {
         self.surface - self.normal.dot(position)
     }
 
-    /// `K d + B d'` in N, whether it acts or not.
+    /// `K d + B d'` in N, also outside the wall.
     pub(crate) fn push(&self, position: &Axes<N>, velocity: &Axes<N>) -> f64 {
         self.stiffness * self.depth(position) - self.damping * self.normal.dot(velocity)
     }
 
-    /// A push in N that may be the rounding of its two parts.
+    /// Largest push in N that may be rounding of its two parts.
     pub(crate) fn slight(&self, depth: f64, velocity: &Axes<N>) -> f64 {
         1e-14 * (self.stiffness * depth.abs() + self.damping * velocity.norm())
     }
@@ -60,7 +60,7 @@ impl<const N: usize> ContinuousWall<N> {
         if acts { self.normal * push } else { Axes::zeros() }
     }
 
-    /// The series of d and of `K d + B d'` along a motion.
+    /// Series of d and of `K d + B d'` along a motion.
     pub(crate) fn along(&self, motion: &[Axes<N>]) -> (Series, Series) {
         let mut depth: Series = std::array::from_fn(|n| -self.normal.dot(&motion[n]));
         depth[0] += self.surface;

@@ -1,4 +1,4 @@
-//! NumPy arrays in and out.
+//! NumPy arrays as arguments and results.
 
 use std::borrow::Cow;
 
@@ -8,8 +8,8 @@ use pyo3::{exceptions::PyValueError, prelude::*};
 
 /// A `float64` array as an argument.
 ///
-/// A field of a structured array may lie at any address, and reading it as `f64` there is undefined: such an array
-/// is copied once to where it may be read.
+/// A field of a structured array may be unaligned, and reading it as `f64` is then undefined behaviour. The
+/// constructor copies such an array once.
 pub(crate) struct SignalArray<'py>(PyReadonlyArrayDyn<'py, f64>);
 
 impl<'py> SignalArray<'py> {
@@ -30,12 +30,12 @@ impl<'py> FromPyObject<'_, 'py> for SignalArray<'py> {
     }
 }
 
-/// Whether the numbers of an array lie where they may be read.
+/// True if the array's data are aligned.
 pub(crate) fn is_aligned(array: &Bound<'_, PyAny>) -> PyResult<bool> {
     array.getattr("flags")?.getattr("aligned")?.extract()
 }
 
-/// Samples over ticks, as handed over: shape `(n_ticks, axes)`, or `(n_ticks,)` for one axis.
+/// Samples over ticks as given: shape `(n_ticks, axes)`, or `(n_ticks,)` for one axis.
 pub(crate) struct Samples<'a> {
     values: Cow<'a, [f64]>,
     pub(crate) ticks: usize,
@@ -44,7 +44,7 @@ pub(crate) struct Samples<'a> {
 }
 
 impl<'a> Samples<'a> {
-    /// Takes `array` named `name`; refuses another shape.
+    /// Takes `array`; returns an error that names it `name` if the shape is invalid.
     pub(crate) fn new(name: &str, array: &'a SignalArray<'_>, axes: usize) -> PyResult<Self> {
         let array = &array.0;
         let shape = array.shape();
@@ -68,12 +68,11 @@ impl<'a> Samples<'a> {
         Ok(Self { values, ticks, axes, flat })
     }
 
-    /// The sample of one tick.
     pub(crate) fn at<const N: usize>(&self, tick: usize) -> Axes<N> {
         Axes::from_column_slice(&self.values[tick * N..tick * N + N])
     }
 
-    /// Refuses samples of another length.
+    /// Returns an error if `other` has another number of ticks.
     pub(crate) fn as_long_as(&self, name: &str, other: &Samples<'_>) -> PyResult<()> {
         if self.ticks == other.ticks {
             return Ok(());
@@ -81,7 +80,7 @@ impl<'a> Samples<'a> {
         Err(PyValueError::new_err(format!("{name}: {} ticks, must have {}", self.ticks, other.ticks)))
     }
 
-    /// An array of the shape of these samples.
+    /// `values` as an array with the shape of these samples.
     pub(crate) fn shaped(&self, py: Python<'_>, values: Vec<f64>) -> PyResult<Py<PyAny>> {
         if self.flat {
             return Ok(column(py, values));
@@ -103,7 +102,6 @@ pub(crate) enum Sample {
 }
 
 impl Sample {
-    /// As a vector of `N` axes.
     pub(crate) fn axes<const N: usize>(&self, name: &str) -> PyResult<Axes<N>> {
         match self {
             Self::One(value) if N == 1 => Ok(Axes::repeat(*value)),
@@ -115,7 +113,7 @@ impl Sample {
         }
     }
 
-    /// As a parameter of `N` axes: one value serves all.
+    /// The sample as a parameter of `N` axes; one value serves all.
     pub(crate) fn broadcast<const N: usize>(&self, name: &str) -> PyResult<Axes<N>> {
         match self {
             Self::One(value) => Ok(Axes::repeat(*value)),
@@ -124,7 +122,7 @@ impl Sample {
     }
 }
 
-/// A sample back to Python, as an array of shape `(axes,)`.
+/// Converts a sample to an array of shape `(axes,)`.
 pub(crate) fn sample_out<const N: usize>(py: Python<'_>, value: &Axes<N>) -> Py<PyAny> {
     column(py, value.as_slice().to_vec())
 }

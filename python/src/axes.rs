@@ -1,18 +1,17 @@
-//! One Python class for every number of axes: an enum over the const-generic Rust types.
+//! One Python class for every number of axes: enums over the const-generic Rust types.
 
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-/// What is said of a number of axes that no device has.
 pub(crate) fn refuse_axes(axes: usize) -> PyErr {
     PyValueError::new_err(format!("axes = {axes}: must be 1 to 7"))
 }
 
-/// Any error of the crates, as `ValueError`: they all say what was seen and what is allowed.
+/// Converts an error of the crates to `ValueError`; its text states the value and the limits.
 pub(crate) fn refuse(error: impl std::fmt::Display) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 
-/// Runs an expression for a number of axes; `$n` is that number as a constant.
+/// Evaluates an expression for a number of axes; `$n` is that number as a constant.
 macro_rules! of_axes {
     ($axes:expr, $n:ident => $body:expr) => {
         match $axes {
@@ -54,7 +53,7 @@ pub(crate) use of_axes;
 macro_rules! per_axes {
     ($(#[$doc:meta])* $name:ident, $inner:ident) => {
         $(#[$doc])*
-        // The Python object that holds it lies on the heap already.
+        // The variants live inside a Python object, which is on the heap already.
         #[allow(clippy::large_enum_variant)]
         #[derive(Clone)]
         pub(crate) enum $name {
@@ -69,7 +68,7 @@ macro_rules! per_axes {
     };
 }
 
-/// Runs an expression on the inner value; `N` is its number of axes.
+/// Evaluates an expression on the inner value; `N` is its number of axes.
 macro_rules! with_axes {
     ($of:expr, $name:ident, $inner:ident => $body:expr) => {
         match $of {
@@ -112,7 +111,7 @@ macro_rules! with_axes {
     };
 }
 
-/// Builds the variant for a number of axes known at run time; `N` is a constant in the expression.
+/// Builds the variant for a number of axes known at run time; `N` is that number as a constant.
 macro_rules! build_axes {
     ($axes:expr, $name:ident, $body:expr) => {
         match $axes {
@@ -149,7 +148,7 @@ macro_rules! build_axes {
     };
 }
 
-/// Builds a variant from the device model's variant, so that both have the same axes.
+/// Builds the variant with the axes of a device model.
 macro_rules! build_like {
     ($device:expr, $name:ident, $model:ident => $body:expr) => {
         match $device {

@@ -1,4 +1,4 @@
-//! `haptether.bridge`: what the codes of the ladder mean, and times as numbers.
+//! `haptether.bridge`: texts for codes of the ladder, and conversion of times.
 
 use haptether_bridge::{LadderState, Reason};
 use pyo3::{exceptions::PyValueError, prelude::*, types::PyTuple};
@@ -9,7 +9,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(ladder_reason, module)?)
 }
 
-/// A positive time in s as ns.
+/// Converts a non-negative time in s to ns.
 pub(crate) fn nanoseconds(key: &str, seconds: f64) -> PyResult<u64> {
     if seconds.is_finite() && (0.0..=1e9).contains(&seconds) {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked above
@@ -18,7 +18,7 @@ pub(crate) fn nanoseconds(key: &str, seconds: f64) -> PyResult<u64> {
     Err(PyValueError::new_err(format!("{key} = {seconds}: must be between 0 and 1e9 s")))
 }
 
-/// The text of a reason's code.
+/// Return the text of a reason's code.
 #[pyfunction]
 fn ladder_reason(code: u8) -> PyResult<&'static str> {
     Reason::from_code(code)
@@ -26,7 +26,7 @@ fn ladder_reason(code: u8) -> PyResult<&'static str> {
         .ok_or_else(|| PyValueError::new_err(format!("reason {code}: must be 1 to {}", Reason::ALL.len())))
 }
 
-/// The name of a ladder state's code.
+/// Return the name of a ladder state's code.
 #[pyfunction]
 fn ladder_state_name(code: u8) -> PyResult<&'static str> {
     LadderState::from_code(code)

@@ -1,4 +1,4 @@
-//! `haptether.bridge`: both sides live, each with a socket and a loop on its own thread.
+//! `haptether.bridge`: live sides, each with a socket and a loop on its own thread.
 
 use std::{path::PathBuf, sync::Mutex, time::Duration};
 
@@ -24,8 +24,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<LiveSlave>()
 }
 
-/// Starts a loop on a thread of its own. Without the interpreter: all room for records is touched first,
-/// which takes its time.
+/// Starts a loop on its own thread. Releases the GIL, because touching all memory for records takes long.
 fn start(py: Python<'_>, scene: &[u8], run_id: u64, place: Place) -> PyResult<(Mutex<LiveRun>, Watched)> {
     py.detach(|| {
         let (parts, control) = place.open()?;
@@ -34,11 +33,11 @@ fn start(py: Python<'_>, scene: &[u8], run_id: u64, place: Place) -> PyResult<(M
     })
 }
 
-/// Time between two looks at whether a loop has ended.
+/// Period at which `join` polls for the end of a loop.
 const LOOK_EVERY: Duration = Duration::from_millis(1);
 
-/// Ends a loop and returns its trace and report. Others may look at it meanwhile, so that nothing is locked while it
-/// ends.
+/// Ends a loop and returns its trace and report. Holds no lock while the loop ends, so that other threads can
+/// use it.
 fn join(py: Python<'_>, run: &Mutex<LiveRun>, watched: &Watched) -> PyResult<(Trace, PyLoopReport)> {
     watched.handle.stop();
     while !locked(run).is_finished() {
@@ -49,7 +48,7 @@ fn join(py: Python<'_>, run: &Mutex<LiveRun>, watched: &Watched) -> PyResult<(Tr
     Ok((py.detach(|| watched.trace()), report.into()))
 }
 
-/// What both classes share, as their fields `run` and `watched`.
+/// Methods shared by both classes, on their fields `run` and `watched`.
 macro_rules! live_methods {
     ($class:ident) => {
         #[pymethods]

@@ -1,4 +1,4 @@
-//! The records of a run of the bridge, as arrays.
+//! Records of a bridge run as arrays.
 
 use std::collections::BTreeMap;
 
@@ -26,7 +26,8 @@ fn seconds(ns: u64) -> f64 {
     if ns == u64::MAX { f64::INFINITY } else { ns as f64 * 1e-9 }
 }
 
-/// A column as an array: vectors of shape `(n_ticks,)` for one axis, else `(n_ticks, axes)`; none where it is missing.
+/// Converts a column to an array, of shape `(n_ticks,)` for one axis, else `(n_ticks, axes)`; none if there
+/// is no such column.
 fn array(py: Python<'_>, trace: &Trace, name: &str) -> PyResult<Option<Py<PyAny>>> {
     let Some(values) = trace.column(name) else { return Ok(None) };
     Ok(Some(match values {
@@ -34,20 +35,20 @@ fn array(py: Python<'_>, trace: &Trace, name: &str) -> PyResult<Option<Py<PyAny>
         Column::Vectors(width, flat) => {
             flat.to_pyarray(py).reshape([trace.ticks(), *width])?.into_any().unbind()
         }
-        // The only counts that have a column are codes of faults.
+        // The only column of counts holds codes of faults.
         #[allow(clippy::cast_possible_truncation)]
         Column::Counts(counts) => column::<u8>(py, counts.iter().map(|count| *count as u8).collect()),
         Column::Codes(codes) => codes.to_pyarray(py).into_any().unbind(),
     }))
 }
 
-/// A time in s that is infinite before the first frame of the peer.
+/// Converts a column of times in s; infinite before the first frame of the peer.
 fn times(py: Python<'_>, trace: &Trace, name: &str) -> Py<PyAny> {
     let Some(Column::Numbers(values)) = trace.column(name) else { return column::<f64>(py, Vec::new()) };
     column(py, values.iter().map(|value| if value.is_nan() { f64::INFINITY } else { *value }).collect())
 }
 
-/// The class of a trace, with a getter for each of these columns.
+/// Declares the class of a trace with a getter per column.
 macro_rules! trace_class {
     ($(#[$doc:meta])* $class:ident, [$($name:ident),* $(,)?]) => {
         $(#[$doc])*
@@ -227,7 +228,7 @@ pub(crate) struct PyLoopReport {
     out_of_memory: bool,
 }
 
-/// The cause of what a session never gets.
+/// Cause of a rejection that the session does not see.
 const ELSEWHERE: &str = "datagram from another address than the peer's";
 
 impl From<LoopReport> for PyLoopReport {

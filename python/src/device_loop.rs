@@ -1,4 +1,4 @@
-//! `haptether.bridge`: loops that a driver in Python steps, one call a tick.
+//! `haptether.bridge`: loops stepped by a Python driver, one call per tick.
 
 use std::{
     path::PathBuf,
@@ -43,18 +43,18 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<SlaveLoop>()
 }
 
-/// What else a tick of a slave says: what the gripper is to do, and the buttons of the master.
+/// Further results of a slave's tick: gripper order and buttons of the master.
 #[derive(Clone, Copy)]
-struct Beside {
+struct Extras {
     gripper: GripperOrder,
     buttons: Option<u32>,
 }
 
-impl Beside {
+impl Extras {
     const NOTHING: Self = Self { gripper: GripperOrder::Hold, buttons: None };
 }
 
-/// A number for one axis, or one for each axis.
+/// Reads a number for one axis, or a sequence with one number per axis.
 fn read_axes<const N: usize>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Padded> {
     if let Ok(values) = value.extract::<[f64; N]>() {
         return Ok(padded(&Axes::from(values)));
@@ -68,7 +68,6 @@ fn read_axes<const N: usize>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<P
     Err(PyTypeError::new_err(format!("{name} = {value}: must be {of}")))
 }
 
-/// What a driver may leave out of a sample.
 fn read_optional<'py, T: FromPyObjectOwned<'py>>(
     name: &str,
     value: Option<&Bound<'py, PyAny>>,
@@ -85,7 +84,7 @@ const QUATERNION: &str = "a sequence of 4 numbers, w, x, y, z, or None";
 const VECTOR: &str = "a sequence of 3 numbers, or None";
 const WORD: &str = "a whole number from 0 to 2^32 - 1, or None";
 
-/// What a driver of poses must read at each tick.
+/// Requires a part that a pose driver must read at each tick.
 fn read_part<T>(name: &str, value: Option<T>) -> PyResult<T> {
     let missing = || {
         PyTypeError::new_err(format!(
@@ -95,7 +94,6 @@ fn read_part<T>(name: &str, value: Option<T>) -> PyResult<T> {
     value.ok_or_else(missing)
 }
 
-/// The numbers of a sample of a side of so many axes.
 fn read_vector(axes: usize, name: &str, value: &Bound<'_, PyAny>) -> PyResult<Padded> {
     of_axes!(axes, N => read_axes::<N>(name, value))
 }
@@ -104,11 +102,11 @@ fn written<'py>(py: Python<'py>, values: &[f64]) -> PyResult<Bound<'py, PyTuple>
     PyTuple::new(py, values)
 }
 
-/// How long, and how often, a thread waits for a loop that another turns.
+/// Wait for a loop in use by another thread: duration of each retry, and number of retries.
 const WAIT: Duration = Duration::from_micros(100);
 const MAX_WAITS: u32 = 1000;
 
-/// A loop, and where the thread of its driver is.
+/// A loop, and the call that its driver's thread is in.
 struct Driven<T: ?Sized> {
     paced: Arc<Mutex<Box<T>>>,
     calls: Arc<DriverCalls>,
@@ -119,8 +117,8 @@ impl<T: ?Sized> Driven<T> {
         Self { paced: Arc::new(Mutex::new(paced)), calls: Arc::default() }
     }
 
-    /// What belongs to the thread of the driver; it waits here with the GIL released, so that nobody else may wait for
-    /// it. The watch of a driver that does not return has it for a tick at a time.
+    /// Locks the loop for the driver's thread. Waits without the GIL, so that no other thread waits for it.
+    /// The watch of a driver that does not return holds the lock for a tick at a time.
     fn own(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, Box<T>>> {
         for _ in 0..MAX_WAITS {
             match self.paced.try_lock() {
@@ -133,7 +131,7 @@ impl<T: ?Sized> Driven<T> {
     }
 }
 
-/// What both classes share, as their fields `driven` and `watched`.
+/// Methods shared by both classes, on their fields `driven` and `watched`.
 macro_rules! loop_methods {
     ($class:ident) => {
         #[pymethods]
@@ -142,7 +140,7 @@ macro_rules! loop_methods {
             fn begin(&self, py: Python<'_>, driver: Option<&str>) -> PyResult<String> {
                 let mut paced = self.driven.own(py)?;
                 let paced = &mut **paced;
-                // Memory is locked here, which takes its time where much is mapped.
+                // This locks memory, which takes long if much is mapped.
                 let realtime = py.detach(|| paced.begin()).map_err(not_begun)?;
                 if let Some(driver) = driver {
                     watch_driver(&self.driven.paced, &self.driven.calls, driver.to_owned())?;
@@ -169,7 +167,7 @@ macro_rules! loop_methods {
             }
 
             fn take_acknowledgement(&self) -> bool {
-                // A turn of the driver begins with this.
+                // A turn of the driver begins here.
                 self.driven.calls.enter(DriverCall::Read);
                 self.watched.handle.take_acknowledgement()
             }
@@ -244,16 +242,16 @@ impl DeviceClock {
 /// What a master's loop keeps from one tick for the next.
 #[derive(Clone, Copy, Default)]
 struct LastTick {
-    /// In N; none of a trigger that is not felt.
+    /// Force in N; None for a trigger without feedback.
     trigger_force: Option<f64>,
-    /// Whether the device measures them; none before the first sample.
+    /// True if the device measures it; None before the first sample.
     has_velocity: Option<bool>,
     has_angular_velocity: Option<bool>,
     clock: DeviceClock,
 }
 
-/// Refuses a sample that has what the others have not, or lacks it: an estimate in between would jump.
-fn steadily(name: &str, before: Option<bool>, is_given: bool) -> PyResult<()> {
+/// Requires a field to be in every sample or in none, because an estimate in between would jump.
+fn require_steady(name: &str, before: Option<bool>, is_given: bool) -> PyResult<()> {
     if before.is_none_or(|before| before == is_given) {
         return Ok(());
     }
@@ -283,7 +281,7 @@ constructor!(MasterLoop, peer,
             }
         };
         let place = Place::of_master(peer, listen, started_s, live_periods(&outline)?[0], how)?;
-        // Without the interpreter, as `start` of `LiveMaster`.
+        // Without the GIL, as in `start` of `LiveMaster`.
         let (paced, watched) = py.detach(|| {
             let (parts, control) = place.open()?;
             let (paced, watch, records) =
@@ -319,7 +317,7 @@ impl MasterLoop {
         let time_s: Option<f64> = read_optional("time_s", time_s, NUMBER)?;
         let mut trigger_force = {
             let mut last = locked(&self.last);
-            // What a step that fails leaves is no force.
+            // A failed step must leave zero force.
             last.trigger_force = last.trigger_force.map(|_| 0.0);
             if fault.is_none() {
                 steadily("velocity", last.has_velocity, velocity.is_some())?;
@@ -424,8 +422,8 @@ impl SlaveLoop {
             force_n,
             holds_object,
         });
-        // A step that fails leaves no command to the gripper.
-        *locked(&self.beside) = Beside::NOTHING;
+        // A failed step must leave no gripper command.
+        *locked(&self.extras) = Extras::NOTHING;
         let fault: Option<PyBackedStr> = read_optional("fault", fault, TEXT)?;
         let orientation: Option<[f64; 4]> = read_optional("orientation", orientation, QUATERNION)?;
         let rate: Option<[f64; 3]> = read_optional("angular_velocity", angular_velocity, VECTOR)?;
@@ -455,9 +453,9 @@ impl SlaveLoop {
         };
         let output = self.driven.own(py)?.step(&input);
         self.driven.calls.enter(DriverCall::Write);
-        *locked(&self.beside) = output
+        *locked(&self.extras) = output
             .as_ref()
-            .map_or(Beside::NOTHING, |output| Beside { gripper: output.gripper, buttons: output.buttons });
+            .map_or(Extras::NOTHING, |output| Extras { gripper: output.gripper, buttons: output.buttons });
         let Some(output) = output else { return Ok(None) };
         let out = |values: &Padded| written(py, &values.as_slice()[..self.axes]);
         let named = match output.order {
@@ -478,12 +476,12 @@ impl SlaveLoop {
 
     #[getter]
     fn buttons(&self) -> Option<u32> {
-        locked(&self.beside).buttons
+        locked(&self.extras).buttons
     }
 
     #[getter]
     fn gripper_command(&self) -> Option<(f64, f64, f64)> {
-        match locked(&self.beside).gripper {
+        match locked(&self.extras).gripper {
             GripperOrder::Hold => None,
             GripperOrder::Move(GripperCommand { position, speed, force_n }) => {
                 Some((position, speed, force_n))

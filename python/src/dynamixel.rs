@@ -23,7 +23,7 @@ const TIMEOUT_S: std::ops::RangeInclusive<f64> = 1e-3..=10.0;
 
 #[pyclass(name = "SyncRead", module = "haptether._core", frozen)]
 struct PySyncRead {
-    /// Had by a read from its begin until its values are taken.
+    /// Locked by a read from its start until its values are taken.
     read: Mutex<SyncRead>,
 }
 
@@ -60,7 +60,7 @@ struct PyBus {
 }
 
 impl PyBus {
-    /// Runs something on the bus, without the interpreter's lock.
+    /// Runs a call on the bus without the GIL.
     fn with<T: Send>(
         &self,
         py: Python<'_>,
@@ -138,7 +138,7 @@ impl PyBus {
         let mut read = read.lock(py);
         let asked = &mut *read;
         self.with(py, |bus| bus.sync_read(asked))?;
-        // None of it where an answer is missing: then the call has failed.
+        // The call has failed already if an answer is missing.
         let length = read.replies().into_iter().flatten().map(|reply| reply.data.len()).sum();
         PyBytes::new_with(py, length, |mut bytes| {
             for reply in read.replies().into_iter().flatten() {

@@ -1,6 +1,6 @@
-//! The extension module `haptether._core`: thin classes over the crates. The stub `_core.pyi` documents them.
+//! Extension module `haptether._core`: thin classes over the crates, documented by the stub `_core.pyi`.
 
-// A Python call takes its arguments by value and by name, so these lints fight the signature the user sees.
+// PyO3 functions take arguments by value and by name, so these lints conflict with the Python signatures.
 #![allow(clippy::needless_pass_by_value, clippy::too_many_arguments)]
 
 use pyo3::prelude::*;

@@ -1,4 +1,4 @@
-//! What the live classes share: their settings, and what is seen of a loop and commanded to it.
+//! Shared parts of the live classes: settings, observation and commands of a loop.
 
 use std::{
     net::SocketAddr,
@@ -31,10 +31,10 @@ use crate::{
     reserve,
 };
 
-/// How much of a live run is kept at most, in s: an hour.
+/// Longest history kept of a live run in s: one hour.
 const MAX_KEPT_S: f64 = 3600.0;
 
-/// The shared key of a `bytearray`, which its owner can wipe, or of `bytes`.
+/// Reads the shared key from a `bytearray`, which its owner can wipe, or from `bytes`.
 fn shared_key(key: &Bound<'_, PyAny>) -> PyResult<PreSharedKey> {
     let read = if let Ok(bytes) = key.cast::<PyByteArray>() {
         PreSharedKey::of_vec(bytes.to_vec())
@@ -49,7 +49,7 @@ fn shared_key(key: &Bound<'_, PyAny>) -> PyResult<PreSharedKey> {
     })
 }
 
-/// How frames travel: a key, or the explicit wish to go without.
+/// Returns the security of frames: a key, or explicitly none.
 pub(crate) fn security(key: Option<&Bound<'_, PyAny>>, insecure: bool) -> PyResult<Security> {
     match (key, insecure) {
         (Some(key), false) => shared_key(key).map(Security::Secure),
@@ -61,14 +61,14 @@ pub(crate) fn security(key: Option<&Bound<'_, PyAny>>, insecure: bool) -> PyResu
     }
 }
 
-/// Where a side is, whom it talks to, and how.
+/// Address, peer and settings of a side.
 pub(crate) struct Place {
     pub(crate) parts: LiveParts,
     control: Option<PathBuf>,
 }
 
 impl Place {
-    /// Binds a master; without `listen` to the address of the route to the peer, with any free port.
+    /// Binds a master; without `listen`, to the local address of the route to the peer and any free port.
     pub(crate) fn of_master(
         peer: &str,
         listen: Option<&str>,
@@ -105,7 +105,6 @@ impl Place {
         Self::new(Role::Master, || PeerSocket::bind_each(&ends).map_err(cannot), started_s, period_ns, how)
     }
 
-    /// Where a slave waits.
     pub(crate) fn of_slave(listen: &str, period_ns: u64, how: How) -> PyResult<Self> {
         let own = addresses("listen", listen)?;
         let bind = |own| {
@@ -143,7 +142,8 @@ impl Place {
         Ok(Self { parts: LiveParts { socket, settings, security, keep_s, record, telemetry }, control })
     }
 
-    /// Its parts, and the control socket, if there is to be one: before the loop, which must not begin without it.
+    /// Returns the parts and the control socket, if any. Called before the loop, which must not start without
+    /// it.
     pub(crate) fn open(self) -> PyResult<(LiveParts, (Role, Option<ControlSocket>))> {
         let refused = |path: &Path, error: std::io::Error| {
             PyOSError::new_err(format!("control = {}: {error}", path.display()))
@@ -155,13 +155,13 @@ impl Place {
     }
 }
 
-/// Why a side has no socket.
+/// Error for a side without a socket.
 fn cannot_listen(local: Option<SocketAddr>, error: std::io::Error) -> PyErr {
     let local = local.map(|local| format!(" on {local}")).unwrap_or_default();
     PyOSError::new_err(format!("cannot listen{local}: {error}"))
 }
 
-/// When the operator started a side; never in the future.
+/// Converts the start time of a side to ns; it must not be in the future.
 fn started(time_s: f64) -> PyResult<u64> {
     let (started_ns, now_ns) = (nanoseconds("started_s", time_s)?, now_ns());
     if started_ns > now_ns {
@@ -173,7 +173,7 @@ fn started(time_s: f64) -> PyResult<u64> {
     Ok(started_ns)
 }
 
-/// How a side goes.
+/// Options shared by all sides.
 pub(crate) struct How {
     pub(crate) security: Security,
     pub(crate) duration_s: Option<f64>,
@@ -185,7 +185,6 @@ pub(crate) struct How {
     pub(crate) control: Option<PathBuf>,
 }
 
-/// Why a loop did not begin.
 pub(crate) fn not_begun(error: StartError) -> PyErr {
     match error {
         StartError::Session(error) => PyValueError::new_err(error.to_string()),
@@ -193,7 +192,7 @@ pub(crate) fn not_begun(error: StartError) -> PyErr {
     }
 }
 
-/// Why a side of a scene did not begin.
+/// Error for a side of a scene that did not begin.
 pub(crate) fn refused(error: LiveError) -> PyErr {
     match error {
         LiveError::Start(error) => not_begun(error),
@@ -203,12 +202,12 @@ pub(crate) fn refused(error: LiveError) -> PyErr {
     }
 }
 
-/// What is seen of a loop and commanded to it. Its mutexes are never contended: they only let it move between threads.
+/// Observation and commands of a loop. Its mutexes are never contended; they only let threads share it.
 pub(crate) struct Watched {
     pub(crate) handle: LiveHandle,
     watch: Mutex<LiveWatch>,
     records: Mutex<Box<dyn KeptRecords>>,
-    /// Ends with this.
+    /// Stops when dropped.
     _control: Option<Control>,
 }
 
@@ -250,7 +249,7 @@ pub(crate) fn locked<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
     of.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The constructor of the class of a side: where it is, the options of its own, and those that all sides share.
+/// Defines the constructor of a side's class: address, own options, and options shared by all sides.
 macro_rules! constructor {
     ($class:ident, $place:ident, [$($own:ident: $own_type:ty = $default:tt),*],
         |$py:ident, $scene:ident, $outline:ident, $run_id:ident, $how:ident| $begin:block) => {
@@ -298,7 +297,7 @@ macro_rules! constructor {
 }
 pub(crate) use constructor;
 
-/// What the classes of a master share; their `end` ends the loop.
+/// Methods shared by the classes of a master; `end` ends the loop.
 macro_rules! master_methods {
     ($class:ident) => {
         #[pymethods]
@@ -320,7 +319,7 @@ macro_rules! master_methods {
 }
 pub(crate) use master_methods;
 
-/// What the classes of a slave share; their `end` ends the loop.
+/// Methods shared by the classes of a slave; `end` ends the loop.
 macro_rules! slave_methods {
     ($class:ident) => {
         #[pymethods]
@@ -342,7 +341,8 @@ macro_rules! slave_methods {
 }
 pub(crate) use slave_methods;
 
-/// What the classes that watch a loop share, as their field `watched`; `finished` says whether it has ended.
+/// Methods shared by the classes that watch a loop, on their field `watched`; `finished` tells whether it has
+/// ended.
 macro_rules! watch_methods {
     ($class:ident) => {
         impl $class {
@@ -427,12 +427,12 @@ macro_rules! watch_methods {
 }
 pub(crate) use watch_methods;
 
-/// `finish` was called a second time.
+/// Error for a second call of `finish`.
 pub(crate) fn finished_before() -> PyErr {
     PyRuntimeError::new_err("the loop was finished before, or it panicked")
 }
 
-/// What to request of the system.
+/// Reads the real-time request to the system.
 pub(crate) fn realtime_settings(demand: &str, priority: u8, cpu: Option<u16>) -> PyResult<RealtimeSettings> {
     let demand = match demand {
         "auto" => RealtimeDemand::Auto,
@@ -452,12 +452,10 @@ pub(crate) fn realtime_settings(demand: &str, priority: u8, cpu: Option<u16>) ->
     Ok(RealtimeSettings { demand, priority, cpu })
 }
 
-/// How the frames of a run travel.
 fn mark(insecure: bool) -> SecurityMark {
     if insecure { SecurityMark::Insecure } else { SecurityMark::Secure }
 }
 
-/// Where to record, if anywhere.
 pub(crate) fn recorder_settings(
     path: Option<PathBuf>,
     min_free_bytes: u64,
@@ -468,7 +466,6 @@ pub(crate) fn recorder_settings(
     path.map(|path| RecorderSettings { path, min_free_bytes, security: mark(insecure), scene })
 }
 
-/// Where to send telemetry, if anywhere.
 pub(crate) fn telemetry_settings(
     path: Option<PathBuf>,
     insecure: bool,

@@ -90,7 +90,7 @@ impl PyHapticDevice {
 }
 
 impl PyHapticDevice {
-    /// The estimator that is taken when none is given: the default, for this encoder.
+    /// Default estimator, adapted to this encoder.
     pub(crate) fn estimator(&self) -> EstimatorKind {
         match EstimatorKind::default() {
             EstimatorKind::Kalman { jerk_density, .. } if self.inner.encoder_quantum > 0.0 => {
@@ -216,7 +216,6 @@ impl PySinusoid {
     }
 }
 
-/// One tick of a local loop on one axis.
 struct LocalRecord {
     position: f64,
     velocity: f64,
@@ -292,7 +291,7 @@ local_columns!(
     tripped
 );
 
-/// A device whose force acts late, which no controller knows.
+/// A device whose force acts late, unknown to the controllers.
 struct LateDevice {
     device: SimulatedMaster<1>,
     under_way: DelayLine<1>,
@@ -322,7 +321,7 @@ impl ModelPlant<1> for LateDevice {
 /// Longest delay of a force, in ticks.
 const MAX_DELAY: usize = 1000;
 
-/// Most ticks of one run: 1e8 would be 10 GB of records.
+/// Most ticks of one run; 1e8 would be 10 GB of records.
 const MAX_TICKS: usize = 20_000_000;
 
 #[pyfunction]

@@ -29,14 +29,14 @@ pub(crate) struct RecordingColumns {
     damaged: bool,
 }
 
-/// Every signal of a recorded side.
+/// Read every signal of a recorded side.
 #[pyfunction]
 fn read_recording_columns(py: Python<'_>, path: PathBuf) -> PyResult<RecordingColumns> {
     let read = py.detach(|| File::open(&path).map_err(ReadError::from).and_then(read_recording));
     let ReadRecording { about, columns, begun_ns, causes, whole, invalid, damaged, .. } =
         read.map_err(|error| match error {
             ReadError::Refused(error) => match error.raw_os_error() {
-                // With these arguments Python makes the error that `open` raises.
+                // With these arguments Python raises the same error as `open`.
                 Some(number) => {
                     let text = system_text(py, number).unwrap_or_else(|_| error.to_string());
                     PyOSError::new_err((number, text, path.clone()))
@@ -65,12 +65,12 @@ fn read_recording_columns(py: Python<'_>, path: PathBuf) -> PyResult<RecordingCo
     })
 }
 
-/// What the system calls an error.
+/// Returns the system's text for an error number.
 fn system_text(py: Python<'_>, number: i32) -> PyResult<String> {
     py.import("os")?.call_method1("strerror", (number,))?.extract()
 }
 
-/// An array; of names a pair of those that occur and of which one it was at each tick.
+/// Converts a column to an array; a column of names to a pair of distinct names and index per tick.
 fn array(py: Python<'_>, values: Values) -> PyResult<Py<PyAny>> {
     Ok(match values {
         Values::Unknown(ticks) => column(py, vec![f64::NAN; ticks]),

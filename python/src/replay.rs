@@ -1,4 +1,4 @@
-//! A recorded side of a hand under other settings.
+//! Replay of a recorded side of a hand under other settings.
 
 use haptether_bridge::scene::{HandImpedance, RecordedColumns, ReplayedColumn, replay_columns};
 use pyo3::{prelude::*, types::PyDict};
@@ -12,7 +12,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(replay_recording, module)?)
 }
 
-/// Steps the side of a hand through what was recorded of it.
+/// Replay the recorded signals of a hand's side, tick by tick.
 #[pyfunction]
 #[pyo3(signature = (scene_json, signals, times_ns, *, recouples, hand=None))]
 fn replay_recording(

@@ -1,4 +1,4 @@
-//! Controllers that are written in Python, in simulated runs.
+//! Controllers in Python, for simulated runs.
 
 use std::{
     sync::{
@@ -17,21 +17,22 @@ use pyo3::{
 
 use crate::arrays::{Sample, column};
 
-/// The first exception of any controller, which is raised instead of what comes of a run or sweep, and ends it.
+/// First exception of any controller; it ends the run or sweep and is raised instead of the result.
 #[derive(Clone, Debug)]
 struct Failure {
     error: Arc<Mutex<Option<PyErr>>>,
     progress: Arc<Progress>,
 }
 
-/// What the controllers of a run or a sweep have taken.
+/// Ticks and time spent in the controllers of a run or sweep.
 #[derive(Debug, Default)]
 struct Spent {
     ticks: AtomicU64,
     nanoseconds: AtomicU64,
 }
 
-/// Makes them: `make(name, options as JSON, axes, period_s)`; at the end `spent(ticks, seconds)` says what they took.
+/// Factory of the controllers: calls `make(name, options as JSON, axes, period_s)`, and at the end
+/// `spent(ticks, seconds)`.
 #[derive(Debug)]
 pub(crate) struct PyResearch {
     factory: Py<PyAny>,
@@ -40,13 +41,13 @@ pub(crate) struct PyResearch {
 }
 
 impl PyResearch {
-    /// A failure ends the work of which `progress` is.
+    /// A factory whose failures stop the work of `progress`.
     pub(crate) fn new(factory: Py<PyAny>, progress: &Arc<Progress>) -> Self {
         let failure = Failure { error: Arc::default(), progress: Arc::clone(progress) };
         Self { factory, spent: Arc::default(), failure }
     }
 
-    /// The first exception of any controller; without one the factory gets what they took.
+    /// Raises the first exception of any controller; otherwise reports the time spent to the factory.
     pub(crate) fn finish(&self, py: Python<'_>) -> PyResult<()> {
         if let Some(error) = self.failure.error.lock().unwrap_or_else(PoisonError::into_inner).take() {
             return Err(error);
@@ -85,7 +86,7 @@ impl ResearchFactory for PyResearch {
         let failed = |error: PyErr| Python::attach(|py| error.value(py).to_string());
         match self.made(spec, axes, period_s) {
             Ok(controller) => Ok(Box::new(controller)),
-            // Options that cannot be, in the controller's own words: of one row of a sweep, perhaps.
+            // Invalid options, in the controller's own words; may concern one row of a sweep.
             Err(error) if Python::attach(|py| error.is_instance_of::<PyValueError>(py)) => {
                 Err(format!("controller = {:?}: {}", spec.controller, failed(error)))
             }
@@ -98,7 +99,6 @@ impl ResearchFactory for PyResearch {
     }
 }
 
-/// One controller of one run.
 struct PyResearchController {
     name: String,
     step: Py<PyAny>,
@@ -145,7 +145,7 @@ impl PyResearchController {
     }
 }
 
-/// Largest magnitude in N that is taken for a force.
+/// Largest valid magnitude of a force in N.
 const MAX_FORCE_N: f64 = haptether_safety::Signal::RenderedForce.bound();
 
 impl ResearchController for PyResearchController {
@@ -166,7 +166,7 @@ impl ResearchController for PyResearchController {
     }
 
     fn boxed_clone(&self) -> Box<dyn ResearchController> {
-        // The object in Python is the same.
+        // The clone shares the Python object.
         Python::attach(|py| {
             Box::new(Self {
                 name: self.name.clone(),
@@ -191,7 +191,7 @@ impl ResearchController for PyResearchController {
 }
 
 impl Failure {
-    /// Keeps the first, with what caused it.
+    /// Keeps the first failure with its cause.
     fn keep(&self, what: &str, cause: PyErr) {
         let mut kept = self.error.lock().unwrap_or_else(PoisonError::into_inner);
         if kept.is_none() {

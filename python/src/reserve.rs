@@ -1,10 +1,10 @@
-//! Memory that is set aside for the end of a run, and spent where the system grants no more.
+//! Memory reserved for the end of a run, released when the system grants no more.
 //!
-//! Rust ends a process whose allocation fails, with whatever force is on. Here the first that fails frees the reserve
-//! and has each loop end in good order at its next tick.
+//! Rust aborts a process whose allocation fails, whatever force is on. Here the first failed allocation
+//! releases the reserve, and each loop ends in good order at its next tick.
 
-#![allow(unsafe_code)] // an allocator, and a mapping that nobody reads
-#![allow(clippy::cast_ptr_alignment)] // a block is allocated with the alignment that it needs
+#![allow(unsafe_code)] // an allocator, and a mapping that is never accessed
+#![allow(clippy::cast_ptr_alignment)] // each block has the alignment it needs
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},
@@ -17,21 +17,21 @@ use haptether_bridge::live::{end_for_lack_of_memory, is_exhausted, memory_is_bac
 #[global_allocator]
 static ALLOCATOR: Reserving = Reserving;
 
-/// Bytes of one block: below the 128 KiB that `malloc` maps by itself, so that a block that is freed stays within the
-/// process; above the gaps between used pages that are locked, so that the reserve is not.
+/// Bytes of one block. Below the 128 KiB that `malloc` maps separately, so that a freed block stays in the
+/// process. Above the gaps between locked pages in use, so that the reserve is not locked.
 const BLOCK: usize = 120 << 10;
-/// 16 MiB: the end of a run, its report included.
+/// 16 MiB in total, enough for the end of a run with its report.
 const BLOCKS: usize = 136;
-/// How often an allocation is tried anew: another thread may be about to free the reserve.
+/// Retries of an allocation: another thread may be about to free the reserve.
 const ATTEMPTS: usize = 64;
-/// Bytes that must be there to be mapped for a run to go on: what Python allocates at a time.
+/// Bytes that must be mappable for a run to continue; Python allocates this much at a time.
 const PROBE: usize = 1 << 21;
 
-/// First of the blocks that are set aside; each begins with the address of the next.
+/// First reserved block; each block begins with the address of the next.
 static RESERVE: AtomicPtr<u8> = AtomicPtr::new(ptr::null_mut());
 
 fn block() -> Layout {
-    // As checked by the compiler: a power of two.
+    // A compile-time layout: its alignment is always valid.
     const { Layout::new::<[u64; BLOCK / 8]>() }
 }
 
@@ -42,7 +42,7 @@ impl Reserving {
     fn tried(size: usize, mut allocate: impl FnMut() -> *mut u8) -> *mut u8 {
         let mut got = allocate();
         if size > BLOCK * BLOCKS {
-            // The reserve could not serve it: whoever allocates so much checks whether it is there.
+            // The reserve is too small; callers of large allocations check the result themselves.
             return got;
         }
         for _ in 0..ATTEMPTS {
@@ -59,7 +59,7 @@ impl Reserving {
     }
 }
 
-// SAFETY: each call is one of the system's allocator with the same arguments; one that failed is only repeated.
+// SAFETY: each call is a call of the system's allocator with the same arguments; a failed one is repeated.
 unsafe impl GlobalAlloc for Reserving {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         Self::tried(layout.size(), || unsafe { System.alloc(layout) })
@@ -78,20 +78,20 @@ unsafe impl GlobalAlloc for Reserving {
     }
 }
 
-/// Sets the reserve aside, unless it is; false where memory is short already.
+/// Fills the reserve if it is empty; returns false if memory is already short.
 pub(crate) fn fill() -> bool {
     if !RESERVE.load(Ordering::Acquire).is_null() {
         return true;
     }
-    // Memory that modules have freed while they loaded goes back: it would be locked with the rest.
+    // Return memory freed while modules loaded; it would be locked with the rest.
     #[cfg(target_env = "gnu")]
-    // SAFETY: it only gives back what is free.
+    // SAFETY: it only returns free memory.
     unsafe {
         libc::malloc_trim(0);
     }
     let mut first: *mut u8 = ptr::null_mut();
     for _ in 0..BLOCKS {
-        // SAFETY: not of size zero; what is written lies within.
+        // SAFETY: the size is not zero, and the write is within the block.
         unsafe {
             let next = System.alloc(block());
             if next.is_null() {
@@ -102,8 +102,8 @@ pub(crate) fn fill() -> bool {
             first = next;
         }
     }
-    // Kept for ever: at the end of the heap the reserve would go back to the system instead of to this process.
-    // SAFETY: not of size zero.
+    // Never freed: at the end of the heap the reserve would return to the system instead of to this process.
+    // SAFETY: the size is not zero.
     let _ = unsafe { System.alloc(Layout::new::<[u64; 8]>()) };
     if RESERVE.compare_exchange(ptr::null_mut(), first, Ordering::AcqRel, Ordering::Acquire).is_err() {
         free(first);
@@ -112,7 +112,7 @@ pub(crate) fn fill() -> bool {
     true
 }
 
-/// No memory is left: each loop ends, and what was set aside is there for that.
+/// Out of memory: ends each loop and frees the reserve for that.
 pub(crate) fn spend() {
     end_for_lack_of_memory();
     free(RESERVE.swap(ptr::null_mut(), Ordering::AcqRel));
@@ -120,7 +120,7 @@ pub(crate) fn spend() {
 
 fn free(mut first: *mut u8) {
     while !first.is_null() {
-        // SAFETY: as `fill` made it, and nobody else has it.
+        // SAFETY: `fill` made the list, and nothing else refers to it.
         unsafe {
             let next = first.cast::<*mut u8>().read();
             System.dealloc(first, block());
@@ -129,12 +129,12 @@ fn free(mut first: *mut u8) {
     }
 }
 
-/// Spends the reserve where nothing more can be mapped, before somebody needs it who cannot handle that.
+/// Releases the reserve if nothing more can be mapped, before code without error handling needs memory.
 pub(crate) fn probe() {
     if is_exhausted() || RESERVE.load(Ordering::Acquire).is_null() {
         return;
     }
-    // SAFETY: a mapping of its own that nobody may read, gone at once.
+    // SAFETY: a new inaccessible mapping, removed at once.
     unsafe {
         let (access, kind) = (libc::PROT_NONE, libc::MAP_PRIVATE | libc::MAP_ANONYMOUS | libc::MAP_NORESERVE);
         let mapped = libc::mmap(ptr::null_mut(), PROBE, access, kind, -1, 0);

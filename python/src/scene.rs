@@ -1,4 +1,4 @@
-//! Scenes: one run, or many.
+//! Scenes: single runs and sweeps.
 
 use std::{
     borrow::Cow,
@@ -75,7 +75,7 @@ impl PySceneRun {
     }
 }
 
-/// Signals that count or name: whole numbers.
+/// Signals with whole numbers: codes and masks.
 const CODES: [&str; 4] = ["tripped", "rotation_tripped", "state", "slave_state"];
 
 fn signal_out(py: Python<'_>, signal: &Signal) -> PyResult<Py<PyAny>> {
@@ -116,7 +116,7 @@ pub(crate) fn live_periods(scene: &SceneOutline) -> PyResult<[u64; 2]> {
     Ok([nanoseconds("run.period_s", scene.period_s)?, nanoseconds("slave.period_s", scene.slave_period_s)?])
 }
 
-/// Runs a scene, recorded to the files of master and slave where there are any.
+/// Run a scene; record it to the files of master and slave if given.
 #[pyfunction]
 #[pyo3(signature = (scene_json, record=None, research=None))]
 fn simulate_scene(
@@ -154,16 +154,16 @@ fn simulate_scene(
     })
 }
 
-/// Does `work` on a thread that Python knows where it `calls` Python at each tick: to make a thread's state anew for each
-/// call takes 40 us. Between the calls others have the interpreter's lock.
+/// Runs `work`; if it `calls` Python at each tick, on a thread attached to Python. Creating a thread state
+/// per call takes 40 us. Between calls the GIL is free.
 fn attached<T: Send>(calls: bool, work: impl FnOnce() -> T + Send) -> T {
     if calls { Python::attach(|py| py.detach(work)) } else { work() }
 }
 
-/// Time between two looks at signals and progress.
+/// Period at which signals and progress are checked.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
-/// Does `work` on a thread of its own, so that a signal ends it at once and `report` is called with how far it is.
+/// Runs `work` on its own thread, so that a signal ends it at once; calls `report` with the progress.
 fn interruptibly<T: Send>(
     py: Python<'_>,
     report: Option<&Py<PyAny>>,
@@ -173,7 +173,7 @@ fn interruptibly<T: Send>(
     let (finished, mut finishes) = mpsc::channel();
     thread::scope(|scope| {
         let worker = scope.spawn(|| {
-            // Nobody has gone: this thread is waited for.
+            // The receiver exists: this function waits for the thread.
             let _ = finished.send(work(progress));
             drop(finished);
         });
@@ -193,7 +193,7 @@ fn interruptibly<T: Send>(
                     .check_signals()
                     .and_then(|()| report.map_or(Ok(()), |report| report.call1(py, (done,)).map(drop)))
                     .err();
-                // It may have been stopped by itself.
+                // The work may also have stopped itself.
                 progress.stop.fetch_or(interrupted.is_some(), Ordering::Relaxed);
                 reported = done;
             }
@@ -205,10 +205,10 @@ fn interruptibly<T: Send>(
     })
 }
 
-/// Numbers that differ between rows, by where they are.
+/// Columns of values that differ between rows, with their keys.
 type Columns<'py> = Vec<(String, PyReadonlyArray1<'py, f64>)>;
 
-/// Runs each scene once per row of its columns.
+/// Run each scene once per row of its columns.
 #[pyfunction]
 #[pyo3(signature = (parts, threads, lanes, progress, research=None, metrics=None))]
 fn sweep_scenes(
@@ -229,7 +229,7 @@ fn sweep_scenes(
             (scene, columns.map(|(path, of)| Variation { path, values: values(of) }).collect())
         })
         .collect();
-    // Controllers in Python would wait for one another.
+    // Python controllers would wait for one another.
     let threads = if research.is_some() { 1 } else { threads };
     let measured = asked.as_ref().map_or(Metrics::ALL, |asked| asked.iter().copied().collect());
     let settings = SweepSettings { threads, lanes, metrics: measured };
@@ -245,7 +245,7 @@ fn sweep_scenes(
     of_parts.iter().zip(&rows).map(|(part, rows)| outcome_table(py, part, rows, asked.as_deref())).collect()
 }
 
-/// Metrics by their names, in the order of tables.
+/// Metrics with these names, in the order of tables.
 fn asked_metrics(names: &[String]) -> PyResult<Vec<Metric>> {
     let known = Metric::ALL.map(Metric::name);
     if let Some(unknown) = names.iter().find(|name| !known.contains(&name.as_str())) {
@@ -254,7 +254,7 @@ fn asked_metrics(names: &[String]) -> PyResult<Vec<Metric>> {
     Ok(Metric::ALL.into_iter().filter(|metric| names.iter().any(|name| name == metric.name())).collect())
 }
 
-/// The outcomes of one part as columns, of metrics those that were asked for.
+/// Outcomes of one part as columns, with the requested metrics.
 fn outcome_table(
     py: Python<'_>,
     part: &SweepPart<'_>,
@@ -269,7 +269,7 @@ fn outcome_table(
         row.as_ref().map_or(Cow::Borrowed("refused"), |outcome| outcome.ending.name().into())
     };
     table.set_item("outcome", texts(py, rows.iter().map(name))?)?;
-    // NaN stands for what was not measured. Columns of rotation are there for poses, or where they are asked for.
+    // NaN marks a metric that was not measured. Columns of rotation appear for poses, or if requested.
     let of_all = Metric::ALL.into_iter().filter(|metric| kind == SideKind::Pose || !metric.is_of_rotation());
     let asked = asked.map_or_else(|| of_all.collect(), <[Metric]>::to_vec);
     for metric in asked {
@@ -290,7 +290,8 @@ fn outcome_table(
     Ok(table.unbind())
 }
 
-/// A column of text as NumPy makes it of a list, of each different text only once: mostly all rows have the same.
+/// A column of texts as NumPy makes it from a list; converts each distinct text once, because most rows are
+/// equal.
 fn texts<'py, 'a>(
     py: Python<'py>,
     rows: impl ExactSizeIterator<Item = Cow<'a, str>>,

@@ -1,7 +1,7 @@
-//! Signals of a command that runs loops: they reach the loops on a thread that waits for nothing else.
+//! Signals to a command that runs loops: a thread that waits for nothing else forwards them.
 //!
-//! Python runs a handler only between two of its own steps, and a thread that writes to a terminal nobody reads takes
-//! none. But its handler in C writes the number of each signal to the descriptor of `signal.set_wakeup_fd` at once.
+//! Python runs a handler only between its own steps; a thread blocked on a terminal write runs none. Its C
+//! handler, however, writes the number of each signal to the descriptor of `signal.set_wakeup_fd` at once.
 
 use std::{
     io::{self, Read},
@@ -32,16 +32,16 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<SignalRelay>()
 }
 
-/// Between two looks at the memory that is left.
+/// Period at which the remaining memory is checked.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
-/// How long a second Ctrl-C waits for the loops to have come to rest.
+/// Longest wait of a second Ctrl-C for the loops to come to rest.
 const MAX_REST: Duration = Duration::from_millis(300);
-/// Of a shell's command that Ctrl-C has ended.
+/// Exit status of a command ended by Ctrl-C.
 const INTERRUPTED: i32 = 130;
-/// How old an acknowledgement may be when somebody takes it: it belongs to what was seen then.
+/// Largest age of an acknowledgement when it is taken; it refers to what the operator saw then.
 const MAX_ACKNOWLEDGEMENT: Duration = Duration::from_millis(500);
 
-/// What SIGUSR1 does at a side.
+/// Effect of SIGUSR1 on a side.
 #[derive(Clone, Copy)]
 enum Button {
     Clutch,
@@ -67,7 +67,7 @@ impl Requests {
         self.each(|handle, _| handle.stop());
     }
 
-    /// Does what the signals request, the stops first: whoever presses and stops wants to stop.
+    /// Executes the requests of the signals, stops first: a stop overrides a press.
     fn take(&self, signals: &[u8]) {
         let count = |number: i32| signals.iter().filter(|signal| i32::from(**signal) == number).count();
         let interrupts = count(libc::SIGINT);
@@ -92,7 +92,7 @@ impl Requests {
         }
     }
 
-    /// Ends the process, whatever its other threads wait for; its loops have a moment to come to rest.
+    /// Ends the process, whatever its other threads wait for; its loops get a moment to come to rest.
     #[allow(unsafe_code)] // a call that cannot fail
     fn exit(&self) -> ! {
         let end = Instant::now() + MAX_REST;
@@ -103,19 +103,19 @@ impl Requests {
         while !at_rest() && Instant::now() < end {
             std::thread::sleep(Duration::from_millis(1));
         }
-        // SAFETY: always.
+        // SAFETY: `_exit` has no preconditions.
         unsafe { libc::_exit(INTERRUPTED) }
     }
 }
 
-/// Takes signals until the other end is closed.
+/// Forwards signals until the other end closes.
 fn relay(mut from: UnixStream, requests: &Requests) {
     let mut signals = [0; 64];
     loop {
         match from.read(&mut signals) {
             Ok(0) => return,
             Ok(count) => requests.take(&signals[..count]),
-            // That nothing has arrived is reported by an error, too.
+            // A read timeout is also an error.
             Err(_) => (),
         }
         reserve::probe();
@@ -177,7 +177,7 @@ impl SignalRelay {
     }
 
     #[getter]
-    #[allow(clippy::unused_self)] // of the process, whose loops these are
+    #[allow(clippy::unused_self)] // state of the process, which owns the loops
     fn out_of_memory(&self) -> bool {
         is_exhausted()
     }

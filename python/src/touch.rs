@@ -1,4 +1,4 @@
-//! `haptether.master.touch`: what the scheduler of OpenHaptics calls.
+//! `haptether.master.touch`: callback for the OpenHaptics scheduler.
 #![allow(unsafe_code)] // addresses of the vendor's functions
 
 use std::time::Duration;
@@ -32,7 +32,7 @@ impl PyHdCallback {
             return Err(PyValueError::new_err(format!("max_force_n = {max_force_n}: must be above 0 N")));
         }
         let watchdog = Duration::from_secs_f64(watchdog_s);
-        // Whoever makes it has looked the functions up by their names, in this order.
+        // SAFETY: the caller has looked up the functions by name, in this order.
         let callback = unsafe {
             let functions = HdFunctions {
                 make_current_device: std::mem::transmute::<usize, unsafe extern "C" fn(u32)>(functions[0]),
@@ -55,7 +55,7 @@ impl PyHdCallback {
     }
 
     #[getter]
-    #[allow(clippy::unused_self)] // as the stub has it, beside `context`
+    #[allow(clippy::unused_self)] // the stub has it beside `context`
     fn address(&self) -> usize {
         HdCallback::address() as usize
     }
@@ -70,7 +70,7 @@ impl PyHdCallback {
         self.callback.starved()
     }
 
-    // With the interpreter's lock, so that of several threads one writes at a time.
+    // Holds the GIL, so that only one thread writes at a time.
     fn write(&self, force: [f64; 3]) {
         self.callback.write(force);
     }

@@ -13,7 +13,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyUrInverse>()
 }
 
-/// Rows as Python has them: theta, a, d, alpha.
+/// Rows as Python gives them: theta, a, d, alpha.
 type Rows = ([f64; 6], [f64; 6], [f64; 6], [f64; 6]);
 
 fn rows((theta, a, d, alpha): Rows) -> UrRows {

@@ -1,4 +1,4 @@
-//! What the tool of an emulated arm touches: the environment of a scene, and a force sensor.
+//! Contact of an emulated arm's tool: the environment of a scene, and a force sensor.
 
 use haptether_bridge::scene::{ToolEnvironment, tool_environment};
 use haptether_safety::Axes;
@@ -15,7 +15,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 #[pyclass(name = "SceneTouch", module = "haptether.slave")]
 pub(crate) struct PySceneTouch {
     environment: Box<dyn ToolEnvironment>,
-    /// The environment before the first push and force.
+    /// Environment before the first push and force.
     untouched: Box<dyn ToolEnvironment>,
     #[pyo3(get)]
     start: [f64; 3],

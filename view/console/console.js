@@ -1,17 +1,18 @@
 "use strict";
-// The page of `haptether console`: shows what the server sends, and sends what a person does. Nothing of it is kept.
+// The page of `haptether console`: shows the server's messages and sends the operator's commands. Stores
+// nothing.
 
-const BEAT_MS = 120;       // between two beats of a hold; the loop's side demands five a second
-const WINDOW_S = 10;       // of the charts
-const DRAW_MS = 60;         // between two drawings of the charts: what a click needs is not spent on them
+const BEAT_MS = 120;       // between two beats of a hold; the side requires five a second
+const WINDOW_S = 10;       // width of the charts
+const DRAW_MS = 60;         // between two drawings of the charts; leaves time for clicks
 const FRESH_MS = 500;      // from a click to its request
-const CONFIRM_MS = 10000;  // for which a change waits for its confirmation
+const CONFIRM_MS = 10000;  // a change awaits confirmation this long
 const RETRY_MS = 500;      // between two attempts to connect
 const $ = id => document.getElementById(id);
 const base = location.pathname.replace(/[^/]*$/, "");
 
 let socket = null, asked = 0, lostRows = 0;
-const waiting = new Map(); // id of a request -> what takes the answer
+const waiting = new Map(); // id of a request -> function that takes the answer
 
 // ---------------------------------------------------------------------------------------------------- connection
 
@@ -60,8 +61,8 @@ function say(text, bad = false) {
   $("said").className = bad ? "bad" : "";
 }
 
-// What changes something bears the token of a status of now, so that none counts that has waited in a queue; `clicked` is
-// when the person did it.
+// A request that changes something carries the token of a fresh status, so that a request delayed in a queue
+// is rejected. `clicked` is the time of the click.
 async function request(side, what, clicked) {
   const status = await ask(side, { do: "status" });
   if (status.done && performance.now() - clicked > FRESH_MS) return say(`${side}: it took too long to get there: once more`, true);
@@ -79,17 +80,17 @@ function stop() {
   if (socket && socket.readyState === WebSocket.OPEN && socket.bufferedAmount === 0) {
     socket.send('{"do":"stop"}');
   }
-  // A way of its own, for the other may be stuck.
+  // Also send by HTTP: the WebSocket may be stuck.
   fetch(base + "stop", { method: "POST", keepalive: true }).then(answer => answer.json()).then(sayStopped).catch(
     () => say("STOP did not reach the console: stop the sides where they run", true));
 }
 
 function sayStopped(answers) {
   const texts = Object.entries(answers).map(([, answer]) => `${answer.side || ""} ${answer.text}`);
-  // One that is not at rest is what somebody must see to.
+  // A side that is not at rest needs the operator's attention.
   const done = texts.length > 0 && Object.values(answers).every(answer => answer.done && answer.is_at_rest);
   if (done) sayStopped.done = true;
-  // The second of two stops finds nobody any more.
+  // The second of two stops reaches no side any more.
   if (done || !sayStopped.done) {
     say(texts.length ? texts.join("; ") : "no --control was given: nothing can be stopped from here", !done);
   }
@@ -105,11 +106,11 @@ async function beat(mine, token) {
   $("engage-fill").style.width = Math.min(100, held / 10) + "%";
   const answer = await ask("master", { do: "hold", held_ms: Math.round(held), ...(token === null ? {} : { token }) });
   if (answer.pressed) {
-    // Also where it was let go while the answer was on its way: it is pressed.
+    // The press counts even if it was let go while the answer was on its way.
     const before = mine.presses;
     if (hold === mine) end();
     say("master: " + answer.text);
-    // Whether the loop took it.
+    // Check that the loop accepted it.
     setTimeout(async () => {
       const status = await ask("master", { do: "status" });
       if (status.done && before !== null && status.ineffective_presses > before) {
@@ -168,7 +169,7 @@ $("release").addEventListener("click", async () => {
   const answer = await ask("master", { do: "release" });
   say(`master: ${answer.text}`, !answer.done);
 });
-const SCALES = { force: "master", torque: "master", position: "slave", rotation: "slave" };   // each at its side
+const SCALES = { force: "master", torque: "master", position: "slave", rotation: "slave" };   // scale -> side that has it
 for (const [name, side] of Object.entries(SCALES)) {
   $(name + "-form").addEventListener("submit", event => {
     event.preventDefault();
@@ -180,9 +181,9 @@ for (const [name, side] of Object.entries(SCALES)) {
 
 // ---------------------------------------------------------------------------------------------------- confirmation
 
-let change = null;         // { side, what, timer }: what waits for a person's yes
+let change = null;         // { side, what, timer }: change that awaits confirmation
 
-// A dialog of the browser would hold up STOP, so the question stands on the page.
+// The question stands on the page because a browser dialog would block STOP.
 function confirmed(question, side, what) {
   dismiss();
   change = { side, what, timer: setTimeout(dismiss, CONFIRM_MS) };
@@ -238,7 +239,7 @@ function showSides(sides) {
     for (const [key, scale] of Object.entries(side.scales || {})) {
       const name = key.replace("_scale", ""), input = $(name + "-scale");
       $(name + "-form").hidden = false;
-      // What the scene has, until somebody types.
+      // Show the scene's value until the operator types.
       if (input.value === "" && document.activeElement !== input) input.value = scale;
     }
   }

@@ -1,11 +1,11 @@
 "use strict";
-// Both ends in three dimensions: bodies are read once, and again where their generation is another; then they only move.
+// Both ends in 3D: bodies are read once and again when their generation changes; otherwise only poses change.
 
 const ends = { bodies: null, frame: null, isAsked: false, isNew: false, views: {}, drawn: 0 };
 const DRAW_BODIES_MS = 33;   // between two drawings
 ends.base = location.pathname.replace(/[^/]*$/, "");
 
-// Takes where the bodies are; nothing is drawn by it.
+// Takes new poses; does not draw.
 ends.take = frame => {
   if (!frame) return;
   ends.frame = frame;
@@ -16,7 +16,7 @@ ends.take = frame => {
   }
 };
 
-// Whatever a picture costs, the page goes on without it.
+// A failed drawing does not stop the page.
 ends.fail = error => { document.getElementById("ends-notes").textContent = `not drawn: ${error.message}`; };
 
 ends.load = bodies => {
@@ -47,11 +47,11 @@ ends.load = bodies => {
   }
 };
 
-// Called once in a frame of the browser, which a hidden page has none of.
+// Called once per browser frame; a hidden page has none.
 ends.draw = now => {
   const { bodies, frame } = ends;
   if (!ends.isNew || document.hidden || now - ends.drawn < DRAW_BODIES_MS) return;
-  // Of another generation the numbers are of other parts.
+  // Poses of another generation belong to other parts.
   if (!bodies || bodies.generation !== frame.generation) return;
   [ends.isNew, ends.drawn] = [false, now];
   try {

@@ -1,5 +1,5 @@
 "use strict";
-// What the flight recorder of each side wrote at its last hold or end, in words and as a table of the ticks before it.
+// Flight recording of each side at its last hold or end: the cause in words and the ticks before it.
 
 function showFlights(flights, element) {
   document.getElementById("flights").replaceChildren(...flights.map(flight => flightSection(flight, element)));

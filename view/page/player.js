@@ -1,5 +1,5 @@
 "use strict";
-// Plays CONTENT, a run whose frames were written beforehand; the renderer comes before it.
+// Plays CONTENT, a run with precomputed frames. Load the renderer first.
 
 function element(kind, name, parent) {
   const made = document.createElement(kind);
@@ -8,7 +8,7 @@ function element(kind, name, parent) {
   return made;
 }
 
-// What a trail shows at a time.
+// Visible points of a trail at a time.
 function kept(trail, time) {
   const points = [];
   for (let n = 0; n < trail.times.length && trail.times[n] <= time; n++) {
@@ -45,7 +45,7 @@ class Line {
     line.force.forEach((f, n) => pen.lineTo(x(line.forceTimes[n]), 65 - (f / peak) * 36));
     pen.strokeStyle = "#1769c9"; pen.stroke();
     pen.font = "11px DejaVu Sans, Verdana, sans-serif"; pen.textBaseline = "middle";
-    // Names that would overlap are one; where that is too long, trips are what one looks for.
+    // Merge names that would overlap; if the result is too long, keep trips.
     const groups = [], wide = (texts) => pen.measureText([...new Set(texts)].join(", ")).width;
     for (const [t, text, named] of line.marks) {
       pen.fillStyle = named ? "#1d2733" : "#c9d0d8"; pen.fillRect(x(t), 26, 1, 40);
@@ -162,7 +162,7 @@ pick("scrub").addEventListener("input", (event) => { playing = false; show(begin
 addEventListener("resize", () => { dirty = true; });
 addEventListener("keydown", (event) => {
   const on = event.target.tagName;
-  // A button takes the space for itself; all other keys are ours, for who has clicked it goes on by them.
+  // The space key acts on a focused button; all other keys are handled here, also after a click on a button.
   if (on === "SELECT" || (on === "BUTTON" && event.key === " ")) return;
   const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key], camera = Object.values(CONTENT.cameras)[Number(event.key) - 1];
   if (event.key === " ") { toggle(); event.preventDefault(); }

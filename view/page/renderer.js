@@ -1,5 +1,6 @@
 "use strict";
-// Draws what haptether.view.scene3d describes, from where a person turns it. Matrices are row by row, as NumPy writes them.
+// Draws a haptether.view.scene3d description from a user-controlled camera. Matrices are row-major, as in
+// NumPy.
 
 const floats = (text) => new Float32Array(bytes(text).buffer);
 const shorts = (text) => new Uint16Array(bytes(text).buffer);
@@ -28,7 +29,7 @@ void main() {
 }`;
 
 class View {
-  // `changed` is called when a person looks from elsewhere.
+  // `changed` is called when the user moves the camera.
   constructor(canvas, camera, changed) {
     this.canvas = canvas; this.home = camera; this.changed = changed;
     this.parts = []; this.trails = [];
@@ -52,7 +53,7 @@ class View {
     this.listen();
   }
 
-  // Takes bodies and trails in place of those before; what is between the corners is in view.
+  // Replaces bodies and trails; the view covers the box between the corners.
   load([low, high], parts, trails) {
     const gl = this.gl;
     if (!gl) return;
@@ -71,7 +72,7 @@ class View {
                points: buffer(gl.ARRAY_BUFFER, floats(part.points)), normals: buffer(gl.ARRAY_BUFFER, floats(part.normals)),
                triangles: buffer(gl.ELEMENT_ARRAY_BUFFER, triangles) };
     });
-    // What is seen through comes last.
+    // Draw transparent parts last.
     this.parts.sort((a, b) => b.tint[3] - a.tint[3]);
     this.trails = trails.map((trail) => ({ of: trail, tint: [...colour(trail.colour), 1], buffer: gl.createBuffer() }));
   }
@@ -100,7 +101,7 @@ class View {
     this.canvas.addEventListener("dblclick", () => { this.look(this.home); this.changed(); });
   }
 
-  // The matrix from the base to the screen, column by column as WebGL reads it.
+  // Projection from base to screen, column-major for WebGL.
   camera(aspect) {
     const c = Math.cos(this.height);
     const back = [c * Math.cos(this.azimuth), c * Math.sin(this.azimuth), Math.sin(this.height)];
@@ -124,7 +125,7 @@ class View {
     return { seen, back, lamp: unit([0, 1, 2].map((k) => -0.6 * right[k] + 0.9 * up[k] + 0.8 * back[k])) };
   }
 
-  // `pose` gives the 12 numbers of a part, not a number where it is not seen, and `line` the points of a trail.
+  // `pose` returns the 12 numbers of a part, NaN while it is hidden; `line` returns the points of a trail.
   draw(pose, line) {
     const gl = this.gl, canvas = this.canvas;
     if (!gl || !this.centre) return;
@@ -145,7 +146,7 @@ class View {
       if (!m || Number.isNaN(m[0])) continue;
       gl.uniformMatrix4fv(this.where.pose, false, new Float32Array(
         [m[0], m[4], m[8], 0, m[1], m[5], m[9], 0, m[2], m[6], m[10], 0, m[3], m[7], m[11], 1]));
-      // Normals turn by the columns, whatever these are stretched by.
+      // Normals transform by the columns divided by their squared lengths, which undoes scaling.
       const columns = [0, 1, 2].map((k) => { const v = [m[k], m[4 + k], m[8 + k]], s = dot(v, v) || 1; return v.map((x) => x / s); });
       gl.uniformMatrix3fv(this.where.turn, false, new Float32Array(columns.flat()));
       gl.uniform4fv(this.where.tint, part.tint);

@@ -1,10 +1,12 @@
-//! What the scheduler of OpenHaptics calls at each of its ticks: one frame of a device, without Python.
+//! Callback for each tick of the OpenHaptics scheduler: one frame of a device, without Python.
 //!
-//! The scheduler's thread is the vendor's. It takes the newest force that the loop has written, and zero where that is
-//! older than the watchdog's time: a loop that hangs, or an interpreter that does not come to it, ends the force here.
+//! The vendor owns the scheduler's thread. The callback exerts the newest force that the loop has written. It
+//! exerts zero once that force is older than the watchdog time, for example when the loop or the interpreter
+//! hangs.
 //!
-//! Source: order of the calls as in CHAI3D, extras/hdPhantom/hdPhantom.cpp; codes as in pyOpenHaptics 1.0.1, `hd_define.py`.
-#![allow(unsafe_code)] // the functions of the vendor's library
+//! Source: order of the calls as in CHAI3D, extras/hdPhantom/hdPhantom.cpp; codes as in pyOpenHaptics 1.0.1,
+//! `hd_define.py`.
+#![allow(unsafe_code)] // calls into the vendor's library
 
 use std::{
     ffi::c_void,
@@ -27,28 +29,28 @@ const CURRENT_TRANSFORM: u32 = 0x2052;
 const CURRENT_FORCE: u32 = 0x2700;
 const CALLBACK_DONE: u32 = 0;
 const CALLBACK_CONTINUE: u32 = 1;
-/// Each so many ticks the calibration is looked at.
+/// Ticks between two checks of the calibration.
 const CALIBRATION_EVERY: u64 = 100;
-/// So many errors of one tick are taken off the vendor's stack.
+/// Most errors taken off the vendor's stack in one tick.
 const ERRORS: u32 = 8;
 /// Words of a sample: tick, transform, velocity, buttons and calibration, error.
 const SAMPLE: usize = 1 + 16 + 3 + 2;
-/// Words of a command: when it was written, and the force.
+/// Words of a command: time of the write, and force.
 const COMMAND: usize = 1 + 3;
 
 /// `HDErrorInfo` of hdDefines.h.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct HdErrorInfo {
-    /// 0 where there is none.
+    /// 0 for no error.
     pub code: u32,
-    /// That of the driver below.
+    /// Code of the driver below.
     pub internal: i32,
-    /// The device that was current.
+    /// Device that was current.
     pub device: u32,
 }
 
-/// The functions of the vendor's library that a frame needs.
+/// Functions of the vendor's library that a frame needs.
 #[derive(Debug, Clone, Copy)]
 pub struct HdFunctions {
     /// `hdMakeCurrentDevice`
@@ -69,26 +71,27 @@ pub struct HdFunctions {
     pub check_calibration: unsafe extern "C" fn() -> u32,
 }
 
-/// What a frame has measured, in the units and the frame of the vendor.
+/// Measurements of a frame, in the vendor's units and frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct HdSample {
-    /// Frames since the begin, this one included.
+    /// Frames since the start, including this one.
     pub tick: u64,
-    /// Column by column, position in mm.
+    /// Column-major transform, position in mm.
     pub transform: [f64; 16],
-    /// In mm/s.
+    /// Velocity in mm/s.
     pub velocity: [f64; 3],
     /// Bit n: button n + 1.
     pub buttons: u32,
-    /// As `hdCheckCalibration` said it last.
+    /// Last result of `hdCheckCalibration`.
     pub calibration: u32,
-    /// The first error since the last acknowledgement; 0 where there is none.
+    /// First error since the last acknowledgement; 0 for none.
     pub error: u32,
-    /// Its internal code.
+    /// Internal code of that error.
     pub internal_error: i32,
 }
 
-/// One device on the vendor's scheduler. It lives for ever: a scheduler that was stopped may still be in a last call.
+/// One device on the vendor's scheduler. It is never freed: a stopped scheduler may still be in its last
+/// call.
 #[derive(Debug)]
 pub struct HdCallback {
     functions: HdFunctions,
@@ -99,7 +102,7 @@ pub struct HdCallback {
     command: Latest<COMMAND>,
     sample: Latest<SAMPLE>,
     ticks: AtomicU64,
-    /// Ticks whose force was zero because the newest command was too old.
+    /// Ticks with zero force because the newest command was too old.
     starved: AtomicU64,
     calibration: AtomicU64,
     /// Code and internal code of the first error.
@@ -110,11 +113,11 @@ pub struct HdCallback {
 }
 
 impl HdCallback {
-    /// For a device that is open, with a bound of the force and the age at which a force ends.
+    /// A callback for an open device, with the largest force and the age at which a force ends.
     ///
     /// # Safety
     ///
-    /// The functions must be those of hd.h, and stay loaded.
+    /// `functions` must be those of hd.h and stay loaded.
     pub unsafe fn new(
         functions: HdFunctions,
         device: u32,
@@ -139,23 +142,24 @@ impl HdCallback {
         }))
     }
 
-    /// What the scheduler calls, with [`Self::context`].
+    /// Function for the scheduler to call with [`Self::context`].
     pub fn address() -> unsafe extern "C" fn(*mut c_void) -> u32 {
         on_tick
     }
 
-    /// What [`Self::address`] is called with.
+    /// Argument of [`Self::address`].
     pub fn context(&'static self) -> *const Self {
         self
     }
 
-    /// The force in N, in the vendor's frame, until the next one or the watchdog's time; one thread at a time.
+    /// Sets the force in N, in the vendor's frame, until the next write or the watchdog time. Only one thread
+    /// may write.
     pub fn write(&self, force: [f64; 3]) {
         let [x, y, z] = force.map(f64::to_bits);
         self.command.write(&[self.now_ns(), x, y, z]);
     }
 
-    /// The newest sample after a tick, as soon as there is one; none within the time.
+    /// Waits for a sample newer than `after`; none after `limit`.
     pub fn wait(&self, after: u64, limit: Duration) -> Option<HdSample> {
         let own = thread::current();
         if let Ok(mut waiter) = self.waiter.lock()
@@ -174,12 +178,12 @@ impl HdCallback {
         }
     }
 
-    /// Forgets the first error; another one is the first again.
+    /// Clears the first error, so that the next one is recorded.
     pub fn acknowledge(&self) {
         self.error.store(0, Release);
     }
 
-    /// Ends the callback with a last frame of zero force; whether that was within the time.
+    /// Ends the callback with a last frame of zero force; returns true if that happens within `limit`.
     pub fn end(&self, limit: Duration) -> bool {
         self.ending.store(true, Release);
         let begun = Instant::now();
@@ -192,7 +196,7 @@ impl HdCallback {
         true
     }
 
-    /// How many ticks had zero force because the newest command was too old.
+    /// Ticks with zero force because the newest command was too old.
     pub fn starved(&self) -> u64 {
         self.starved.load(Relaxed)
     }
@@ -207,7 +211,7 @@ impl HdCallback {
         let mut transform = [f64::NAN; 16];
         let mut velocity = [f64::NAN; 3];
         let mut buttons = 0;
-        // Of an error of these, too, nothing is exerted.
+        // An error in these calls also leads to zero force.
         unsafe {
             (of.make_current_device)(self.device);
             (of.begin_frame)(self.device);
@@ -234,7 +238,7 @@ impl HdCallback {
         CALLBACK_CONTINUE
     }
 
-    /// The newest force, bounded; zero where nothing is certain.
+    /// The newest force, bounded; zero after an error, without a command, or with one too old.
     fn force(&self) -> [f64; 3] {
         if self.error.load(Acquire) != 0 {
             return [0.0; 3];
@@ -275,7 +279,7 @@ impl HdCallback {
         words[21] = self.error.load(Acquire);
         self.sample.write(&words);
         self.ticks.store(tick, Release);
-        // Whoever holds it changes it: it looks for itself then.
+        // A held lock means that the waiter is registering; it then checks for a sample itself.
         if let Ok(waiter) = self.waiter.try_lock()
             && let Some(thread) = waiter.as_ref()
         {
@@ -298,7 +302,7 @@ fn sampled(words: [u64; SAMPLE]) -> HdSample {
 }
 
 unsafe extern "C" fn on_tick(context: *mut c_void) -> u32 {
-    // Made by `new`, which leaks it.
+    // `context` comes from `new`, which leaks it.
     let callback = unsafe { &*context.cast::<HdCallback>() };
     callback.frame()
 }

@@ -1,4 +1,4 @@
-//! The newest of some words that one thread writes and others read; nobody waits for anybody.
+//! The newest value of an array of words, with one writer and many readers; nobody blocks.
 
 use std::sync::atomic::{
     AtomicU64,
@@ -6,7 +6,7 @@ use std::sync::atomic::{
     fence,
 };
 
-/// So often a read that was interrupted by a write is tried again.
+/// Retries of a read that a write interrupts.
 const TRIES: u32 = 64;
 
 /// A sequence lock with one writer.
@@ -14,7 +14,7 @@ const TRIES: u32 = 64;
 /// Source: Boehm 2012, Can seqlocks get along with programming language memory models?, Fig. 6.
 #[derive(Debug)]
 pub(super) struct Latest<const N: usize> {
-    /// Odd while a write is under way.
+    /// Odd during a write.
     version: AtomicU64,
     words: [AtomicU64; N],
 }
@@ -24,7 +24,7 @@ impl<const N: usize> Latest<N> {
         Self { version: AtomicU64::new(0), words: std::array::from_fn(|_| AtomicU64::new(0)) }
     }
 
-    /// Replaces the words; one thread at a time.
+    /// Replaces the words. Only one thread may write.
     pub(super) fn write(&self, words: &[u64; N]) {
         let version = self.version.load(Relaxed);
         self.version.store(version + 1, Relaxed);
@@ -35,7 +35,7 @@ impl<const N: usize> Latest<N> {
         self.version.store(version + 2, Release);
     }
 
-    /// The newest words; none before the first write, and where writes interrupt every try.
+    /// The newest words; none before the first write, or if writes interrupt every attempt.
     pub(super) fn read(&self) -> Option<[u64; N]> {
         for _ in 0..TRIES {
             let before = self.version.load(Acquire);
@@ -70,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn a_read_is_never_of_two_writes() {
+    fn read_never_mixes_two_writes() {
         let latest = Latest::<16>::new();
         let done = AtomicBool::new(false);
         std::thread::scope(|scope| {
@@ -92,10 +92,10 @@ mod tests {
     }
 
     #[test]
-    fn a_write_that_does_not_end_is_not_waited_for() {
+    fn read_does_not_wait_for_an_unfinished_write() {
         let latest = Latest::<1>::new();
         latest.write(&[7]);
-        // As where its thread was stopped amid it.
+        // As if the writing thread stopped during a write.
         latest.version.store(3, Relaxed);
         assert_eq!(latest.read(), None);
     }

@@ -1,4 +1,5 @@
-//! The callback that a vendor's scheduler calls: the only code here that calls foreign functions or reads a clock.
+//! Callback for a vendor's scheduler: the only code in this crate that calls foreign functions or reads a
+//! clock.
 
 mod hd_callback;
 mod latest;

@@ -1,4 +1,4 @@
-//! A hand on a handle: a torsion spring and damper towards an orientation that moves, held by a finite grip.
+//! A hand on a handle: a torsion spring and damper towards a moving orientation, held by a finite grip.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -16,7 +16,7 @@ use super::CLEAR;
 /// How far the norm of a quaternion may lie from 1.
 const MAX_NORM_ERROR: f64 = 1e-9;
 
-/// The rotation that the quaternion (w, x, y, z) is, of norm 1 to 1e-9.
+/// Rotation of a quaternion (w, x, y, z) with norm 1 to 1e-9.
 pub(super) fn unit(name: &'static str, quat_wxyz: [f64; 4]) -> Result<UnitQuaternion<f64>, ModelError> {
     let [w, x, y, z] = quat_wxyz;
     let quaternion = Quaternion::new(w, x, y, z);
@@ -27,10 +27,10 @@ pub(super) fn unit(name: &'static str, quat_wxyz: [f64; 4]) -> Result<UnitQuater
 
 /// A torsion spring and damper.
 ///
-/// `tau = -K phi - B w`, `phi = log(R_rest^T R)`, all in the frame of the body; the log has the shorter of the two ways
-/// round, so that at `|phi| = pi` the torque changes its side.
+/// `tau = -K phi - B w`, `phi = log(R_rest^T R)`, all in the frame of the body. The log takes the shorter
+/// rotation, so the torque changes its side at `|phi| = pi`.
 ///
-/// `-K phi` is the gradient of `K |phi|² / 2`, so that the spring gives back what it took: with `R exp(e)` the log moves
+/// `-K phi` is the gradient of `K |phi|² / 2`, so the spring is conservative: with `R exp(e)` the log moves
 /// by `J_r^-1(phi) e`, and `phi J_r^-1(phi) = phi`.
 ///
 /// Source: Bullo and Murray 1999, section 4 (proportional control on SO(3)); Chirikjian 2011, section 10.6 (`J_r`).
@@ -42,14 +42,14 @@ pub struct TorsionSpring {
 }
 
 impl TorsionSpring {
-    /// K in N m/rad and B in N m s/rad (>= 0), without torque at `rest_wxyz`.
+    /// A spring with K in N m/rad and B in N m s/rad (>= 0), without torque at `rest_wxyz`.
     pub fn new(stiffness: f64, damping: f64, rest_wxyz: [f64; 4]) -> Result<Self, ModelError> {
         require("torsion stiffness", stiffness, stiffness >= 0.0, "finite and 0 or more")?;
         require("torsion damping", damping, damping >= 0.0, "finite and 0 or more")?;
         Ok(Self { rest: unit("spring rest", rest_wxyz)?, stiffness, damping })
     }
 
-    /// tau in N m on a body at orientation R with angular velocity w in rad/s, both of these in its frame.
+    /// tau in N m on a body at orientation R with angular velocity w in rad/s; tau and w are in its frame.
     pub fn torque(&self, orientation: &UnitQuaternion<f64>, angular_velocity: &Axes<3>) -> Axes<3> {
         (self.rest.inverse() * orientation).scaled_axis() * -self.stiffness - angular_velocity * self.damping
     }
@@ -72,11 +72,11 @@ pub struct RotationLeg {
     pub duration_s: f64,
     /// Orientation at its end.
     pub end_wxyz: [f64; 4],
-    /// How it is travelled.
+    /// Profile of the leg.
     pub shape: LegShape,
 }
 
-/// How a hand holds a handle.
+/// Parameters of a hand on a handle.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct RotationHandParameters {
@@ -84,20 +84,20 @@ pub struct RotationHandParameters {
     pub stiffness: f64,
     /// `B_h` in N m s/rad (>= 0).
     pub damping: f64,
-    /// Largest torque in N m that the grip passes on (>= 0); none is without bound.
+    /// Largest torque in N m that the grip transmits (>= 0); none means no bound.
     pub strength_n_m: Option<f64>,
-    /// Orientation where its path begins.
+    /// Orientation at the start of its path.
     pub start_wxyz: [f64; 4],
-    /// The legs of its path; it rests before the first and after the last.
+    /// Legs of its path; it rests before the first and after the last.
     pub legs: Vec<RotationLeg>,
-    /// When and how it lets go.
+    /// Release of the grip.
     pub release: Option<Release>,
 }
 
-/// A hand that steers the orientation of a handle, with as much torque as its grip can pass on.
+/// A hand that steers the orientation of a handle with a limited grip.
 ///
-/// `tau_h = -K_h log(R_target^T R) - B_h w`, its norm clipped to the grip strength: beyond it the handle slips through
-/// the fingers. `R_target = R_from exp(s(t) log(R_from^T R_end))` on each leg.
+/// `tau_h = -K_h log(R_target^T R) - B_h w`, its norm clipped to the grip strength; beyond it the handle
+/// slips through the fingers. `R_target = R_from exp(s(t) log(R_from^T R_end))` on each leg.
 ///
 /// Source: as [`Hand`](crate::Hand) and [`TorsionSpring`].
 #[derive(Clone, Debug, PartialEq)]
@@ -144,7 +144,7 @@ struct Leg {
 }
 
 impl RotationHand {
-    /// The hand that `parameters` describe.
+    /// A hand with `parameters`.
     pub fn new(parameters: &RotationHandParameters) -> Result<Self, ModelError> {
         let RotationHandParameters { stiffness, damping, strength_n_m, start_wxyz, legs, release } =
             parameters;
@@ -187,7 +187,7 @@ impl RotationHand {
         })
     }
 
-    /// No hand at all: the handle rests at `start_wxyz` and nobody holds it.
+    /// No hand: the handle rests at `start_wxyz`.
     pub fn absent(start_wxyz: [f64; 4]) -> Result<Self, ModelError> {
         Self::new(&RotationHandParameters {
             stiffness: 0.0,
@@ -207,7 +207,7 @@ impl RotationHand {
         leg.from * UnitQuaternion::from_scaled_axis(leg.turn * share)
     }
 
-    /// Share of the grip at time t in s.
+    /// Grip as a fraction of the full grip at time t in s.
     pub fn grip_at(&self, t: f64) -> f64 {
         match self.release {
             Some(Release { at_s, decay_s, .. }) if t >= at_s => {
@@ -221,7 +221,7 @@ impl RotationHand {
         }
     }
 
-    /// How fast the grip changes just after time t, in 1/s.
+    /// Rate of the grip just after time t, in 1/s.
     fn grip_rate(&self, t: f64) -> f64 {
         match self.release {
             Some(Release { at_s, decay_s, .. }) if t >= at_s && t < whole_ns(at_s + decay_s) => {
@@ -231,7 +231,8 @@ impl RotationHand {
         }
     }
 
-    /// `tau_h` in N m on a handle at orientation R with angular velocity w in rad/s, both of these in its frame.
+    /// `tau_h` in N m on a handle at orientation R with angular velocity w in rad/s; both vectors are in its
+    /// frame.
     pub fn torque(&self, t: f64, orientation: &UnitQuaternion<f64>, angular_velocity: &Axes<3>) -> Axes<3> {
         self.pull(t, t, orientation, angular_velocity).torque
     }
@@ -272,7 +273,7 @@ impl RotationHand {
         [self.stiffness, self.damping]
     }
 
-    /// The next time after t at which path or grip cease to be smooth.
+    /// Next time after t at which path or grip is not smooth.
     pub(super) fn next_kink(&self, t: f64) -> Option<f64> {
         let of_grip = self
             .release
@@ -319,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn a_grip_passes_on_what_it_can() {
+    fn grip_clips_the_hand_torque() {
         let fades = Release { at_s: 1.0, decay_s: 0.5, kind: ReleaseKind::Strength };
         let hand = RotationHand::new(&RotationHandParameters { release: Some(fades), ..holding() }).unwrap();
         let torque = |t: f64, angle: f64| {
@@ -344,7 +345,7 @@ mod tests {
         assert_eq!([0.0, 1.0, 1.2, 1.5].map(|t| hand.next_kink(t)), [Some(1.0), Some(1.5), Some(1.5), None]);
     }
 
-    /// `-K phi` against differences of `K |phi|² / 2` along each axis of the body.
+    /// `-K phi` against differences of `K |phi|² / 2` along each body axis.
     #[test]
     fn the_spring_is_the_gradient_of_its_energy() {
         let spring = TorsionSpring::new(3.0, 0.0, QUARTER).unwrap();
@@ -356,14 +357,14 @@ mod tests {
                 let energy =
                     |by: Axes<3>| spring.energy_j(&(orientation * UnitQuaternion::from_scaled_axis(by)));
                 let slope = (energy(step) - energy(-step)) / 2e-5;
-                // Central differences err by h² times a third derivative, which is some K / (pi - |phi|)².
+                // Central differences err by h² times a third derivative of about K / (pi - |phi|)².
                 assert!((torque[axis] + slope).abs() < 1e-8, "{turn:?} {axis}: {} {slope}", torque[axis]);
             }
         }
     }
 
     #[test]
-    fn refuses_what_no_hand_can_do() {
+    fn rejects_invalid_hand() {
         let fades = Some(Release { at_s: 1.0, decay_s: 0.1, kind: ReleaseKind::Strength });
         let leg = RotationLeg { duration_s: 1.0, end_wxyz: UPRIGHT, shape: LegShape::Linear };
         for bad in [

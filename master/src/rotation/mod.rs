@@ -1,4 +1,4 @@
-//! The rotation of a simulated master: a rigid handle on SO(3) and the hand that turns it.
+//! Rotation of a simulated master: a rigid handle on SO(3) and the hand that turns it.
 
 mod hand;
 #[cfg(test)]
@@ -11,9 +11,10 @@ use nalgebra::UnitQuaternion;
 use crate::{Axes, ModelError, device::exerted, require};
 use hand::Pull;
 
-/// Mechanics and motors of the rotation of a device.
+/// Mechanics and motors of a device's rotation.
 ///
-/// `I dw/dt + w x I w + b w + c w / |w| = tau`, with w in the frame of the body, which is that of its principal axes.
+/// `I dw/dt + w x I w + b w + c w / |w| = tau`, with w in the body frame, which is the frame of the principal
+/// axes.
 ///
 /// Source: Euler's equations, Goldstein, Poole and Safko 2002, Eq. 5.39; friction as paper Eq. 3.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,17 +27,18 @@ pub struct RotationParameters {
     pub viscous: f64,
     /// c in N m (>= 0): friction while moving, and the largest torque that friction withstands at rest.
     pub coulomb: f64,
-    /// Whether it measures w itself, exactly.
+    /// True if the device measures w itself, exactly.
     pub measures_angular_velocity: bool,
-    /// Largest `|tau|` in N m that the motors exert (> 0); none is without bound.
+    /// Largest `|tau|` in N m that the motors exert (> 0); none means no bound.
     pub max_torque_n_m: Option<f64>,
 }
 
 impl RotationParameters {
-    /// Largest rate in rad/s at which a spring or a damper may act on the lightest axis: 2048 sub-steps a ms.
+    /// Largest rate in rad/s of a spring or a damper on the lightest axis: 2048 sub-steps per ms.
     pub const MAX_RATE: f64 = 32_768.0;
 
-    /// The same I in kg m² about each axis, b in N m s/rad and c in N m; measures w, motors without bound.
+    /// A device with the same I in kg m² about each axis, b in N m s/rad, c in N m, measured w and no torque
+    /// bound.
     pub fn ideal(inertia_kg_m2: f64, viscous: f64, coulomb: f64) -> Self {
         Self {
             inertia_kg_m2: Axes::repeat(inertia_kg_m2),
@@ -47,7 +49,7 @@ impl RotationParameters {
         }
     }
 
-    /// Refuses what no device can have.
+    /// Returns an error if a parameter is invalid.
     pub fn check(&self) -> Result<(), ModelError> {
         for inertia in &self.inertia_kg_m2 {
             require("inertia_kg_m2", *inertia, *inertia > 0.0, "finite and above 0")?;
@@ -59,33 +61,33 @@ impl RotationParameters {
     }
 }
 
-/// What a device measures of its rotation at one tick.
+/// Rotation measured by a device at one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RotationSample {
     /// R, `base_from_body`.
     pub orientation: UnitQuaternion<f64>,
-    /// w in rad/s in the base frame, only from a device that measures it.
+    /// w in rad/s in the base frame, if the device measures it.
     pub angular_velocity: Option<Axes<3>>,
 }
 
-/// Angle in rad by which the body turns in a sub-step, and by which it turns against a spring or a damper.
+/// Largest angles in rad per sub-step: rotation of the body, and phase of a spring or a damper.
 const STEP_ANGLE: f64 = 1.0 / 256.0;
 const STEP_PHASE: f64 = 1.0 / 64.0;
 
-/// Angle in rad by which a push turns the direction of motion, and of friction, in a sub-step.
+/// Largest angle in rad per sub-step by which a push turns the direction of motion and friction.
 const STEP_SWERVE: f64 = 1.0 / 16.0;
 
-/// Angle in rad between a slow motion and what pushes it, below which the two have one direction.
+/// Angle in rad between a slow motion and its push below which both count as parallel.
 const ALIGNED: f64 = 1e-3;
 
-/// Sub-steps of one advance; beyond them each is longer, so that a tick always ends.
+/// Largest number of sub-steps per advance; longer sub-steps beyond it, so that a tick always ends.
 const MAX_SUB_STEPS: f64 = 4096.0;
 
-/// Against what Coulomb friction is during a sub-step, in the frame of the body.
+/// Direction opposed by Coulomb friction during a sub-step, in the body frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Friction {
     None,
-    /// The motion, or this where the motion no longer has it.
+    /// The motion; this direction once the motion no longer has a component along it.
     Along(Axes<3>),
     /// The push, or this where the push no longer has it.
     AlongPush(Axes<3>),
@@ -120,17 +122,19 @@ struct Step {
 ///
 /// `dR/dt = R hat(w)`, `w = I^-1 R^T L`, `dL/dt = R tau`.
 ///
-/// **Integrator.** Runge-Kutta-Munthe-Kaas of order 4: `R exp(Theta)` with `dTheta/dt = w + Theta x w / 2 + Theta x
-/// (Theta x w) / 12` (the terms of `dexp^-1` that order 4 needs), by the classical tableau. R stays a rotation. L of a
-/// free body does not change at all, and a held torque adds its exact impulse; the product `w x I w` does not appear. The
-/// step is explicit, and a damper needs no steps backwards as composed symmetric methods of order 4 do. The energy drifts:
-/// the equations are reversible, so the error of order 4 only swings, and what accumulates is of order 5, `z⁶ / 144`
-/// of it per step of z rad (of the linear test equation); sub-steps of z <= 1/256 leave 1e-11 over 1e5 ticks of 1 ms at
-/// 30 rad/s.
+/// **Integrator.** Runge-Kutta-Munthe-Kaas of order 4 with the classical tableau:
 ///
-/// **Friction** at rest withstands c. In a sub-step in which the motion along its first direction ends, it ends at that
-/// instant, found by secants; the body sets off again where friction cannot hold it. What it has of speed across that
-/// direction by then is dropped, at most `|tau| / I` times the shortest sub-step, a 4096th of a tick.
+/// `R exp(Theta)` with `dTheta/dt = w + Theta x w / 2 + Theta x (Theta x w) / 12`
+///
+/// These are the terms of `dexp^-1` that order 4 needs. R stays a rotation. L of a free body is constant, a
+/// held torque adds its exact impulse, and `w x I w` does not appear. The step is explicit; a damper needs no
+/// backward steps, unlike composed symmetric methods of order 4. The equations are reversible, so the error
+/// of order 4 in the energy only oscillates. The drift is of order 5, `z⁶ / 144` of the energy per step of z
+/// rad (linear test equation). Sub-steps of z <= 1/256 leave 1e-11 over 1e5 ticks of 1 ms at 30 rad/s.
+///
+/// **Friction** at rest withstands c. A sub-step ends at the instant at which the motion along its initial
+/// direction ends, found by secants. The body moves again if friction cannot hold it. The remaining speed
+/// across that direction is dropped: at most `|tau| / I` times the shortest sub-step, a 4096th of a tick.
 ///
 /// **Events.** A sub-step ends where the path or the release of the hand has a kink, where its grip begins or ceases to
 /// slip, where its spring changes side at pi, and where friction no longer holds the body. Halving locates the last
@@ -143,19 +147,19 @@ pub struct SimulatedRotation {
     hand: RotationHand,
     springs: Vec<TorsionSpring>,
     held_torque: Axes<3>,
-    /// Time in s of the hand: 0 where its path begins.
+    /// Time of the hand in s; its path begins at 0.
     time: f64,
-    /// The same at the last tick, in ns: a sum of ticks in s would drift by a rounding at each.
+    /// The same at the last tick in ns: a sum of ticks in s would accumulate rounding.
     hand_ns: u64,
     waits: bool,
     now_ns: u64,
     state: State,
-    /// Rate in rad/s at which springs and dampers act on the lightest axis.
+    /// Rate in rad/s of springs and dampers on the lightest axis.
     rate: f64,
 }
 
 impl SimulatedRotation {
-    /// A handle at rest where the hand's path starts, at time `now_ns`.
+    /// A handle at rest at the start of the hand's path, at time `now_ns`.
     pub fn new(device: RotationParameters, hand: RotationHand, now_ns: u64) -> Result<Self, ModelError> {
         device.check()?;
         let state = State { orientation: hand.target_at(f64::NEG_INFINITY), momentum: Axes::zeros() };
@@ -174,7 +178,7 @@ impl SimulatedRotation {
         one.with_rate()
     }
 
-    /// The same handle among springs that act at every instant.
+    /// The same handle with springs that act at every instant.
     pub fn among(self, springs: Vec<TorsionSpring>) -> Result<Self, ModelError> {
         Self { springs, ..self }.with_rate()
     }
@@ -191,12 +195,12 @@ impl SimulatedRotation {
         Ok(Self { rate, ..self })
     }
 
-    /// Whether the hand waits at the start of its path; once it no longer waits, its time runs from there.
+    /// Sets whether the hand waits at the start of its path; its time runs while it does not wait.
     pub fn set_waiting(&mut self, waits: bool) {
         self.waits = waits;
     }
 
-    /// Puts the handle at R with w in rad/s, in the base frame.
+    /// Places the handle at R with w in rad/s in the base frame.
     pub fn place(&mut self, quat_wxyz: [f64; 4], angular_velocity: &Axes<3>) -> Result<(), ModelError> {
         let orientation = hand::unit("orientation", quat_wxyz)?;
         for w in angular_velocity {
@@ -208,12 +212,12 @@ impl SimulatedRotation {
         Ok(())
     }
 
-    /// Sets the clock to `now_ns` without advancing: the handle rests until then.
+    /// Sets the clock to `now_ns` without advancing the state.
     pub fn begin(&mut self, now_ns: u64) {
         self.now_ns = now_ns;
     }
 
-    /// Advances to `now_ns` (monotonic) and returns what the device measures there.
+    /// Advances to `now_ns` (monotonic) and returns the measurement.
     pub fn read(&mut self, now_ns: u64) -> RotationSample {
         if now_ns > self.now_ns {
             let past_ns = now_ns - self.now_ns;
@@ -227,7 +231,7 @@ impl SimulatedRotation {
         self.measured()
     }
 
-    /// What the device measures where it is.
+    /// Measurement of the current state.
     pub fn measured(&self) -> RotationSample {
         RotationSample {
             orientation: self.state.orientation,
@@ -235,8 +239,8 @@ impl SimulatedRotation {
         }
     }
 
-    /// Holds this torque in N m, in the base frame, from now on, as far as the motors exert it; what is not finite becomes
-    /// no torque.
+    /// Holds this torque in N m, in the base frame, within the motors' bound; a non-finite torque becomes
+    /// zero.
     pub fn write(&mut self, torque: &Axes<3>) {
         let commanded = if torque.iter().all(|t| t.is_finite()) { *torque } else { Axes::zeros() };
         self.held_torque = match self.device.max_torque_n_m {
@@ -255,7 +259,7 @@ impl SimulatedRotation {
         self.state.orientation * self.body_angular_velocity()
     }
 
-    /// True w in rad/s in the frame of the body.
+    /// True w in rad/s in the body frame.
     pub fn body_angular_velocity(&self) -> Axes<3> {
         self.body_velocity(&self.state)
     }
@@ -271,7 +275,7 @@ impl SimulatedRotation {
         0.5 * self.device.inertia_kg_m2.component_mul(&w).dot(&w)
     }
 
-    /// Energy in J of the springs.
+    /// Energy of the springs in J.
     pub fn spring_energy_j(&self) -> f64 {
         self.springs.iter().map(|spring| spring.energy_j(&self.state.orientation)).sum()
     }
@@ -288,12 +292,12 @@ impl SimulatedRotation {
         self.springs.iter().map(|spring| orientation * spring.torque(orientation, &w)).sum()
     }
 
-    /// Torque in N m, in the base frame, that the motors exert since the last write.
+    /// Torque of the motors since the last write in N m, in the base frame.
     pub fn motor_torque(&self) -> &Axes<3> {
         &self.held_torque
     }
 
-    /// A hand that waits is before its path and its release.
+    /// Time of the hand; a waiting hand is before its path and its release.
     fn hand_time(&self, t: f64) -> f64 {
         if self.waits { f64::NEG_INFINITY } else { t }
     }
@@ -322,15 +326,15 @@ impl SimulatedRotation {
         }
     }
 
-    /// How many sub-steps the motion needs over `duration` in s.
+    /// Number of sub-steps for `duration` in s.
     fn sub_steps(&self, duration: f64) -> f64 {
         let turning = self.body_angular_velocity().norm();
         let lightest = self.device.inertia_kg_m2.min();
-        // A torque turns the body by tau t² / (2 I): the rate of that is sqrt(tau / I).
+        // A torque turns the body by tau t² / (2 I), a rate of sqrt(tau / I).
         let pushed = (self.held_torque.norm() / lightest).sqrt();
         let mut rate = (turning / STEP_ANGLE).max(self.rate.max(pushed) / STEP_PHASE);
         if self.device.coulomb > 0.0 && turning > 0.0 {
-            // Of a slow body a push across the motion changes its direction, and with it that of friction.
+            // A push across a slow motion turns its direction, and so the direction of friction.
             let direction = self.body_angular_velocity() / turning;
             let (push, _) = self.smooth_torque(self.time, &self.state);
             let across = (push - direction * push.dot(&direction)).norm();
@@ -342,7 +346,7 @@ impl SimulatedRotation {
         (duration * rate).ceil().max(1.0)
     }
 
-    /// Moves on by at most `duration` in s and returns by how much.
+    /// Advances by at most `duration` in s; returns the advance.
     fn sub_step(&mut self, duration: f64) -> f64 {
         let coulomb = self.device.coulomb;
         if coulomb == 0.0 {
@@ -426,7 +430,7 @@ impl SimulatedRotation {
             }
         }
         let (taken, mut state) = at;
-        // A push that friction cannot hold sets it off again.
+        // The body moves again if friction cannot hold the push.
         state.momentum = Axes::zeros();
         self.state = state;
         taken.max(duration * MIN_SHARE)

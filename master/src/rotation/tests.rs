@@ -17,7 +17,7 @@ fn free(inertia: [f64; 3], w: [f64; 3]) -> SimulatedRotation {
     body
 }
 
-/// A handle about z that a spring of `stiffness` turns back to 0, turned to `angle` and held by nobody.
+/// A handle about z, turned to `angle`, free of a hand, with a spring of `stiffness` towards 0.
 fn turned(viscous: f64, coulomb: f64, stiffness: f64, angle: f64) -> SimulatedRotation {
     let device = RotationParameters::ideal(INERTIA, viscous, coulomb);
     let spring = TorsionSpring::new(stiffness, 0.0, UPRIGHT).unwrap();
@@ -37,7 +37,7 @@ fn angle(body: &SimulatedRotation) -> f64 {
 
 #[test]
 fn a_free_body_keeps_energy_and_momentum() {
-    // About the middle axis too, where a rotation tumbles.
+    // Includes the middle axis, about which a rotation tumbles.
     for w in [[3.0, -7.0, 5.0], [0.01, 20.0, 0.01], [25.0, 1.0, -12.0]] {
         let mut body = free([1e-4, 2e-4, 4e-4], w);
         let (energy, momentum) = (body.kinetic_energy_j(), *body.angular_momentum());
@@ -47,7 +47,7 @@ fn a_free_body_keeps_energy_and_momentum() {
             most = most.max((body.kinetic_energy_j() / energy - 1.0).abs());
         }
         assert!(most < 2e-11, "{w:?}: {most}");
-        // L is the state, so it is what w and R make of it that must be the same.
+        // L is the state; check it as recomputed from w and R.
         let seen =
             *body.orientation() * body.device.inertia_kg_m2.component_mul(&body.body_angular_velocity());
         assert!((seen - momentum).norm() < 1e-12 * momentum.norm(), "{w:?}");
@@ -55,8 +55,8 @@ fn a_free_body_keeps_energy_and_momentum() {
     }
 }
 
-/// `w = (w_t cos(l t), w_t sin(l t), w_3)`, `l = (I_3 - I_1) w_3 / I_1`, in the frame of the body, whose axis goes round L
-/// at `|L| / I_1`. Source: Goldstein, Poole and Safko 2002, section 5.6.
+/// `w = (w_t cos(l t), w_t sin(l t), w_3)`, `l = (I_3 - I_1) w_3 / I_1`, in the body frame. The body axis
+/// precesses about L at `|L| / I_1`. Source: Goldstein, Poole and Safko 2002, section 5.6.
 #[test]
 fn a_symmetric_top_precesses_by_its_closed_form() {
     let (i_1, i_3, w_t, w_3) = (1e-4, 3e-4, 4.0, 9.0);
@@ -68,7 +68,7 @@ fn a_symmetric_top_precesses_by_its_closed_form() {
         let t = tick as f64 * 1e-3;
         let (sine, cosine) = (rate * t).sin_cos();
         let expected = Axes::<3>::new(w_t * cosine, w_t * sine, w_3);
-        // Some z^4 / 30 of each rad: z = 6e-3 a sub-step, 90 rad in 5 s.
+        // About z^4 / 30 of each rad: z = 6e-3 per sub-step, 90 rad in 5 s.
         assert!((body.body_angular_velocity() - expected).norm() < w_t * 90.0 * 4.4e-11, "{tick}");
         let around = UnitQuaternion::from_scaled_axis(momentum / i_1 * t);
         let axis = around * Axes::<3>::z();
@@ -76,7 +76,7 @@ fn a_symmetric_top_precesses_by_its_closed_form() {
     }
 }
 
-/// A step half as long errs by a 16th over the same time.
+/// Half the step gives a 16th of the error over the same time.
 #[test]
 fn the_order_is_four() {
     let spring = TorsionSpring::new(0.02, 1e-3, about_z(0.3)).unwrap();
@@ -114,15 +114,15 @@ fn a_torsion_spring_swings_by_its_closed_form() {
             let t = tick as f64 * 1e-3;
             let (sine, cosine) = (rate * t).sin_cos();
             let expected = start * (-decay * t).exp() * (cosine + decay / rate * sine);
-            // 50 rad of phase at z^4 / 120 of each, z = 1/64.
+            // 50 rad of phase at z^4 / 120 each, z = 1/64.
             assert!((angle(&body) - expected).abs() < 50.0 * 1.2 * 5e-10, "{viscous} {tick}");
         }
     }
 }
 
-/// A hand turns a handle against a torsion spring and lets go: `sqrt(k / I) phi` at most, less what friction takes.
+/// A hand turns a handle against a torsion spring and releases it: `sqrt(k / I) phi` at most, less friction.
 #[test]
-fn a_handle_that_is_let_go_is_as_fast_as_its_closed_form() {
+fn released_handle_matches_the_closed_form() {
     let (stiffness, held): (f64, f64) = (0.8, 1.0);
     for (viscous, coulomb) in [(0.0, 0.0), (4e-3, 0.0), (0.0, 0.05)] {
         let device = RotationParameters::ideal(INERTIA, viscous, coulomb);
@@ -147,13 +147,13 @@ fn a_handle_that_is_let_go_is_as_fast_as_its_closed_form() {
             "at rest: {viscous} {coulomb} {}",
             body.body_angular_velocity()
         );
-        // The first turn of o t at which the angular acceleration is zero, tan(o t) = o / d.
+        // The peak is where the angular acceleration is first zero, tan(o t) = o / d.
         let decay = viscous / (2.0 * INERTIA);
         let own = (rate * rate - decay * decay).sqrt();
         let at = if decay == 0.0 { std::f64::consts::FRAC_PI_2 / own } else { (own / decay).atan() / own };
         let expected =
             rate * rate / own * (phi - coulomb / stiffness) * (-decay * at).exp() * (own * at).sin();
-        // Sampled every 10 us, of which half is a phase of 0.3 mrad: 5e-8 below the peak.
+        // Samples every 10 us; half of that is a phase of 0.3 mrad, 5e-8 below the peak.
         let peak = (1..3_000_u64)
             .map(|n| body.read(1_500 * TICK_NS + n * 10_000).angular_velocity.unwrap().norm())
             .fold(0.0, f64::max);
@@ -276,7 +276,7 @@ fn friction_at_rest_withstands_its_torque() {
         let w = body.read(100 * TICK_NS).angular_velocity.unwrap();
         assert!((w - Axes::<3>::new(0.0, acceleration * 0.1, 0.0)).norm() < 1e-11, "{torque}: {w}");
     }
-    // Once pushed and let alone it comes to rest after I w / c.
+    // After a push it comes to rest after I w / c.
     let mut body = SimulatedRotation::new(device, RotationHand::absent(UPRIGHT).unwrap(), 0).unwrap();
     body.place(UPRIGHT, &Axes::<3>::new(3.0, 4.0, 0.0)).unwrap();
     let halt_ns = 50 * TICK_NS;
@@ -286,7 +286,7 @@ fn friction_at_rest_withstands_its_torque() {
     assert!((body.orientation().angle() - INERTIA * 25.0 / 0.04).abs() < 1e-12);
 }
 
-/// A slow body that is pushed back and sideways: the direction of friction goes round within a tick.
+/// A slow body pushed backwards and sideways: the direction of friction rotates within a tick.
 #[test]
 fn friction_follows_a_motion_that_swerves() {
     let after = |period_ns: u64| {
@@ -303,7 +303,7 @@ fn friction_follows_a_motion_that_swerves() {
     assert!((coarse - fine).norm() < 1e-5 * fine.norm(), "{coarse} {fine}");
 }
 
-/// A hand that has turned it comes to rest, and friction with it: nothing creeps on.
+/// After a turn by the hand both come to rest, without creep.
 #[test]
 fn friction_ends_a_turn_of_the_hand() {
     let end_wxyz = about_z(1.5);
@@ -370,7 +370,7 @@ fn motors_have_a_bound_and_a_hand_may_wait() {
 }
 
 #[test]
-fn refuses_what_no_device_can_have() {
+fn rejects_invalid_rotation() {
     let good = RotationParameters::ideal(INERTIA, 0.0, 0.0);
     for bad in [
         RotationParameters { inertia_kg_m2: Axes::<3>::new(1e-4, 0.0, 1e-4), ..good },
@@ -390,9 +390,9 @@ fn refuses_what_no_device_can_have() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
 
-    /// Springs and friction give out no energy, wherever the body is and however it turns.
+    /// Springs and friction add no energy, at any orientation and rate.
     #[test]
-    fn what_nobody_pushes_gains_no_energy(
+    fn unforced_body_gains_no_energy(
         inertia in prop::array::uniform3(1e-4..1e-3_f64),
         w in prop::array::uniform3(-10.0..10.0_f64),
         coulomb in prop_oneof![Just(0.0), 1e-4..1e-2_f64],

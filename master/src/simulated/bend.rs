@@ -1,4 +1,4 @@
-//! A tick under friction along a motion that bends: its Taylor series, no longer than rounding asks for.
+//! A tick with friction along a bending motion: its Taylor series, with as many terms as rounding requires.
 
 use super::SimulatedMaster;
 use crate::{
@@ -8,23 +8,24 @@ use crate::{
     polynomial::{INVERSE, TERMS},
 };
 
-/// Most terms; a tick that needs more is followed stretch by stretch.
+/// Largest number of terms; a tick that needs more is followed stretch by stretch.
 const MAX_TERMS: usize = TERMS;
 
-/// Fewest terms: the path has its share in each of these.
+/// Smallest number of terms; the path contributes to each of these.
 const MIN_TERMS: usize = DEGREE + 1;
 
-/// Share of the speed by which V may change within the tick at most. The series of its direction then converges to
-/// twice the tick and farther: where two terms are within rounding, so is all that follows.
+/// Largest change of V within the tick, as a fraction of the speed. The series of its direction then
+/// converges beyond twice the tick, so two terms within rounding imply that all later ones are.
 pub(super) const MAX_CHANGE: f64 = 0.125;
 
 impl<const N: usize> SimulatedMaster<N> {
-    /// By how much x in m and V in m/s change over the tick, from an acceleration in m/s² and a speed in m/s at its begin;
-    /// none where the series does not reach so far.
+    /// Changes of x in m and V in m/s over the tick, from acceleration in m/s² and speed in m/s at its start;
+    /// none if the series does not converge within the tick.
     ///
-    /// The terms of V, its direction U and the target P, each times its power of dT, obey
-    /// `(n + 1) V_(n+1) = dT (k P_n - c V_n - k dT V_(n-1) / n - f U_n)` for n > 0, with `k = K/m`, `c = B/m` and f the
-    /// friction over m.
+    /// The terms of V, its direction U and the target P, each times its power of dT, obey:
+    ///
+    /// `(n + 1) V_(n+1) = dT (k P_n - c V_n - k dT V_(n-1) / n - f U_n)` for n > 0.
+    /// Here `k = K/m`, `c = B/m` and f is the friction over m.
     pub(super) fn bent(
         &self,
         acceleration: &Axes<N>,
@@ -74,13 +75,13 @@ impl<const N: usize> SimulatedMaster<N> {
     }
 }
 
-/// No less than the norm, without its root.
+/// Upper bound of the norm, without a root.
 #[inline]
 fn magnitude<const N: usize>(of: &Axes<N>) -> f64 {
     of.iter().map(|x| x.abs()).sum()
 }
 
-/// The changes of x and V over the tick, of the terms of V; the smallest first.
+/// Changes of x and V over the tick from the terms of V, summed smallest first.
 #[inline]
 fn summed<const N: usize>(v: &[Axes<N>], duration: f64) -> [Axes<N>; 2] {
     let (mut moved, mut gained) = (Axes::zeros(), Axes::zeros());

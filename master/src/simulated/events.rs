@@ -1,4 +1,4 @@
-//! The motion of device and hand from event to event, each stretch between two by its Taylor series.
+//! Motion of device and hand from event to event; each stretch follows its Taylor series.
 
 use super::{STOPPED, SimulatedMaster, across, add};
 use crate::{
@@ -8,39 +8,39 @@ use crate::{
     stretch::{Grip, Law, Regime, Rub, Stretch},
 };
 
-/// Progress in s below which an event counts as another at the same instant. At a tie (the grip exactly as strong as
-/// the load) rounding would place the next event at no distance for ever.
+/// Progress in s below which the next event counts as simultaneous. At a tie (grip strength equal to the
+/// load) rounding could return the next event at zero distance forever.
 const MIN_PROGRESS: f64 = 1e-9;
 
-/// Events at one instant; beyond them the motion is taken on by [`MIN_PROGRESS`].
+/// Simultaneous events allowed; beyond them the motion advances by [`MIN_PROGRESS`].
 const MAX_STALLS: u32 = 8;
 
-/// Stretches of one advance; beyond them it moves on in steps of this share of it, so that a tick always ends.
+/// Stretches allowed per advance; beyond them it proceeds in this many equal steps, so that a tick always ends.
 const MAX_STRETCHES: u32 = 4096;
 
-/// Share of an advance below which a stretch is short, and how many of these show that the motion is too stiff to be
-/// followed; the rest is then taken in as many steps. A transient under stiff damping takes 80, after which
-/// [`Law::relaxed`] goes on.
+/// Fraction of an advance below which a stretch is short, and number of short stretches that mark the motion
+/// as stiff. The rest is then taken in as many steps. A transient under stiff damping takes 80, after which
+/// [`Law::relaxed`] continues.
 const SHORT: f64 = 1.0 / 8192.0;
 const MAX_SHORT: u32 = 512;
 
-/// Share of the time wanted below which a series that reaches no further is that of a stiff motion.
+/// A series with a reach below this fraction of the wanted time marks a stiff motion.
 const STIFF_SHARE: f64 = 1.0 / 32.0;
 
-/// Longest stretch in s of a device that sets off: its direction is that of the force.
+/// Longest stretch in s of a device that starts to move; its direction is that of the force.
 const SETTING_OFF: f64 = 1e-6;
 
-/// Time in s within which a slow device rotates into the direction of the force, `m |V| / |F|`, below which it counts
-/// as still setting off: where the force grows slowly past friction, the series of the direction would take ever
-/// shorter stretches.
+/// A slow device turns into the direction of the force within `m |V| / |F|`. Below this time in s it still
+/// counts as starting to move: if the force slowly grows past friction, the series of the direction would
+/// need ever shorter stretches.
 const TURNS_AT_ONCE: f64 = 1e-6;
 
-/// Speed in m/s across the motion below which it is a straight line for friction along it, whatever the speed: even
-/// where the device turns, friction then errs by no more than some of these.
+/// Speed in m/s across the motion below which the motion counts as straight for friction. Even if the device
+/// then turns, friction errs by no more than a few times this.
 const STRAIGHT: f64 = 1e-15;
 
 impl<const N: usize> SimulatedMaster<N> {
-    /// Moves over `duration` in s, stretch by stretch.
+    /// Advances over `duration` in s, stretch by stretch.
     pub(super) fn advance(&mut self, duration: f64) {
         let begun = self.time;
         let clock = self.now_ns as f64 * 1e-9;
@@ -60,7 +60,7 @@ impl<const N: usize> SimulatedMaster<N> {
             let kink = if self.waits { None } else { self.hand.next_kink(self.time) };
             let wanted = (duration - done).min(kink.map_or(f64::INFINITY, |kink| kink - self.time));
             let (taken, to_its_reach) = self.stretch(wanted, least, clock + done);
-            // A direction that rotates fast is followed in short stretches, which are progress.
+            // A fast-rotating direction takes short stretches; they count as progress.
             let moves_on = taken >= MIN_PROGRESS || (to_its_reach && taken > 0.0);
             stalls = if moves_on { 0 } else { stalls + 1 };
             short += u32::from(taken < duration * SHORT);
@@ -70,14 +70,14 @@ impl<const N: usize> SimulatedMaster<N> {
             self.time = match kink {
                 _ if self.waits => begun,
                 Some(kink) if reached_kink => kink,
-                // Nor may it fall back behind a kink that is over.
+                // The clock must not fall back behind a past kink.
                 _ => self.time.max(begun + done),
             };
         }
     }
 
-    /// Follows one stretch for `wanted` s or until the next event, whichever is first, but at least `least` s;
-    /// says how long it was, and whether its series reached no further.
+    /// Follows one stretch for `wanted` s or until the next event, but at least `least` s. Returns its
+    /// length, and whether the reach of its series ended it.
     fn stretch(&mut self, wanted: f64, least: f64, clock: f64) -> (f64, bool) {
         let mut target = self.hand.target_series(self.time);
         let (mut gain, mut strength) = self.hand.grip_line(self.time);
@@ -129,7 +129,7 @@ impl<const N: usize> SimulatedMaster<N> {
             }
             let slips_at = self.grip_changes(&stretch, grip, strength, duration);
             if grip == Grip::Holds && slips_at == Some(0.0) && norm > 0.0 {
-                // Exactly as strong as the load, and weaker at once.
+                // The strength equals the load and falls at once.
                 grip = Grip::Slips;
                 continue;
             }
@@ -138,7 +138,7 @@ impl<const N: usize> SimulatedMaster<N> {
         }
         let (event, moved, gained);
         if duration > stretch.reach {
-            // Beyond their reach only the first terms of the series say something; events are met where they are.
+            // Beyond the reach only the first terms are meaningful; events are handled where the step ends.
             event = None;
             (moved, gained) = law.coarse_step(&regime, &stretch, duration);
         } else {
@@ -167,8 +167,8 @@ impl<const N: usize> SimulatedMaster<N> {
         (duration, event.is_none() && duration == stretch.reach)
     }
 
-    /// The direction of a device that rubs along its motion, if it moves on a straight line for `wanted` s or sets off
-    /// on one: its friction is then constant until it stops.
+    /// Direction of a device with friction along its motion, if it moves or starts to move on a straight line
+    /// for `wanted` s. Its friction is then constant until it stops.
     fn straight_line(&self, law: &Law<N>, grip: Grip, hand: &Axes<N>) -> Option<Axes<N>> {
         let same = |values: &Axes<N>| values.iter().all(|value| *value == values[0]);
         let holds_on = grip == Grip::Holds && law.gain[1] == 0.0;
@@ -191,13 +191,14 @@ impl<const N: usize> SimulatedMaster<N> {
                 across += law.gain[0] * self.hand.stiffness() * aside(term) * power;
             }
         }
-        // A series reaches so far that no speed grows to more than twice what its force alone would lead to.
+        // Within the reach of a series, no speed exceeds twice what its force alone would give.
         let grown = 2.0 * law.wanted * across / self.device.mass_kg[0];
         (aside(&self.velocity) + grown <= STRAIGHT && self.velocity.dot(&direction) >= 0.0)
             .then_some(direction)
     }
 
-    /// Which laws act, given the hand's force; and whether a device under friction along its motion sets off now.
+    /// Laws that act, given the hand's force; and whether a device with friction along its motion starts to
+    /// move now.
     fn regime(&self, grip: Grip, hand: &Axes<N>) -> (Regime<N>, bool) {
         let push = self.held_force + hand + self.pushing_force();
         let mut regime = Regime {
@@ -258,7 +259,7 @@ impl<const N: usize> SimulatedMaster<N> {
         force
     }
 
-    /// When the grip begins or ceases to slip within `duration`.
+    /// Time within `duration` at which the grip begins or ceases to slip.
     fn grip_changes(
         &self,
         stretch: &Stretch<N>,
@@ -270,15 +271,15 @@ impl<const N: usize> SimulatedMaster<N> {
             return None;
         }
         if grip == Grip::Slips && strength == [0.0; 2] {
-            // Who has let go pulls with nothing, whatever is wished for.
+            // A released hand exerts no force, whatever its wish.
             return None;
         }
-        // Most of the time the grip is far stronger than all that can be wished for within the stretch.
+        // Usually the grip is far stronger than any wish within the stretch.
         if grip == Grip::Holds {
             let mut power = 1.0;
             let mut most = 0.0;
             for wish in &stretch.wish {
-                // No less than the norm, without its root.
+                // Upper bound of the norm, without a root.
                 most += wish.iter().map(|wish| wish.abs()).sum::<f64>() * power;
                 power *= duration;
             }
@@ -301,14 +302,14 @@ impl<const N: usize> SimulatedMaster<N> {
                 a.into_iter().chain(b).min_by(f64::total_cmp)
             }
             Grip::Slips => {
-                // It slips on the side of the wish; there the margin is negative.
+                // It slips on the side of the wish, where the margin is negative.
                 let side = usize::from(N == 1 && stretch.wish[0][0] < 0.0);
                 first_negative(&margins[side].map(|term| -term), duration)
             }
         }
     }
 
-    /// The first of the events that end a stretch of `duration`, apart from the grip's.
+    /// First event that ends a stretch of `duration`, other than a change of the grip.
     fn first_event(&self, stretch: &Stretch<N>, regime: &Regime<N>, duration: f64) -> Option<Event> {
         let mut first: Option<Event> = None;
         let mut consider = |kind: EventKind, margin: &Series| {
@@ -374,7 +375,7 @@ impl<const N: usize> SimulatedMaster<N> {
                     consider(EventKind::Leaves(index), &push);
                 }
             } else if depth[0] > 0.0 {
-                // Inside a wall that would have to pull. Where it ceased to push, what is left is rounding.
+                // Inside a wall that would have to pull. A remainder after it ceased to push is rounding.
                 let mut pulls = push.map(|term| -term);
                 pulls[0] += wall.slight(depth[0], &self.velocity);
                 consider(EventKind::Meets(index), &pulls);
@@ -386,7 +387,7 @@ impl<const N: usize> SimulatedMaster<N> {
         first
     }
 
-    /// What an event leaves exactly.
+    /// Sets the exact state after an event.
     fn settle(&mut self, kind: EventKind, clock: f64) {
         match kind {
             EventKind::SetsOff => {}
@@ -402,7 +403,7 @@ impl<const N: usize> SimulatedMaster<N> {
                 let wall = self.walls[index];
                 let depth = wall.depth(&self.position);
                 if depth.abs() <= 1e-12 * (1.0 + wall.surface.abs()) {
-                    // On the surface, exactly.
+                    // Exactly on the surface.
                     self.position += wall.normal * depth;
                     self.lost[0] = Axes::zeros();
                 }
@@ -423,7 +424,7 @@ impl<const N: usize> SimulatedMaster<N> {
         }
     }
 
-    /// Says of each wall whether it pushes where the device is now, away from its edges.
+    /// Updates for each wall whether it pushes at the current position, away from its edges.
     fn meet_walls(&mut self, clock: f64) {
         for index in 0..self.walls.len() {
             let wall = self.walls[index];
@@ -432,7 +433,7 @@ impl<const N: usize> SimulatedMaster<N> {
                 continue;
             }
             let (depth, push) = (wall.depth(&self.position), wall.push(&self.position, &self.velocity));
-            // Within rounding of an edge, the event that led there has decided.
+            // Within rounding of an edge, the preceding event has decided.
             let edge = 1e-15 * (1.0 + wall.surface.abs());
             let slight = wall.slight(depth, &self.velocity);
             if depth > edge && push > slight {
@@ -443,7 +444,7 @@ impl<const N: usize> SimulatedMaster<N> {
         }
     }
 
-    /// A stop takes the speed that leads into it.
+    /// A stop absorbs the speed directed into it.
     fn meet_stops(&mut self) {
         let (lower, upper) = self.device.stops;
         for axis in 0..N {
@@ -458,14 +459,13 @@ impl<const N: usize> SimulatedMaster<N> {
     }
 }
 
-/// What ends a stretch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum EventKind {
     /// Friction or a stop no longer holds an axis.
     SetsOff,
     /// The velocity of an axis passes zero.
     Turns(usize),
-    /// A device that rubs along its straight motion comes to rest.
+    /// A device with friction along its straight motion comes to rest.
     Rests,
     /// An axis meets a stop.
     Stop(usize),
@@ -481,7 +481,6 @@ struct Event {
     kind: EventKind,
 }
 
-/// The series of `|w|²`.
 fn squared_norm<const N: usize>(w: &[Axes<N>; TERMS]) -> Series {
     std::array::from_fn(|n| squared(w, n))
 }

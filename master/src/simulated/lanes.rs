@@ -1,5 +1,5 @@
-//! Several simulated masters side by side: those to which nothing happens within a tick are advanced in lanes, each of the
-//! others by itself, to the same bits.
+//! Several simulated masters in lanes. A master with an event in a tick is advanced by itself; results are
+//! bit-identical.
 
 use nalgebra::SimdBool as _;
 
@@ -11,25 +11,25 @@ use crate::{
     propagator::{AxisPropagator, Outlook},
 };
 
-/// What several devices measure at one tick.
+/// Measurements of several devices at one tick.
 #[derive(Clone, Copy, Debug)]
 pub struct MasterLanesSample<const N: usize, S: Real> {
-    /// x in m, as the encoders see it.
+    /// x in m, as encoded.
     pub position: Axes<N, S>,
-    /// V in m/s, only from devices that measure it.
+    /// V in m/s, if the devices measure it.
     pub velocity: Option<Axes<N, S>>,
 }
 
-/// Masters side by side, of which each is as alone: see [`SimulatedMaster`].
+/// Masters in lanes; each behaves exactly as a single [`SimulatedMaster`].
 ///
-/// In lanes are devices with friction on each axis by itself and no wall, and hands with the same path, release and grip
-/// anew that do not tremble, over ticks of one length within which no event falls.
+/// Lanes require per-axis friction and no walls. The hands need the same path, release and regrasp, and no
+/// tremor. Ticks must have equal length and contain no event.
 #[derive(Clone, Debug)]
 pub struct MasterLanes<const N: usize, S: Real> {
     masters: Vec<SimulatedMaster<N>>,
-    /// None where they are not for lanes.
+    /// None if the masters do not qualify for lanes.
     fast: Option<Box<Fast<N, S>>>,
-    /// As of the last read.
+    /// State at the last read.
     motion: Motion<N, S>,
     /// True force of the hands in N.
     hand_force: Axes<N, S>,
@@ -45,11 +45,11 @@ struct Motion<const N: usize, S: Real> {
     velocity: Axes<N, S>,
 }
 
-/// Devices and hands in lanes. Motion and force of those that are [loaded](Self::loaded) are here, those of the others in their
-/// masters.
+/// Devices and hands in lanes. Motion and force of [loaded](Self::loaded) lanes are here, those of the others
+/// in their masters.
 #[derive(Clone, Debug)]
 struct Fast<const N: usize, S: Real> {
-    /// The hand of all, but for its impedance and with a strength of 1 N.
+    /// Common hand with a strength of 1 N; its impedance is not used.
     hand: Hand<N>,
     outlook: Outlook<N>,
     waits: bool,
@@ -63,37 +63,36 @@ struct Fast<const N: usize, S: Real> {
     strength: S,
     device: DeviceLanes<N, S>,
     maps: [AxisPropagator<S>; N],
-    /// For which gain of a grip that has or has not let go, and for ticks of which length in s, the maps are.
+    /// Gain, whether the grip has released, and tick length in s for which the maps hold.
     regime: (f64, bool, f64),
     motion: Motion<N, S>,
     lost: [Axes<N, S>; 2],
     held_force: Axes<N, S>,
-    /// A bit for each lane that is here.
+    /// Mask of the loaded lanes.
     loaded: u64,
-    /// Of each lane.
     absences: Vec<Absence>,
 }
 
-/// Most ticks for which a master that cannot be advanced in its lane is left out of it.
+/// Most ticks for which a master stays out of its lane after a failed attempt.
 const MAX_ABSENCE: u32 = 64;
 
-/// For how long one that could not be advanced in its lane stays with its master.
+/// Ticks for which a master stays out of its lane.
 #[derive(Clone, Copy, Debug, Default)]
 struct Absence {
-    /// Ticks that are left of it.
+    /// Ticks left.
     left: u32,
-    /// Ticks that it had when it began.
+    /// Ticks at its start.
     whole: u32,
 }
 
 impl Absence {
-    /// It begins: longer each time, if the lane could not be used since the last.
+    /// Starts an absence, twice as long as the last unless the lane was used since.
     fn begin(&mut self, was_used: bool) {
         self.whole = if was_used { 1 } else { (2 * self.whole).clamp(1, MAX_ABSENCE) };
         self.left = self.whole;
     }
 
-    /// A tick of it; says whether it is over.
+    /// Counts one tick; returns true once the absence is over.
     fn step(&mut self) -> bool {
         self.left = self.left.saturating_sub(1);
         self.left == 0
@@ -111,8 +110,8 @@ struct DeviceLanes<const N: usize, S: Real> {
 }
 
 impl<const N: usize, S: Real> MasterLanes<N, S> {
-    /// Masters before their first read; None if they are more than there are lanes, or some measure their velocity and others do
-    /// not.
+    /// Lanes for masters before their first read. None if there are more masters than lanes, or if only some
+    /// measure their velocity.
     pub fn new(masters: Vec<SimulatedMaster<N>>) -> Option<Self> {
         let measures_velocity = masters.first()?.device.measures_velocity;
         let is_alike = |master: &SimulatedMaster<N>| master.device.measures_velocity == measures_velocity;
@@ -134,8 +133,8 @@ impl<const N: usize, S: Real> MasterLanes<N, S> {
         Some(lanes)
     }
 
-    /// The hands no longer wait: their time runs.
-    #[inline(always)] // once a tick
+    /// Sets whether the hands wait at the start of their path; their time runs while they do not wait.
+    #[inline(always)] // once per tick
     pub fn set_waiting(&mut self, waits: bool) {
         if self.masters.first().is_some_and(|master| master.waits != waits) {
             self.masters.iter_mut().for_each(|master| master.waits = waits);
@@ -143,8 +142,8 @@ impl<const N: usize, S: Real> MasterLanes<N, S> {
         }
     }
 
-    /// Advances those with a bit in `lanes` to `now_ns` (monotonic); returns what these measure there.
-    #[inline(always)] // once a tick, from one place
+    /// Advances the lanes in the mask `lanes` to `now_ns` (monotonic) and returns their measurements.
+    #[inline(always)] // once per tick, from one place
     pub fn read(&mut self, lanes: u64, now_ns: u64) -> MasterLanesSample<N, S> {
         let mut alone = lanes;
         if let Some(fast) = &mut self.fast {
@@ -163,8 +162,7 @@ impl<const N: usize, S: Real> MasterLanes<N, S> {
         MasterLanesSample { position: measured, velocity: self.measures_velocity.then_some(velocity) }
     }
 
-    /// Reads each of these masters by itself.
-    #[inline(never)] // seldom, and long
+    #[inline(never)] // rare and long
     fn read_alone(&mut self, lanes: u64, now_ns: u64) {
         for lane in lanes_of(lanes, self.masters.len()) {
             self.masters[lane].read(now_ns);
@@ -172,7 +170,7 @@ impl<const N: usize, S: Real> MasterLanes<N, S> {
         }
     }
 
-    /// Takes over what is seen of a master by itself.
+    /// Copies the visible state of a master into its lane.
     fn look(&mut self, lane: usize) {
         let master = &self.masters[lane];
         set(&mut self.motion.position, lane, &master.position);
@@ -180,8 +178,8 @@ impl<const N: usize, S: Real> MasterLanes<N, S> {
         set(&mut self.hand_force, lane, &master.hand_force());
     }
 
-    /// Those with a bit in `lanes` hold this force in N from now on, as [`SimulatedMaster::write`].
-    #[inline(always)] // once a tick
+    /// Holds this force in N for the lanes in the mask `lanes`, as [`SimulatedMaster::write`].
+    #[inline(always)] // once per tick
     pub fn write(&mut self, lanes: u64, force: &Axes<N, S>) {
         let mut alone = lanes;
         if let Some(fast) = &mut self.fast {
@@ -207,14 +205,13 @@ impl<const N: usize, S: Real> MasterLanes<N, S> {
         &self.motion.velocity
     }
 
-    /// True force of the hands on the devices in N, as of the last read.
+    /// True force of the hands on the devices in N at the last read.
     #[inline(always)]
     pub fn hand_force(&self) -> &Axes<N, S> {
         &self.hand_force
     }
 }
 
-/// The lanes that have a bit in a mask.
 fn lanes_of(mask: u64, count: usize) -> impl Iterator<Item = usize> {
     (0..count).filter(move |lane| mask >> lane & 1 == 1)
 }
@@ -229,7 +226,7 @@ fn of_lane<const N: usize, S: Real>(lanes: &Axes<N, S>, lane: usize) -> Axes<N> 
     Axes::from_fn(|axis, _| lanes[axis].extract(lane))
 }
 
-/// A number of each; 1 in lanes that are left over.
+/// One number per master; 1 in unused lanes.
 fn number<const N: usize, S: Real>(
     of: &[SimulatedMaster<N>],
     number: impl Fn(&SimulatedMaster<N>) -> f64,
@@ -247,7 +244,7 @@ fn everywhere<S: Real>() -> S::SimdBool {
 }
 
 impl<const N: usize, S: Real> Fast<N, S> {
-    /// Lanes for masters that may be in them; none is loaded yet.
+    /// Lanes for masters that qualify; none is loaded yet.
     fn gather(masters: &[SimulatedMaster<N>]) -> Option<Self> {
         let first = masters.first()?;
         let hand = first.hand.with_strength(1.0);
@@ -298,7 +295,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
         })
     }
 
-    /// Takes over a master, if its map is that of the regime.
+    /// Loads a master if its map matches the regime.
     fn load(&mut self, lane: usize, master: &SimulatedMaster<N>) {
         let (gain, has_let_go, duration) = self.regime;
         let impedance = [master.hand.stiffness(), master.hand.damping()];
@@ -318,13 +315,13 @@ impl<const N: usize, S: Real> Fast<N, S> {
         self.loaded |= 1 << lane;
     }
 
-    /// Gives a master what its lane has of it, and its time.
+    /// Writes the state and time of a lane back to its master.
     fn give_back(&mut self, lane: usize, master: &mut SimulatedMaster<N>) {
         self.loaded &= !(1 << lane);
         (master.time, master.hand_ns, master.now_ns, master.last_ns) =
             (self.time, self.hand_ns, self.now_ns, self.last_ns);
         let [gain, strength] = self.outlook.grip;
-        // A strength without an end does not change.
+        // An infinite strength does not change.
         let full = master.hand.full_strength();
         let strength = strength.map(|of| if of == 0.0 { 0.0 } else { of * full });
         master.outlook = self.outlook;
@@ -335,8 +332,8 @@ impl<const N: usize, S: Real> Fast<N, S> {
         master.held_force = of_lane(&self.held_force, lane);
     }
 
-    /// As [`SimulatedMaster::write`].
-    #[inline(always)] // once a tick
+    /// Holds the force, as [`SimulatedMaster::write`].
+    #[inline(always)] // once per tick
     fn write(&mut self, force: &Axes<N, S>) {
         let zero = S::zero();
         let finite = force.iter().fold(everywhere::<S>(), |all, x| all & (*x * zero).simd_eq(zero));
@@ -348,8 +345,8 @@ impl<const N: usize, S: Real> Fast<N, S> {
         self.held_force = exerted(&commanded, max_force_n, force_quantum_n, is_exact);
     }
 
-    /// Advances those with a bit in `lanes` that may be in their lanes; returns which these are.
-    #[inline(always)] // as its caller
+    /// Advances the lanes in `lanes` that can be advanced as lanes; returns their mask.
+    #[inline(always)] // inlined into its caller
     fn read(&mut self, lanes: u64, now_ns: u64, masters: &mut [SimulatedMaster<N>]) -> u64 {
         let past_ns = now_ns.saturating_sub(self.now_ns);
         if past_ns > 0 {
@@ -387,7 +384,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
         lanes & self.loaded
     }
 
-    #[inline(never)] // seldom
+    #[inline(never)] // rare
     fn load_all(&mut self, lanes: u64, masters: &[SimulatedMaster<N>]) {
         for lane in lanes_of(lanes, masters.len()) {
             if self.absences[lane].step() && masters[lane].now_ns == self.now_ns {
@@ -396,9 +393,9 @@ impl<const N: usize, S: Real> Fast<N, S> {
         }
     }
 
-    /// These cannot be advanced in their lanes over this tick: those that could not since they were taken over, after `before`,
-    /// stay with their masters for longer each time.
-    #[inline(never)] // seldom
+    /// Unloads lanes that cannot be advanced over this tick. A lane without a successful tick since its load
+    /// (not in `before`) stays out longer each time.
+    #[inline(never)] // rare
     fn leave(&mut self, lanes: u64, before: u64, masters: &mut [SimulatedMaster<N>]) {
         for lane in lanes_of(lanes, masters.len()) {
             self.give_back(lane, &mut masters[lane]);
@@ -406,9 +403,9 @@ impl<const N: usize, S: Real> Fast<N, S> {
         }
     }
 
-    /// Motion after a tick, what rounding took from it, and where bounds say that no event falls into it: as
-    /// [`SimulatedMaster::propagates`], to the bit.
-    #[inline(always)] // as its caller
+    /// Motion after a tick, its rounding errors, and the mask of lanes without an event in the tick;
+    /// bit-identical to [`SimulatedMaster::propagates`].
+    #[inline(always)] // inlined into its caller
     fn advanced(&self) -> (Motion<N, S>, [Axes<N, S>; 2], S::SimdBool) {
         let (zero, above) = (S::zero(), S::splat(1.0 + 1e-12));
         let (gain, has_let_go, duration) = self.regime;
@@ -441,7 +438,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
             let [farther, faster] = map.bounds(a, v, target, step);
             let e = map.change(a, v, moves.then(|| self.outlook.path_of(axis)), None);
             let [moved, gained] = [v * step + e[0], e[1]];
-            // Where friction may turn.
+            // Friction may change its sign here.
             let turns = friction.simd_ne(zero) & v.magnitude().simd_le(faster);
             let bends = map.damping.magnitude() * faster + map.pull * farther + target;
             let is_monotone = (a.magnitude() * S::splat(1.0 - 1e-12)).simd_gt(bends);
@@ -474,7 +471,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
         S::splat(strength[0]) * self.strength
     }
 
-    /// What the hands would exert with a strength without an end, in N.
+    /// Force of the hands in N with unlimited strength.
     #[inline(always)]
     fn wish(&self, gain: f64) -> Axes<N, S> {
         let Motion { position, velocity } = &self.motion;
@@ -484,7 +481,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
         })
     }
 
-    /// As [`SimulatedMaster::hand_force`].
+    /// Force of the hands in N, as [`SimulatedMaster::hand_force`].
     #[inline(always)]
     fn hand_force(&self) -> Axes<N, S> {
         let [gain, share] = self.outlook.grip;

@@ -1,4 +1,4 @@
-//! A simulated master: device and hand, advanced exactly under the force held since the last write.
+//! A simulated master: device and hand, advanced exactly under a force held since the last write.
 
 mod bend;
 mod events;
@@ -19,59 +19,59 @@ use crate::{
     require,
 };
 
-/// What a device measures at one tick.
+/// Measurements of a device at one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MasterSample<const N: usize> {
-    /// x in m, as the encoder sees it.
+    /// x in m, as encoded.
     pub position: Axes<N>,
-    /// V in m/s, only from a device that measures it.
+    /// V in m/s, if the device measures it.
     pub velocity: Option<Axes<N>>,
 }
 
-/// Speed in m/s below which a device that friction can hold is taken to have stopped. On several axes friction
+/// Speed in m/s below which a device that friction can hold counts as stopped. On several axes friction
 /// rotates with the motion, and the last bit of the speed would take ever shorter stretches.
 const STOPPED: f64 = 1e-10;
 
-/// When the device last touched a continuous wall and last left one, in s since the clock's zero.
+/// Last contact with and last separation from a continuous wall, in s since the clock's zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Touch {
     /// Last contact made.
     pub made_s: Option<f64>,
     /// Last contact broken.
     pub broke_s: Option<f64>,
-    /// How many contacts were made.
+    /// Number of contacts made.
     pub count: u64,
 }
 
-/// Device, hand and what walls act on the device by themselves.
+/// Device, hand, and walls that act on the device at every instant.
 ///
-/// Between two events (an axis reverses or sets off, the grip begins or ceases to slip, the release begins or ends, a
-/// stop or a wall is met or left) the motion is smooth and is followed by its Taylor series to rounding; the events
-/// themselves are located to rounding.
+/// The motion is smooth between events and follows its Taylor series to rounding. Events are located to
+/// rounding: an axis reverses or starts, the grip begins or ceases to slip, the release begins or ends, a
+/// stop or a wall is met or left.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimulatedMaster<const N: usize> {
     device: DeviceParameters<N>,
     hand: Hand<N>,
     walls: Vec<ContinuousWall<N>>,
     held_force: Axes<N>,
-    /// Time in s of the hand: 0 where its path begins.
+    /// Time of the hand in s; its path begins at 0.
     time: f64,
-    /// The same at the last tick, in ns: a sum of ticks in s would drift by a rounding at each.
+    /// The same at the last tick in ns: a sum of ticks in s would accumulate rounding.
     hand_ns: u64,
     waits: bool,
     now_ns: u64,
     position: Axes<N>,
     velocity: Axes<N>,
-    /// What rounding took from position and velocity: a constant force adds the same step at every tick, which
-    /// would be rounded the same way each time.
+    /// Rounding errors of position and velocity. A constant force adds the same step at every tick, and its
+    /// rounding would accumulate.
     lost: [Axes<N>; 2],
-    /// Which walls push, a bit for each.
+    /// Mask of the walls that push.
     pushing: u64,
     touch: Touch,
-    /// The hand from now on.
+    /// Intent of the hand from now on.
     outlook: Outlook<N>,
     propagator: Propagator<N>,
-    /// Length of the last tick in ns: a map is computed for the second of the same length.
+    /// Length of the last tick in ns; the second tick of equal length computes a map.
     last_ns: u64,
     #[cfg(test)]
     pub(crate) propagated: u64,
@@ -83,7 +83,7 @@ impl<const N: usize> SimulatedMaster<N> {
     /// Most continuous walls.
     pub const MAX_WALLS: usize = 64;
 
-    /// A device at rest where the hand's path starts, at time `now_ns`.
+    /// A device at rest at the start of the hand's path, at time `now_ns`.
     pub fn new(device: DeviceParameters<N>, hand: Hand<N>, now_ns: u64) -> Result<Self, ModelError> {
         device.check()?;
         let position = hand.target_at(0.0);
@@ -111,18 +111,18 @@ impl<const N: usize> SimulatedMaster<N> {
         })
     }
 
-    /// The same device among walls that act at every instant.
+    /// The same device with walls that act at every instant.
     pub fn among(self, walls: Vec<ContinuousWall<N>>) -> Result<Self, ModelError> {
         require("walls", walls.len() as f64, walls.len() <= Self::MAX_WALLS, "at most 64")?;
         Ok(Self { walls, ..self })
     }
 
-    /// Whether the hand waits at the start of its path; once it no longer waits, its time runs from there.
+    /// Sets whether the hand waits at the start of its path; its time runs while it does not wait.
     pub fn set_waiting(&mut self, waits: bool) {
         self.waits = waits;
     }
 
-    /// Puts the device at x in m with V in m/s.
+    /// Places the device at x in m with V in m/s.
     pub fn place(&mut self, position: Axes<N>, velocity: Axes<N>) -> Result<(), ModelError> {
         for (x, v) in position.iter().zip(&velocity) {
             require("position", *x, true, "finite")?;
@@ -133,12 +133,12 @@ impl<const N: usize> SimulatedMaster<N> {
         Ok(())
     }
 
-    /// Sets the clock to `now_ns` without advancing: the device rests until then.
+    /// Sets the clock to `now_ns` without advancing the state.
     pub fn begin(&mut self, now_ns: u64) {
         self.now_ns = now_ns;
     }
 
-    /// Advances to `now_ns` (monotonic) and returns what the device measures there.
+    /// Advances to `now_ns` (monotonic) and returns the measurement.
     #[inline]
     pub fn read(&mut self, now_ns: u64) -> MasterSample<N> {
         self.advance_to(now_ns);
@@ -163,7 +163,7 @@ impl<const N: usize> SimulatedMaster<N> {
         }
     }
 
-    /// What the device measures where it is.
+    /// Measurement of the current state.
     #[inline]
     pub fn measured(&self) -> MasterSample<N> {
         let quantum = self.device.encoder_quantum;
@@ -173,14 +173,14 @@ impl<const N: usize> SimulatedMaster<N> {
         }
     }
 
-    /// Holds this force in N from now on, as far as the motors exert it; what is not finite becomes no force.
+    /// Holds this force in N within the motors' bound; a non-finite force becomes zero.
     pub fn write(&mut self, force: &Axes<N>) {
         let commanded = if force.iter().all(|f| f.is_finite()) { *force } else { Axes::zeros() };
         let quantum = self.device.force_quantum_n;
         self.held_force = exerted(&commanded, self.device.max_force_n, quantum, quantum == 0.0);
     }
 
-    /// True position in m, which no encoder measures.
+    /// True position in m, before the encoder.
     pub fn position(&self) -> &Axes<N> {
         &self.position
     }
@@ -199,7 +199,7 @@ impl<const N: usize> SimulatedMaster<N> {
         gripped(&wish, strength)
     }
 
-    /// Force in N that the motors exert since the last write.
+    /// Force of the motors since the last write in N.
     pub fn motor_force(&self) -> &Axes<N> {
         &self.held_force
     }
@@ -219,22 +219,22 @@ impl<const N: usize> SimulatedMaster<N> {
     }
 }
 
-/// What of `along` lies across a direction, a unit vector.
+/// Magnitude of `along` perpendicular to `direction`, a unit vector.
 fn across<const N: usize>(direction: &Axes<N>, along: &Axes<N>) -> f64 {
     (along - direction * direction.dot(along)).norm()
 }
 
-/// Adds a small step along each axis and what earlier steps lost.
+/// Adds a small step per axis, with compensated rounding.
 fn add<const N: usize>(sum: &mut Axes<N>, lost: &mut Axes<N>, step: &Axes<N>) {
     for axis in 0..N {
         add_one(&mut sum[axis], &mut lost[axis], step[axis]);
     }
 }
 
-/// Adds a small step and what earlier steps lost.
+/// Adds a small step with compensated rounding.
 ///
 /// Source: Kahan 1965; the exact error of a sum, Knuth 1969, section 4.2.2.
-#[inline(always)] // a few operations, several times a tick
+#[inline(always)] // a few operations, several times per tick
 fn add_one<S: Real>(sum: &mut S, lost: &mut S, step: S) {
     let (before, step) = (*sum, step + *lost);
     let after = before + step;

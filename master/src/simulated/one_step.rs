@@ -1,13 +1,13 @@
-//! A whole tick of device and hand in one step, where bounds on the motion say that no event falls into the tick: the
-//! linear map of [`Propagator`], or the series of a motion that friction along it bends (`bend.rs`).
+//! A whole tick of device and hand in one step, if bounds on the motion exclude an event: the linear map of
+//! [`Propagator`], or the series of a motion that friction bends (`bend.rs`).
 
 use super::{STOPPED, SimulatedMaster, across, add, bend::MAX_CHANGE};
 use crate::{Axes, axes::norm, propagator::Propagator};
 
 impl<const N: usize> SimulatedMaster<N> {
-    /// Moves over a tick of `duration` in one step, if bounds on the motion say that no event falls into it and all
-    /// laws are linear, or but for the direction of friction; else leaves everything as it is. A bound too many costs
-    /// time, none costs accuracy.
+    /// Advances a tick of `duration` in one step if bounds exclude an event and all laws are linear, except
+    /// for the direction of friction. Otherwise changes nothing and returns false. An unnecessary refusal
+    /// costs time, never accuracy.
     #[inline]
     pub(super) fn propagates(&mut self, duration: f64, past_ns: u64) -> bool {
         #[cfg(test)]
@@ -57,7 +57,7 @@ impl<const N: usize> SimulatedMaster<N> {
         let Some(bend) = bend else {
             return false;
         };
-        // However friction turns, it changes by no more than twice itself.
+        // A turning friction changes by at most twice its magnitude.
         let turns =
             if matches!(bend, Bend::Bends(_)) { 2.0 * self.device.coulomb[0] * inverse_mass[0] } else { 0.0 };
         let (lower, upper) = &self.device.stops;
@@ -109,7 +109,8 @@ impl<const N: usize> SimulatedMaster<N> {
         true
     }
 
-    /// Most by which the tremor moves the target within the tick, and tremor and path along each axis, in m.
+    /// Largest shift of the target within the tick by the tremor, and by tremor and path along each axis, in
+    /// m.
     #[inline]
     fn target_shift(&self, moves: bool, trembles: bool) -> (f64, Axes<N>) {
         let (map, outlook) = (&self.propagator, &self.outlook);
@@ -125,7 +126,7 @@ impl<const N: usize> SimulatedMaster<N> {
         (shakes, shift)
     }
 
-    /// Changes position and velocity, without what rounding loses, and holds the axes that stick.
+    /// Changes position and velocity with compensated rounding, and halts stuck axes.
     #[inline(always)]
     fn move_by(&mut self, moved: &Axes<N>, gained: &Axes<N>, stuck: &[bool; N]) {
         add(&mut self.position, &mut self.lost[0], moved);
@@ -137,7 +138,7 @@ impl<const N: usize> SimulatedMaster<N> {
         }
     }
 
-    /// Whether no wall that acts at each instant is within reach of a motion of at most so much along each axis.
+    /// True if no continuous wall is within reach of a motion of at most `most_moved` along each axis.
     #[inline(always)]
     fn stays_clear(&self, most_moved: &Axes<N>) -> bool {
         self.walls.is_empty() || self.keeps_off_walls(most_moved)
@@ -150,7 +151,8 @@ impl<const N: usize> SimulatedMaster<N> {
         })
     }
 
-    /// The force of a hand that holds or has let go; None where it lets go with nothing to hold, so that the series decides.
+    /// Force of a hand that holds or has released. None if the wish of a released hand is exactly
+    /// zero: the series decides.
     #[inline]
     fn standing_grip(&self, gain: f64, strength: f64) -> Option<StandingGrip<N>> {
         let (x, v) = (self.position, self.velocity);
@@ -163,8 +165,8 @@ impl<const N: usize> SimulatedMaster<N> {
         is_free.then_some(StandingGrip { force: Axes::zeros(), impedance: [0.0; 2], has_let_go: true })
     }
 
-    /// The friction of a tick in which no axis that sticks is torn loose: `push` in N as it is now, `most_pulled` by how much
-    /// the hand's target may add to it; None where that cannot be said.
+    /// Friction over a tick in which no stuck axis breaks loose. `push` is the present push in N,
+    /// `most_pulled` the most that the hand's target may add. None if bounds cannot decide.
     #[inline]
     fn standing_friction(&self, push: &Axes<N>, most_pulled: &Axes<N>) -> Option<StandingFriction<N>> {
         let mut found = StandingFriction { force: Axes::zeros(), stuck: [false; N], along: None };
@@ -196,11 +198,10 @@ impl<const N: usize> SimulatedMaster<N> {
         Some(found)
     }
 
-    /// How a motion under friction along it goes on over a tick; none where it may come to rest or turn too
-    /// far.
+    /// Course of a motion with friction along it over a tick; none if it may come to rest or turn too far.
     ///
-    /// It is straight where rounding hides the rest: across the motion the speed grows to at most P, friction turns by
-    /// `P / |V|`, which moves V by `c dT P / (m |V|)`.
+    /// It counts as straight if rounding hides the rest. The speed across the motion grows to at most P,
+    /// friction turns by `P / |V|`, and that moves V by `c dT P / (m |V|)`.
     #[inline]
     fn bend(
         &self,
@@ -245,29 +246,28 @@ impl<const N: usize> SimulatedMaster<N> {
     }
 }
 
-/// How a motion goes on over a tick.
+/// Course of a motion over a tick.
 enum Bend<const N: usize> {
-    /// On a straight line.
     Straight,
-    /// In another direction at its end: by how much x in m and V in m/s change.
+    /// A bend: changes of x in m and V in m/s.
     Bends([Axes<N>; 2]),
 }
 
-/// What a hand does over a tick in which its grip neither changes nor begins to slip.
+/// Hand over a tick in which its grip neither changes nor begins to slip.
 struct StandingGrip<const N: usize> {
-    /// In N, at the begin of the tick.
+    /// Force in N at the start of the tick.
     force: Axes<N>,
-    /// Stiffness and damping by which that changes with the motion.
+    /// Stiffness and damping that change this force with the motion.
     impedance: [f64; 2],
     has_let_go: bool,
 }
 
-/// Friction of a tick over which it stands.
+/// Friction constant over a tick.
 struct StandingFriction<const N: usize> {
-    /// In N, against the motion.
+    /// Friction in N, against the motion.
     force: Axes<N>,
-    /// Axes that stick throughout.
+    /// Axes stuck throughout the tick.
     stuck: [bool; N],
-    /// The speed in m/s, where the friction is along the motion.
+    /// Speed in m/s, if friction acts along the motion.
     along: Option<f64>,
 }

@@ -1,4 +1,4 @@
-//! Ticks in one step against the same ticks by their series.
+//! Ticks in one step against the same ticks by series.
 
 use proptest::prelude::*;
 
@@ -7,7 +7,7 @@ use crate::*;
 const TICK_NS: u64 = 1_000_000;
 const TICKS: u64 = 300;
 
-/// A device, its hand and its walls, drawn at random.
+/// A random device with its hand and walls.
 #[derive(Clone, Debug)]
 struct Drawn {
     mass: [f64; 3],
@@ -97,7 +97,7 @@ fn master<const N: usize>(drawn: &Drawn) -> SimulatedMaster<N> {
     SimulatedMaster::new(device, hand, 0).unwrap().among(walls.into_iter().collect()).unwrap()
 }
 
-/// Largest differences in m and m/s tick by tick, each from the same state, and ticks in one step.
+/// Largest differences per tick in m and m/s from the same state, and number of ticks in one step.
 fn compared<const N: usize>(drawn: &Drawn) -> ([f64; 2], u64) {
     let mut master = master::<N>(drawn);
     let mut worst = [0.0_f64; 2];
@@ -122,7 +122,7 @@ fn compared<const N: usize>(drawn: &Drawn) -> ([f64; 2], u64) {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(96))]
 
-    /// From the same state both are the same to rounding: some eps of x (below 0.5 m) and of V (below 10 m/s).
+    /// From the same state both agree to rounding: a few eps of x (below 0.5 m) and V (below 10 m/s).
     #[test]
     fn a_tick_in_one_step_is_the_tick_by_its_series(drawn in drawn()) {
         let (eps, [x, v]) = (f64::EPSILON, [1.0, 10.0]);
@@ -133,7 +133,7 @@ proptest! {
     }
 }
 
-/// A hand that trembles: nearly each tick is one step, but those with a turn or a start are not.
+/// A trembling hand: nearly every tick takes one step, except those with a turn or a start.
 #[test]
 fn ticks_without_an_event_take_one_step() {
     fn counted<const N: usize>(friction: Friction) -> u64 {
@@ -150,12 +150,13 @@ fn ticks_without_an_event_take_one_step() {
     for counted in
         [counted::<1>(Friction::Vector), counted::<3>(Friction::Axis), counted::<3>(Friction::Vector)]
     {
-        // At most all but the first tick and ten turns; starts and the few whose bounds do not exclude an event cost more.
+        // At most all but the first tick and ten turns. Starts, and ticks whose bounds do not exclude an
+        // event, cost a few more.
         assert!((950..=989).contains(&counted), "{counted}");
     }
 }
 
-/// A hand that strokes along edges in space, and trembles if `trembles`, against friction along the motion.
+/// A hand that strokes along edges in space against friction along the motion, with an optional tremor.
 fn stroking(trembles: bool) -> SimulatedMaster<3> {
     let legs = (1..30)
         .map(|n| {
@@ -170,8 +171,7 @@ fn stroking(trembles: bool) -> SimulatedMaster<3> {
     SimulatedMaster::new(device, hand.with_tremor(tremor).unwrap(), 0).unwrap()
 }
 
-/// Friction along a motion that bends takes one step where the motion is not slow, and ends where a fifth of the tick
-/// after the other by series does.
+/// A bending motion that is not slow takes one step; its end agrees with a series at a fifth of the tick.
 #[test]
 fn a_bending_motion_takes_one_step_and_errs_by_rounding() {
     const SHARES: u64 = 5;

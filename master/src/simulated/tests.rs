@@ -17,7 +17,7 @@ fn alone(device: DeviceParameters<1>, position: f64) -> SimulatedMaster<1> {
     SimulatedMaster::new(device, Hand::absent(at(position)).unwrap(), 0).unwrap()
 }
 
-/// Peak velocity when a wall of stiffness K, sampled and held, throws the device out from depth D.
+/// Peak velocity when a sampled and held wall of stiffness K ejects the device from depth D.
 fn ejection(stiffness: f64, depth: f64) -> f64 {
     let mut master = alone(frictionless(), -depth);
     for tick in 0..1000 {
@@ -28,7 +28,7 @@ fn ejection(stiffness: f64, depth: f64) -> f64 {
 }
 
 #[test]
-fn a_held_wall_throws_as_the_sampled_recursion_says() {
+fn held_wall_matches_the_sampled_recursion() {
     for (stiffness, depth) in [(200.0, 0.039), (1000.0, 0.0078), (500.0, 0.01)] {
         let (mut z, mut v, dt) = (-depth, 0.0_f64, 1e-3);
         while z < 0.0 {
@@ -42,11 +42,13 @@ fn a_held_wall_throws_as_the_sampled_recursion_says() {
 
 #[test]
 fn a_held_wall_returns_more_than_it_took() {
-    // Half a tick of delay acts as damping -K dT / 2; over a quarter period it gains exp(pi/8 dT sqrt(K/m)).
+    // Half a tick of delay acts as damping -K dT / 2; over a quarter period the gain is exp(pi/8 dT
+    // sqrt(K/m)).
     let w = (200.0_f64 / 0.157).sqrt();
     let gain = ejection(200.0, 0.039) / (w * 0.039);
     let predicted = (std::f64::consts::PI / 8.0 * 1e-3 * w).exp();
-    // The wall is left inside a tick, up to K D w dT² / m beyond the edge: 1 - cos(w dT) of the velocity.
+    // The device leaves the wall inside a tick, up to K D w dT² / m beyond the edge: 1 - cos(w dT) of the
+    // velocity.
     assert!((gain - predicted).abs() < 1e-3, "{gain} {predicted}");
     assert!((1.013..1.016).contains(&gain));
 }
@@ -77,7 +79,7 @@ fn stiction_holds_up_to_c_and_not_beyond() {
 fn time_may_begin_anywhere() {
     let mut master = alone(frictionless(), 0.01);
     master.write(&at(1.0));
-    // A monotonic clock may have run for years: advancing from 0 would never end.
+    // A monotonic clock may have run for years; advancing from 0 would never end.
     master.begin(u64::MAX / 2);
     assert_eq!(master.read(u64::MAX / 2).position[0], 0.01);
     master.read(u64::MAX / 2 + 10 * TICK_NS);
@@ -131,12 +133,13 @@ fn a_grip_slips_only_beyond_its_strength() {
     }
 }
 
-/// A linear release from a balanced hold: with the hand slipping, m x'' = F0 t / T for constant F0.
+/// A linear release from a balanced hold: while the hand slips, m x'' = F0 t / T for constant F0.
 #[test]
-fn a_release_unbalances_as_its_ramp_says() {
+fn release_follows_its_ramp() {
     let path = Path::new(at(0.0), Vec::new()).unwrap();
     let release = Some(Release { at_s: 0.1, decay_s: 0.05, kind: ReleaseKind::Strength });
-    // Strength equal to the load: it slips from the first instant of the release. Very stiff: x stays put.
+    // The strength equals the load, so it slips from the start of the release. The hand is very stiff, so x
+    // stays put.
     let hand = Hand::new(1e6, 1e3, 7.8, path, release).unwrap();
     let mut master = SimulatedMaster::new(frictionless(), hand, 0).unwrap();
     master.write(&at(7.8));
@@ -152,7 +155,7 @@ fn a_release_unbalances_as_its_ramp_says() {
 
 #[test]
 fn work_of_all_forces_is_the_kinetic_energy() {
-    // Slipping hand, friction and held force together, at a step unlike the internal one.
+    // Slipping hand, friction and held force together, at a step that differs from the internal one.
     let path = Path::new(at(0.0), Vec::new()).unwrap();
     let release = Some(Release { at_s: 0.01, decay_s: 0.02, kind: ReleaseKind::Strength });
     let hand = Hand::new(300.0, 5.0, 4.0, path, release).unwrap();
@@ -182,7 +185,7 @@ fn wall(stiffness: f64, damping: f64) -> ContinuousWall<1> {
 }
 
 #[test]
-fn a_continuous_wall_throws_as_the_closed_form_says() {
+fn continuous_wall_matches_the_closed_form() {
     // V = sqrt(K/m) D; the energy K D² / 2 becomes m V² / 2.
     for exponent in 4..=24 {
         let stiffness = 10.0_f64.powf(f64::from(exponent) / 4.0);
@@ -223,8 +226,8 @@ fn an_undamped_bounce_keeps_its_energy_over_ten_thousand_contacts() {
 }
 
 #[test]
-fn a_damped_wall_returns_what_its_closed_form_says() {
-    // Under the impact law m x'' + B x' + K x = 0 until K d + B d' = 0.
+fn damped_wall_matches_the_closed_form() {
+    // Under the contact law m x'' + B x' + K x = 0 until K d + B d' = 0.
     let (stiffness, damping) = (1000.0_f64, 2.0_f64);
     let mut master = alone(frictionless(), 0.0).among(vec![wall(stiffness, damping)]).unwrap();
     master.place(at(0.0), at(-0.5)).unwrap();
@@ -275,9 +278,10 @@ fn ticks_do_not_shift_the_time_of_the_hand() {
     }
 }
 
-/// Decimal times that are no sums of ticks: what is left of a tick after a kink may be less than the clock resolves.
+/// Decimal times that are not multiples of the tick: the rest of a tick after a kink may be below the clock's
+/// resolution.
 #[test]
-fn kinks_beside_a_tick_leave_numbers() {
+fn kinks_beside_a_tick_stay_finite() {
     for hundredths in 1..200_u32 {
         let path = Path::new(at(0.0), Vec::new()).unwrap();
         let release =
@@ -294,7 +298,7 @@ fn kinks_beside_a_tick_leave_numbers() {
 }
 
 #[test]
-fn friction_in_space_stops_on_a_straight_line_where_its_energy_says() {
+fn friction_in_space_stops_where_energy_predicts() {
     let device = DeviceParameters::<3>::ideal(MASS, 0.0, 0.05);
     let start = Axes::<3>::new(0.1, -0.05, 0.02);
     let mut master = SimulatedMaster::new(device, Hand::absent(start).unwrap(), 0).unwrap();
@@ -309,7 +313,7 @@ fn friction_in_space_stops_on_a_straight_line_where_its_energy_says() {
     assert_eq!(*master.velocity(), Axes::<3>::zeros());
 }
 
-/// A stylus on three axes, rubbing, gripped and slipping, against the same at a hundredth of the tick.
+/// A stylus on three axes with friction, held and slipping, against the same at a hundredth of the tick.
 #[test]
 fn the_tick_does_not_change_the_motion_in_space() {
     let device = DeviceParameters::<3>::ideal(MASS, -0.005, 0.038);
@@ -353,13 +357,13 @@ fn a_hand_that_regrasps_catches_the_stylus() {
         master.read(2000 * TICK_NS);
         master.position()[0]
     };
-    // Alone it flies off at F/m; caught, it rests where the spring holds 0.3 N.
+    // Without a regrasp it flies off at F/m; with one it rests where the spring holds 0.3 N.
     assert!(far(once) > 2.0);
     assert!((far(again) - 0.3 / 300.0).abs() < 1e-6);
 }
 
-/// Eight ticks of 5 ms end a rounding before 0.04 s, where the release ends: what is left of the tick is shorter than
-/// the clock can tell.
+/// Eight ticks of 5 ms end one rounding before the end of the release at 0.04 s. The rest of the tick is
+/// below the clock's resolution.
 #[test]
 fn a_release_may_end_within_rounding_of_a_tick() {
     let places = [5_000_000_u64, 1_000_000, 700_000].map(|tick_ns| {
@@ -377,7 +381,7 @@ fn a_release_may_end_within_rounding_of_a_tick() {
 }
 
 #[test]
-fn what_lasts_no_time_happens_at_once() {
+fn zero_durations_take_effect_at_once() {
     let thrown = [0.0, 1e-300, 1e-13].map(|duration_s| {
         let path = Path::new(at(0.01), Vec::new()).unwrap();
         let release = Release { at_s: 0.01, decay_s: duration_s, kind: ReleaseKind::Strength };
@@ -393,8 +397,8 @@ fn what_lasts_no_time_happens_at_once() {
     );
 }
 
-/// Friction along the motion has no direction where the speed has none that its square could hold; a device that
-/// creeps, turns on the spot or is pushed out of rest by little more than friction stays finite and passive.
+/// At a speed whose square underflows, friction along the motion has no direction. A device that creeps,
+/// turns on the spot or is pushed barely beyond friction stays finite and passive.
 #[test]
 fn friction_in_space_has_a_direction_at_any_speed() {
     for speed in [1e-300, 1e-256, 1e-160, 1e-120, 1e-30, 1e-11, 1e-9, 1e-6] {
@@ -418,7 +422,7 @@ fn friction_in_space_has_a_direction_at_any_speed() {
     }
 }
 
-/// A force that grows slowly past friction, and turns, moves the device slowly: no faster than the path.
+/// A force that slowly grows past friction and turns moves the device no faster than the path.
 #[test]
 fn a_device_in_space_sets_off_gently() {
     let device = DeviceParameters::<3>::ideal(MASS, 0.0, 0.038);
@@ -436,25 +440,25 @@ fn a_device_in_space_sets_off_gently() {
                 master.read(tick * 1_000_000);
                 fastest = fastest.max(master.velocity().norm());
             }
-            // The path's own speed is at most 1.875 L / T; what friction had held back is let go, c / sqrt(K m).
+            // The path's own speed is at most 1.875 L / T; the release of held friction adds c / sqrt(K m).
             let most = 1.5 * 1.875 * 0.0448 / duration_s + 0.038 / (300.0 * MASS).sqrt();
             assert!(fastest > 0.0 && fastest < most, "{duration_s} {aside}: {fastest} {most}");
         }
     }
 }
 
-/// `m x'' = F - B x' - K x` over t in s in closed form, for two real roots far from each other.
+/// `m x'' = F - B x' - K x` over t in s in closed form, for two real, well separated roots.
 fn overdamped([mass, damping, stiffness]: [f64; 3], force: f64, [x, v]: [f64; 2], t: f64) -> [f64; 2] {
     let half = 0.5 * damping / mass;
     let fast = -(half + (half * half - stiffness / mass).sqrt());
     let slow = stiffness / mass / fast;
     let from_rest = x - force / stiffness;
-    // w = x' - slow x and y = x' - fast x decay by themselves.
+    // w = x' - slow x and y = x' - fast x decay independently.
     let (w, y) = ((v - slow * from_rest) * (fast * t).exp(), (v - fast * from_rest) * (slow * t).exp());
     [force / stiffness + (y - w) / (slow - fast), (slow * y - fast * w) / (slow - fast)]
 }
 
-/// B dT / m from 30 to 1e9: damping takes what moves, and the stiffer it is the less is left to diverge.
+/// B dT / m from 30 to 1e9: damping removes the motion, and more stiffness leaves less to diverge.
 #[test]
 fn stiff_damping_is_the_closed_form() {
     let (stiffness, period_s) = (300.0, 1e-3);
@@ -470,7 +474,7 @@ fn stiff_damping_is_the_closed_form() {
             master.write(&at(force));
             master.read(u64::from(tick) * TICK_NS);
             expected = overdamped([MASS, damping, stiffness], force, expected, period_s);
-            // Rounding of x, and of V as what K x and F leave over: some eps of each a tick.
+            // Rounding of x, and of V as the difference of K x and F: a few eps of each per tick.
             let (off, fast) = (master.position()[0] - expected[0], master.velocity()[0] - expected[1]);
             let pace = (stiffness * 0.02 + 8.0) / damping + if tick == 1 { 0.8 } else { 0.0 };
             assert!(off.abs() < 1e-15 * f64::from(tick), "{ratio} {tick}: {off:e}");
@@ -479,7 +483,7 @@ fn stiff_damping_is_the_closed_form() {
     }
 }
 
-/// Behind a target that moves steadily a damped hand lags by B V / K, and a stiff one follows its path.
+/// Behind a target in steady motion a damped hand lags by B V / K, and a stiff one follows its path.
 #[test]
 fn a_stiffly_damped_hand_follows_its_path() {
     let (stiffness, speed, lasts) = (5e4, 0.1, 0.4);
@@ -490,16 +494,16 @@ fn a_stiffly_damped_hand_follows_its_path() {
     for tick in 1..=400 {
         master.read(tick * TICK_NS);
     }
-    // x = V (t - T) + A e^(r t) with T = B / K, from rest; the fast root adds m / B of it.
+    // x = V (t - T) + A e^(r t) with T = B / K, from rest; the fast root adds a fraction m / B.
     let lag = damping / stiffness;
     let rest = overdamped([MASS, damping, stiffness], 0.0, [speed * lag, -speed], lasts);
     assert!((master.position()[0] - (speed * (lasts - lag) + rest[0])).abs() < 1e-13);
     assert!((master.velocity()[0] - (speed + rest[1])).abs() < 1e-12);
 }
 
-/// A grip that slips, friction, stops, walls and several axes: whatever acts beside it, stiff damping only takes.
+/// With a slipping grip, friction, stops, walls and several axes, stiff damping only removes energy.
 #[test]
-fn stiff_damping_takes_energy_whatever_acts_beside_it() {
+fn stiff_damping_only_removes_energy() {
     let mut devices = Vec::new();
     for friction in [Friction::Axis, Friction::Vector] {
         devices.push(DeviceParameters::<3> { friction, ..DeviceParameters::ideal(MASS, 0.0, 0.05) });
@@ -517,7 +521,7 @@ fn stiff_damping_takes_energy_whatever_acts_beside_it() {
             let wall = ContinuousWall::new(start, Axes::<3>::new(1.0, 1.0, 0.0), 500.0, 40.0, false).unwrap();
             let mut master = SimulatedMaster::new(device, hand, 0).unwrap().among(vec![wall]).unwrap();
             master.place(start, Axes::<3>::new(0.5, 0.2, -0.1)).unwrap();
-            // What spring and wall store, and the motion; a grip that slips stores nothing and gives at most its work.
+            // Energy of motion, spring and wall. A slipping grip stores nothing and adds at most its work.
             let mut given = 0.0;
             let energy = |master: &SimulatedMaster<3>| {
                 let depth = wall.depth(master.position()).max(0.0);

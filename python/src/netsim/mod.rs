@@ -30,14 +30,14 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     probe::register(module)
 }
 
-/// All addresses that a text written `HOST:PORT` names.
+/// Resolves a text `HOST:PORT` to all its addresses.
 pub(crate) fn addresses(key: &str, text: &str) -> PyResult<Vec<SocketAddr>> {
     haptether_netsim::addresses(text).map_err(|why| {
         PyValueError::new_err(format!("{key} = {text:?}: {why}; must be HOST:PORT, such as 127.0.0.1:9100"))
     })
 }
 
-/// All addresses of a peer that a text written `HOST:PORT` names: one machine answers at each.
+/// Resolves a text `HOST:PORT` to all addresses of a peer; one machine answers at each.
 pub(crate) fn peer_addresses(key: &str, text: &str) -> PyResult<Vec<SocketAddr>> {
     let mut found = addresses(key, text)?;
     let unsuited = found.iter().find_map(|&address| unsuited_peer(address).map(|why| (address, why)));
@@ -50,7 +50,7 @@ pub(crate) fn peer_addresses(key: &str, text: &str) -> PyResult<Vec<SocketAddr>>
     }
 }
 
-/// Return the result of `open` for the first address at which it succeeds, or its error at the last.
+/// Returns the result of `open` for the first address at which it succeeds, or its error at the last.
 pub(crate) fn first_of<T>(
     addresses: &[SocketAddr],
     mut open: impl FnMut(SocketAddr) -> PyResult<T>,
@@ -65,12 +65,11 @@ pub(crate) fn first_of<T>(
     opened
 }
 
-/// The settings of a link as JSON, as `haptether.netsim` writes them; the rules check the numbers.
+/// Reads the JSON settings of a link; the rules check the numbers.
 pub(crate) fn link_settings(json: &str) -> PyResult<LinkSettings> {
     serde_json::from_str(json).map_err(|error| PyValueError::new_err(format!("link: {error}")))
 }
 
-/// A direction by its name.
 pub(crate) fn direction_named(key: &str, name: &str) -> PyResult<Direction> {
     match name {
         "forward" => Ok(Direction::Forward),
@@ -82,13 +81,13 @@ pub(crate) fn direction_named(key: &str, name: &str) -> PyResult<Direction> {
     }
 }
 
-/// Refuses settings that describe no link.
+/// Check the settings of a link; raise `ValueError` if one is invalid.
 #[pyfunction]
 fn check_link(settings: &str) -> PyResult<()> {
     link_settings(settings)?.validate().map_err(refuse)
 }
 
-/// Longest delay and last scheduled change in s.
+/// Return the longest delay and the last scheduled change of a link, in s.
 #[pyfunction]
 fn link_bounds(settings: &str) -> PyResult<(f64, f64)> {
     let settings = link_settings(settings)?;
@@ -96,7 +95,7 @@ fn link_bounds(settings: &str) -> PyResult<(f64, f64)> {
     Ok((settings.longest_delay_s(), settings.last_change_s()))
 }
 
-/// What a file of a link says, as JSON of the setting that it stands for.
+/// Read the contents of a link file; return the equivalent setting as JSON.
 #[pyfunction]
 fn read_link_file(form: &str, data: &[u8], direction: &str) -> PyResult<String> {
     let direction = direction_named("direction", direction)?;
@@ -119,7 +118,7 @@ fn read_link_file(form: &str, data: &[u8], direction: &str) -> PyResult<String> 
     Ok(setting.map_err(refuse)?.to_string())
 }
 
-/// What arguments of `tc netem` request, as JSON: settings of a link, correlations and limit.
+/// Translate arguments of `tc netem` to JSON: settings of a link, correlations and limit.
 #[pyfunction]
 fn translate_netem(text: &str) -> PyResult<String> {
     let settings = netem::translate(text).map_err(refuse)?;
@@ -127,16 +126,16 @@ fn translate_netem(text: &str) -> PyResult<String> {
     Ok(json!({ "settings": settings, "asked": asked }).to_string())
 }
 
-/// Code of a packet that arrives as it was sent.
+/// Code of a packet that arrives unchanged.
 const DELIVERED: u8 = 0;
 /// Code of a packet that arrives with bits flipped.
 const CORRUPTED: u8 = 1;
-/// Code of a packet that arrives cut short.
+/// Code of a packet that arrives truncated.
 const TRUNCATED: u8 = 2;
-/// Code of the first cause of a drop; those of what arrives beside a packet follow them.
+/// Code of the first cause of a drop; the codes of extra packets follow those of drops.
 const DROPPED: u8 = 3;
 
-/// Names of the codes of [`judge_packets`].
+/// Return the names of the codes of [`judge_packets`].
 #[pyfunction]
 fn verdict_causes() -> Vec<&'static str> {
     ["", "corrupt", "truncate"]
@@ -146,17 +145,17 @@ fn verdict_causes() -> Vec<&'static str> {
         .collect()
 }
 
-#[allow(clippy::cast_possible_truncation)] // there are fewer than 256
-fn place<T: PartialEq>(of: &T, all: &[T]) -> u8 {
+#[allow(clippy::cast_possible_truncation)] // fewer than 256 causes
+fn code<T: PartialEq>(of: &T, all: &[T]) -> u8 {
     all.iter().position(|one| one == of).unwrap_or(0) as u8
 }
 
-/// Reads an array of numbers of 64 bits that may lie anywhere.
-fn whole(array: PyReadonlyArray1<'_, i64>) -> PyResult<PyReadonlyArray1<'_, i64>> {
+/// Returns an aligned array, copied if necessary.
+fn aligned(array: PyReadonlyArray1<'_, i64>) -> PyResult<PyReadonlyArray1<'_, i64>> {
     if is_aligned(&array)? { Ok(array) } else { Ok(array.call_method0("copy")?.extract()?) }
 }
 
-/// A packet, or what arrives beside it, as columns: index, when it was sent, when it arrives (-1 never), why.
+/// Packets and extra packets as columns: index, sending time, arrival time (-1 if never), cause.
 struct Rows {
     index: Vec<i64>,
     sent_ns: Vec<i64>,
@@ -165,7 +164,7 @@ struct Rows {
 }
 
 impl Rows {
-    /// Room for so many packets, of which few have something beside them.
+    /// Capacity for `packets` packets; few have extra packets.
     fn of(packets: usize) -> Self {
         Self {
             index: Vec::with_capacity(packets),
@@ -184,10 +183,10 @@ impl Rows {
     }
 }
 
-/// Index, sending time, arrival and code of the cause, an array each.
+/// Arrays of index, sending time, arrival time and code of the cause.
 type Columns = (Py<PyAny>, Py<PyAny>, Py<PyAny>, Py<PyAny>);
 
-/// What becomes of each packet of one direction.
+/// Return the fate of each packet in one direction.
 #[pyfunction]
 #[pyo3(signature = (settings, sent_ns, sizes, direction, seed))]
 fn judge_packets(
@@ -199,7 +198,7 @@ fn judge_packets(
     seed: u64,
 ) -> PyResult<Columns> {
     let direction = direction_named("direction", direction)?;
-    let (sent_ns, sizes) = (whole(sent_ns)?, sizes.map(whole).transpose()?);
+    let (sent_ns, sizes) = (aligned(sent_ns)?, sizes.map(aligned).transpose()?);
     if let Some(sizes) = &sizes
         && sizes.len() != sent_ns.len()
     {
@@ -239,12 +238,12 @@ fn judge_packets(
                 };
                 rows.add(index, *sent, Some(at_ns), cause);
             }
-            Verdict::Drop { cause } => rows.add(index, *sent, None, DROPPED + place(&cause, &DropCause::ALL)),
+            Verdict::Drop { cause } => rows.add(index, *sent, None, DROPPED + code(&cause, &DropCause::ALL)),
         }
         for extra in extras {
-            #[allow(clippy::cast_possible_truncation)] // there are fewer than 256
+            #[allow(clippy::cast_possible_truncation)] // fewer than 256 causes
             let first = DROPPED + DropCause::ALL.len() as u8;
-            rows.add(index, *sent, Some(extra.at_ns), first + place(&extra.cause, &ExtraCause::ALL));
+            rows.add(index, *sent, Some(extra.at_ns), first + code(&extra.cause, &ExtraCause::ALL));
         }
     }
     Ok((column(py, rows.index), column(py, rows.sent_ns), column(py, rows.due_ns), column(py, rows.cause)))

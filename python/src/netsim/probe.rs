@@ -22,7 +22,7 @@ use pyo3::{
 use super::{addresses, first_of, peer_addresses};
 use crate::arrays::column;
 
-/// How often Python may act on a signal while the measurement goes on.
+/// Period at which Python may handle a signal during the measurement.
 const SIGNALS: Duration = Duration::from_millis(50);
 
 pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {

@@ -87,7 +87,6 @@ impl PySafetySettings {
     }
 }
 
-/// The controller with that name.
 fn named(name: &str) -> PyResult<ControllerKind> {
     ControllerKind::ALL.into_iter().find(|kind| kind.about().name == name).ok_or_else(|| {
         let names = ControllerKind::ALL.map(|kind| format!("{:?}", kind.about().name)).join(", ");
@@ -107,7 +106,7 @@ pub(crate) struct PySafetyController {
     axes: usize,
 }
 
-/// The message of a fault's code, none for 0.
+/// Return the message of a fault's code; None for 0.
 #[pyfunction]
 pub(super) fn fault_message(code: u8) -> Option<String> {
     Fault::from_code(code).map(|fault| fault.to_string())
@@ -199,7 +198,7 @@ impl PySafetyController {
         let size = ticks * self.axes;
         let (mut safety, mut device) = (Vec::with_capacity(size), Vec::with_capacity(size));
         let (mut tripped, mut faults) = (Vec::with_capacity(ticks), Vec::with_capacity(ticks));
-        // A column that no observer fills is not kept.
+        // Columns without an observer are not kept.
         let kinds = with_axes!(&self.inner, AnyController, controller => controller.kinds());
         let mut observed = PerController::of(|kind| kinds.contains(kind).then(|| Vec::with_capacity(ticks)));
         py.detach(|| {

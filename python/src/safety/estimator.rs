@@ -77,7 +77,7 @@ per_axes!(
     AnyEstimator
 );
 
-/// V, A and, if forces were given, the aligned forces.
+/// V, A and, if forces are given, the aligned forces.
 type EstimatedRun = (Py<PyAny>, Py<PyAny>, Option<Py<PyAny>>);
 
 #[pyclass(name = "Estimator", module = "haptether.safety")]
@@ -137,7 +137,7 @@ impl PyEstimator {
         py.detach(|| {
             with_axes!(&mut self.inner, AnyAxes, estimator => {
                 for tick in 0..position.ticks {
-                    // Both are checked before either is taken: a refused tick leaves no trace.
+                    // Check both before using either: a rejected tick must not change the state.
                     let at = checked(Signal::Position, position.at::<N>(tick)).map_err(at_tick(tick))?;
                     let held = match &force {
                         Some(force) => {
@@ -163,13 +163,13 @@ impl PyEstimator {
     }
 }
 
-/// An estimator has a memory: what is not finite would stay in it.
+/// Requires finite, bounded values: an estimator has memory, and an invalid value would persist.
 fn checked<const N: usize>(signal: Signal, value: Axes<N>) -> PyResult<Axes<N>> {
     signal.check(&value).map_err(refuse)?;
     Ok(value)
 }
 
-/// Names the tick of a refused sample.
+/// Prefixes the error of a rejected sample with its tick.
 fn at_tick(tick: usize) -> impl Fn(PyErr) -> PyErr {
     move |error| {
         PyValueError::new_err(format!("tick {tick}: {}", Python::attach(|py| error.value(py).to_string())))

@@ -1,4 +1,4 @@
-//! The whole pipeline of one master tick.
+//! The whole pipeline of a master's tick.
 
 use haptether_safety::{
     Axes, Fault, LayerSettings, LimiterSettings, SafetyLayer, SafetyTick, Signal, estimator::EstimatorKind,
@@ -57,7 +57,7 @@ pub(crate) struct PySafetyTicks {
     owed_energy_j: Py<PyAny>,
 }
 
-/// One tick, out of line: a call costs less than a copy for each caller and number of axes.
+/// One tick, not inlined: a call costs less than a copy per caller and number of axes.
 #[inline(never)]
 fn tick<const N: usize>(
     layer: &mut SafetyLayer<N>,

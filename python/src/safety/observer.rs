@@ -15,7 +15,7 @@ use crate::{
     axes::{build_axes, build_like, per_axes, refuse, with_axes},
 };
 
-/// The reading of Eq. 1 with that name.
+/// Form of Eq. 1 with this name.
 pub(super) fn velocity_force_form(name: &str) -> PyResult<VelocityForceForm> {
     match name {
         "product" => Ok(VelocityForceForm::Product),
@@ -24,7 +24,7 @@ pub(super) fn velocity_force_form(name: &str) -> PyResult<VelocityForceForm> {
     }
 }
 
-/// The three signals of a run of observations.
+/// Signals of a run of observations.
 pub(super) struct Observations<'a> {
     pub(super) velocity: Samples<'a>,
     pub(super) rendered_force: Samples<'a>,
@@ -65,7 +65,6 @@ impl<'a> Observations<'a> {
     }
 }
 
-/// One observation.
 pub(super) fn observation<const N: usize>(
     velocity: &Sample,
     rendered_force: &Sample,
@@ -78,7 +77,7 @@ pub(super) fn observation<const N: usize>(
     ))
 }
 
-/// Runs an observer over arrays; a bad number is refused with its tick.
+/// Runs an observer over arrays; an error names the tick of an invalid value.
 macro_rules! observe_arrays {
     ($py:expr, $self:expr, $seen:expr, $any:ident, $observer:ident, $n:ident => $step:expr) => {{
         let mut values = Vec::with_capacity($seen.velocity.ticks);
@@ -96,7 +95,7 @@ macro_rules! observe_arrays {
     }};
 }
 
-/// An observer without memory: one number per observation, whatever the axes.
+/// A stateless observer: one number per observation, for any number of axes.
 #[derive(Clone)]
 pub(crate) struct Memoryless<T, const N: usize>(T);
 
@@ -129,7 +128,7 @@ per_axes!(
     PassivityObserver
 );
 
-/// The two methods that all observers of an [`Observation`] share.
+/// Methods shared by all observers of an [`Observation`].
 macro_rules! observation_methods {
     ($class:ident, $any:ident, $observer:ident, $seen:ident => $step:expr) => {
         #[pymethods]

@@ -2,7 +2,7 @@ use std::cell::{Cell, RefCell};
 
 use super::*;
 
-// A vendor's library of one thread: the test is its scheduler.
+// A single-threaded vendor library: the test is its scheduler.
 thread_local! {
     static CALLS: RefCell<Vec<&'static str>> = const { RefCell::new(Vec::new()) };
     static EXERTED: Cell<[f64; 3]> = const { Cell::new([f64::NAN; 3]) };
@@ -101,7 +101,7 @@ fn a_frame_reads_exerts_and_publishes_in_the_order_of_the_vendor() {
 }
 
 #[test]
-fn the_calibration_is_looked_at_now_and_then() {
+fn calibration_is_checked_periodically() {
     let of = callback(LONG);
     for _ in 0..201 {
         tick(of);
@@ -118,7 +118,7 @@ fn a_force_is_zero_before_the_first_command_and_once_the_newest_is_too_old() {
     thread::sleep(Duration::from_millis(8));
     tick(of);
     assert_eq!((EXERTED.get(), of.starved()), ([0.0; 3], 1));
-    // One that was zero anyway is missed by nobody.
+    // A stale zero force does not count as starved.
     of.write([0.0; 3]);
     thread::sleep(Duration::from_millis(8));
     tick(of);
@@ -126,7 +126,7 @@ fn a_force_is_zero_before_the_first_command_and_once_the_newest_is_too_old() {
 }
 
 #[test]
-fn what_is_too_long_is_shortened_and_what_is_no_number_is_zero() {
+fn force_is_bounded_and_nan_is_zero() {
     let of = callback(LONG);
     for (written, exerted) in [
         ([0.0, 30.0, 40.0], [0.0, 1.8, 2.4]),
@@ -160,7 +160,7 @@ fn an_error_ends_the_force_in_its_own_frame_until_it_is_acknowledged() {
         assert_eq!(EXERTED.get(), [1.0, 0.0, 0.0]);
         assert_eq!(of.wait(2, Duration::ZERO).unwrap().error, 0);
     }
-    // One of the frame's end is that of the next.
+    // An error at the end of a frame counts in the next frame.
     let of = callback(LONG);
     of.write([1.0, 0.0, 0.0]);
     FAILS_IN.set("end");
@@ -179,7 +179,7 @@ fn an_error_at_each_tick_does_not_hold_the_scheduler() {
 }
 
 #[test]
-fn its_last_frame_is_of_zero_force() {
+fn last_frame_has_zero_force() {
     let of = callback(LONG);
     of.write([1.0, 0.0, 0.0]);
     assert!(!of.end(Duration::from_millis(1)));
@@ -189,7 +189,7 @@ fn its_last_frame_is_of_zero_force() {
 }
 
 #[test]
-fn who_waits_is_woken_by_the_frame() {
+fn frame_wakes_the_waiter() {
     let of = callback(LONG);
     std::thread::scope(|scope| {
         let begun = Instant::now();

@@ -4,7 +4,7 @@ use simba::simd::AutoF64x4;
 use super::*;
 use crate::{DeviceParameters, Friction, Leg, LegShape, Path, Regrasp, Release, ReleaseKind};
 
-/// How the masters of a test differ.
+/// Parameters that differ between the masters of a test.
 #[derive(Clone, Copy, Debug)]
 struct Drawn {
     mass_kg: f64,
@@ -35,9 +35,9 @@ fn drawn() -> impl Strategy<Value = Drawn> {
     )
 }
 
-/// What they share.
+/// Parameters that the masters share.
 #[derive(Clone, Copy, Debug)]
-#[allow(clippy::struct_excessive_bools)] // in any combination
+#[allow(clippy::struct_excessive_bools)] // independent flags
 struct Shared {
     release: Option<Release>,
     regrips: bool,
@@ -75,8 +75,8 @@ fn master<const N: usize>(drawn: &Drawn, shared: &Shared) -> SimulatedMaster<N> 
     master
 }
 
-/// Masters in lanes are as alone, tick for tick and to the bit: all that is measured, and what no sensor measures. Returns how
-/// many ticks were taken in lanes.
+/// Checks that masters in lanes match single masters bit by bit at every tick, in measured and hidden state.
+/// Returns the number of ticks taken in lanes.
 fn check<const N: usize>(of: &[Drawn; 4], shared: &Shared, periods_ns: &[u64], force_n: f64) -> u64 {
     let mut alone: Vec<_> = of.iter().map(|drawn| master::<N>(drawn, shared)).collect();
     let mut beside = MasterLanes::<N, AutoF64x4>::new(alone.clone()).unwrap();
@@ -117,7 +117,7 @@ fn check<const N: usize>(of: &[Drawn; 4], shared: &Shared, periods_ns: &[u64], f
         }
         let fast = beside.fast.as_ref().unwrap();
         for lane in lanes_of(lanes & fast.loaded, 4) {
-            // What rounding took shows only later.
+            // Rounding errors show in the state only later.
             for (lost, by_itself) in fast.lost.iter().zip(&alone[lane].lost) {
                 assert_eq!(of_lane(lost, lane), *by_itself, "of lane {lane} at tick {tick}");
             }
@@ -138,7 +138,7 @@ fn check<const N: usize>(of: &[Drawn; 4], shared: &Shared, periods_ns: &[u64], f
 
 proptest! {
     #[test]
-    fn masters_in_lanes_are_as_alone(
+    fn lanes_match_single_masters(
         of in [drawn(), drawn(), drawn(), drawn()],
         release in prop::option::of((0.02..0.1f64, prop_oneof![Just(0.0), 0.001..0.05f64], any::<bool>())),
         (regrips, moves, measures_velocity, has_no_limit) in any::<(bool, bool, bool, bool)>(),
@@ -162,7 +162,7 @@ proptest! {
     }
 }
 
-/// That they are as alone says nothing of whether lanes are used.
+/// Equality alone does not prove that lanes are used.
 #[test]
 fn nearly_all_ticks_are_taken_in_lanes() {
     let drawn = Drawn {
