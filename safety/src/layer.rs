@@ -560,6 +560,12 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         self.bound(perceived, response)
     }
 
+    /// Return the share `gain` of a requested force, at most of the largest force of the device.
+    #[inline(always)]
+    pub fn faded(&self, requested_force: &Axes<N, S>, gain: f64) -> Axes<N, S> {
+        self.rendering.faded(requested_force, gain)
+    }
+
     /// Return the observers and controllers.
     #[inline(always)]
     pub(crate) fn controller(&mut self) -> &mut SafetyController<N, S> {

@@ -190,6 +190,20 @@ impl<const N: usize, S: Real> Limiter<N, S> {
         })
     }
 
+    /// Return the share `gain` of a force, at most of the largest force.
+    ///
+    /// A larger request would else reach the largest force before the fade has ended.
+    #[inline(always)]
+    pub(crate) fn faded(&self, requested_force: &Axes<N, S>, gain: f64) -> Axes<N, S> {
+        let mut force = *requested_force;
+        if gain < 1.0 {
+            let length = norm(&force);
+            let long = length.simd_gt(self.max_force_n);
+            change!(S, force, long, force * (self.max_force_n / length));
+        }
+        force * S::splat(gain)
+    }
+
     /// Limit the requested force in each lane at this tick, with V in m/s.
     #[inline(always)]
     pub fn limit(&mut self, requested_force: &Axes<N, S>, velocity: &Axes<N, S>) -> SaturatedForce<N, S> {

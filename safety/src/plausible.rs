@@ -27,6 +27,14 @@ const MAX_OUTLIERS: usize = 3;
 /// Largest number of held samples: one more, since the fourth sample may itself be wrong.
 pub(crate) const MAX_HELD: usize = MAX_OUTLIERS + 1;
 
+/// Sets of up to [`MAX_OUTLIERS`] wrong samples as bits by index, the smallest sets first. The sample of the path has
+/// index 0.
+const WRONG: [u8; 14] = [
+    0b00010, 0b00100, 0b01000, 0b10000, // one
+    0b00110, 0b01010, 0b10010, 0b01100, 0b10100, 0b11000, // two
+    0b01110, 0b10110, 0b11010, 0b11100, // three
+];
+
 /// Sample and its time in ticks after the last sample of the path.
 #[derive(Clone, Copy, Debug)]
 struct Knot<const N: usize> {
@@ -159,7 +167,7 @@ impl<const N: usize> Guard<N> {
     /// [`taken`](Self::taken) then returns the sample or its prediction.
     pub fn pass(&mut self, sample: &Sample<N>, ticks: f64) -> Result<(), Excess> {
         if self.count == 0 && self.contains(sample.parts(), ticks, 1.0) {
-            self.accept(sample.parts(), ticks);
+            self.accept(sample.parts(), ticks, 1.0);
             return Ok(());
         }
         match self.judge_general(sample, ticks) {
@@ -172,7 +180,7 @@ impl<const N: usize> Guard<N> {
     #[inline(always)]
     pub(crate) fn judge(&mut self, parts: Parts<'_, N>, ticks: f64) -> Judged<N> {
         if self.count == 0 && ticks == 1.0 && self.contains(parts, 1.0, 1.0) {
-            self.accept(parts, 1.0);
+            self.accept(parts, 1.0, 1.0);
             return Judged::Passed;
         }
         self.judge_general(&parts.sample(), ticks)
@@ -191,7 +199,7 @@ impl<const N: usize> Guard<N> {
         if self.contains(sample.parts(), at, share) {
             self.outliers += wrong as u64;
             self.settle(&[], Knot { at, sample: *sample }, None);
-            self.accept(sample.parts(), at);
+            self.accept(sample.parts(), at, 1.0 + (self.count - wrong) as f64);
             return Judged::Settled;
         }
         if self.count == 0 && self.returns(sample, gap) {
@@ -199,7 +207,7 @@ impl<const N: usize> Guard<N> {
             let (path, turn, ticks) = self.before;
             (self.track.path, self.turn) = (path, turn);
             self.settle(&[], Knot { at, sample: *sample }, None);
-            self.accept(sample.parts(), ticks + gap);
+            self.accept(sample.parts(), ticks + gap, 1.0);
             return Judged::Settled;
         }
         if self.count < MAX_OUTLIERS {
@@ -264,13 +272,13 @@ impl<const N: usize> Guard<N> {
     }
 
     #[inline(always)]
-    fn accept(&mut self, parts: Parts<'_, N>, ticks: f64) {
+    fn accept(&mut self, parts: Parts<'_, N>, ticks: f64, samples: f64) {
         let Parts { position, velocity, rotation } = parts;
         (self.before.0, self.before.2) = (self.track.path, ticks);
-        self.track.accept(position, ticks);
+        self.track.accept(position, ticks, samples);
         if let Some(turned) = rotation {
             self.before.1 = self.turn;
-            self.turn.accept(&turned.orientation, ticks);
+            self.turn.accept(&turned.orientation, ticks, samples);
             self.last.rotation = Some(*turned);
         }
         (self.last.position, self.last.velocity, self.count) = (*position, velocity.copied(), 0);
@@ -293,22 +301,20 @@ impl<const N: usize> Guard<N> {
                 return self.hold(newest);
             }
             if self.count == MAX_HELD && !in_line([4, 3, 2]) && in_line([4, 3, 1]) {
-                return self.change_without(length - 2, &chain[..length]);
+                return self.change_without(1 << (length - 2), &chain[..length]);
             }
             return self.change(&chain[1..length]);
         };
-        let fits_without = |wrong: usize| {
-            let links = (1..length).filter(|to| *to != wrong);
-            let fits = |to: usize| excess(if to == wrong + 1 { wrong - 1 } else { to - 1 }, to).is_none();
-            // The two samples after it, or before it, define a line that does not contain it.
-            let (from, to) = if wrong + 2 < length { (wrong + 1, wrong + 2) } else { (wrong - 2, wrong - 1) };
-            links.clone().all(fits) && !self.are_in_line(&chain[from], &chain[to], &chain[wrong])
-        };
-        if let Some(wrong) = (1..length - 1).find(|wrong| fits_without(*wrong)) {
-            return self.change_without(wrong, &chain[..length]);
+        let mut waits = first == length - 1;
+        for wrong in WRONG.into_iter().filter(|wrong| usize::from(*wrong) < 1 << (length - 1)) {
+            match self.are_wrong(wrong, &chain[..length]) {
+                Some(true) => return self.change_without(wrong, &chain[..length]),
+                Some(false) => {}
+                None => waits = true,
+            }
         }
         // The newest sample may itself be wrong.
-        if first == length - 1 && self.count < MAX_HELD {
+        if waits && self.count < MAX_HELD {
             return self.hold(newest);
         }
         match excess(first - 1, first) {
@@ -335,13 +341,44 @@ impl<const N: usize> Guard<N> {
             && one.velocity.zip(other.velocity).is_none_or(|(one, other)| point.is_steady(&one, &other, 1.0))
     }
 
-    /// Accept the samples after a change, without the outlier at index `wrong`.
-    fn change_without(&mut self, wrong: usize, chain: &[Knot<N>]) -> Judged<N> {
-        self.outliers += 1;
-        let mut kept = [chain[0]; MAX_HELD + 2];
-        kept[..wrong].copy_from_slice(&chain[..wrong]);
-        kept[wrong..chain.len() - 1].copy_from_slice(&chain[wrong + 1..]);
-        self.change(&kept[1..chain.len() - 1])
+    /// Return whether a set of samples is wrong, as bits by index; None if the next sample will tell.
+    ///
+    /// The other samples are within the speed bound, and no wrong one is on their line.
+    fn are_wrong(&self, wrong: u8, chain: &[Knot<N>]) -> Option<bool> {
+        let length = chain.len();
+        let mut kept = (0..length).filter(|n| wrong >> n & 1 == 0);
+        let mut from = kept.next()?;
+        for to in kept {
+            if self.excess(&chain[from], &chain[to]).is_some() {
+                return Some(false);
+            }
+            from = to;
+        }
+        let (newest, last_wrong) = (length - 1, wrong.ilog2() as usize);
+        let (from, to) = if last_wrong + 2 < length {
+            (last_wrong + 1, last_wrong + 2)
+        } else if wrong.count_ones() == 1 {
+            (last_wrong - 2, last_wrong - 1)
+        } else if self.are_in_line(&chain[newest - 2], &chain[newest - 1], &chain[newest]) {
+            return Some(false);
+        } else if self.count < MAX_HELD {
+            return None;
+        } else {
+            (0, newest)
+        };
+        let mut wrong = (1..newest).filter(|n| wrong >> n & 1 == 1);
+        Some(wrong.all(|n| !self.are_in_line(&chain[from], &chain[to], &chain[n])))
+    }
+
+    /// Accept the samples after a change, without a set of wrong ones.
+    fn change_without(&mut self, wrong: u8, chain: &[Knot<N>]) -> Judged<N> {
+        self.outliers += u64::from(wrong.count_ones());
+        let (mut kept, mut length) = ([chain[0]; MAX_HELD + 2], 0);
+        for (_, knot) in chain.iter().enumerate().filter(|(n, _)| wrong >> n & 1 == 0) {
+            kept[length] = *knot;
+            length += 1;
+        }
+        self.change(&kept[1..length])
     }
 
     /// Accept the samples after a change of the path; `knots` follow the last sample of the path.
@@ -364,7 +401,7 @@ impl<const N: usize> Guard<N> {
             let path = &knots[knots.len().saturating_sub(3)..];
             let mut at = path[0].at - 1.0;
             for knot in path {
-                self.accept(knot.sample.parts(), knot.at - at);
+                self.accept(knot.sample.parts(), knot.at - at, 1.0);
                 at = knot.at;
             }
         }

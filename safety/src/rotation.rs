@@ -313,6 +313,10 @@ impl RotationLayer {
         self.layer.stop(fault)
     }
 
+    pub(crate) fn faded(&self, requested_torque: &Axes<3>, gain: f64) -> Axes<3> {
+        self.layer.faded(requested_torque, gain)
+    }
+
     pub(crate) fn layer(&mut self) -> &mut SafetyLayer<3> {
         &mut self.layer
     }

@@ -186,6 +186,11 @@ impl<const N: usize> WrenchLayer<N> {
         self.rotation.layer().recall(tick);
     }
 
+    /// Return the share `gain` of a force and a torque, at most of the largest ones of the device.
+    pub fn faded(&self, force: &Axes<N>, torque: &Axes<3>, gain: f64) -> (Axes<N>, Axes<3>) {
+        (self.translation.faded(force, gain), self.rotation.faded(torque, gain))
+    }
+
     /// Return the accepted sample, or the prediction while the newest sample is held.
     pub fn taken(&self) -> &Sample<N> {
         self.translation.taken()

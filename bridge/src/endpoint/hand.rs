@@ -133,9 +133,8 @@ impl<const N: usize> Hand<N> {
             self.layer.fail(fault);
         }
         self.is_new = false;
-        let gain = input.gain;
-        let (force, torque) = (input.requested_force * gain, input.requested_torque * gain);
-        self.layer.tick(missed, reading, &force, &torque, gain)
+        let HandInput { requested_force, requested_torque, gain, .. } = input;
+        self.layer.tick(missed, reading, requested_force, requested_torque, *gain)
     }
 }
 
@@ -173,7 +172,7 @@ impl<const N: usize, S: Real> HandLanes<N, S> {
         requested_force: &Axes<N, S>,
         gain: f64,
     ) -> (Advance<N, S>, S::SimdBool) {
-        let requested = requested_force * S::splat(gain);
+        let requested = self.layer.faded(requested_force, gain);
         let mut passes = is_within(position, Signal::Position.bound())
             & is_within(&requested, Signal::RenderedForce.bound());
         if let Some(velocity) = velocity {

@@ -152,11 +152,13 @@ impl<const N: usize> Layer<N> {
         match self {
             Self::Force(layer) => {
                 let MasterReading { position, velocity, .. } = reading;
-                (layer.tick_after(missed, position, velocity.as_ref(), force, gain), None)
+                let force = layer.faded(force, gain);
+                (layer.tick_after(missed, position, velocity.as_ref(), &force, gain), None)
             }
             Self::Wrench(layer) => {
+                let (force, torque) = layer.faded(force, torque, gain);
                 let WrenchTick { translation, rotation } =
-                    layer.tick_after(missed, &reading.pose(), force, torque, gain);
+                    layer.tick_after(missed, &reading.pose(), &force, &torque, gain);
                 (translation, Some(rotation))
             }
         }

@@ -105,8 +105,9 @@ impl TriggerFeedback {
         };
         let pressing_n = jaws.filter(|jaws| jaws.holds_object).map_or(0.0, |jaws| jaws.force_n);
         // `0.0 - x` avoids the negative zero.
-        let requested_n = 0.0 - self.force_scale * pressing_n * self.share * gain;
-        self.layer.tick_after(missed, &Axes::<1>::new(x), None, &Axes::<1>::new(requested_n), gain)
+        let pressing = Axes::<1>::new(self.force_scale * pressing_n * self.share);
+        let requested = Axes::<1>::new(0.0 - self.layer.faded(&pressing, gain)[0]);
+        self.layer.tick_after(missed, &Axes::<1>::new(x), None, &requested, gain)
     }
 
     /// Speed beyond the trigger's bound that caused its fault.

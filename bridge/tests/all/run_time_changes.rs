@@ -258,6 +258,27 @@ fn a_change_that_arrives_with_a_press_fades_in_with_it() {
     }
 }
 
+/// A press with a scale that asks for more than the device renders: the largest force is reached at the end of the fade.
+#[test]
+fn force_beyond_the_device_fades_in_with_a_press() {
+    let most = LimiterSettings::default().max_force_n;
+    for scale in [8.0, 30.0, 100.0] {
+        let mut pair = Pair::new(-0.03);
+        pair.run(4000);
+        pair.command(Release).unwrap();
+        pair.run(300);
+        pair.command(ForceScale(scale)).unwrap();
+        pair.command(Press).unwrap();
+        let forces: Vec<_> = pair.run(1000).iter().map(|(near, _)| near.device_force[0]).collect();
+        let felt = forces.iter().skip_while(|force| **force == 0.0);
+        for (n, force) in felt.enumerate() {
+            let bound = most * ((n + 1) as f64 / FADE as f64).min(1.0);
+            assert!(*force <= bound + 1e-9, "{scale}: {force} N at tick {n}, must be at most {bound} N");
+        }
+        assert!(forces.iter().any(|force| *force > 0.5 * most), "{scale}");
+    }
+}
+
 /// Of a side that turns, scales of rotation and torque as well; of one that does not there are none, and what is the other side's
 /// passes over. A scene states another factor, and values of its own changes.
 #[test]

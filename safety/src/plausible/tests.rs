@@ -333,6 +333,57 @@ fn coarse_joint_in_slow_motion_bears_outliers() {
     }
 }
 
+/// An outlier or a late tick says nothing about the rate of the device, so a later step is a fault.
+#[test]
+fn step_is_a_fault_after_outliers_and_late_ticks() {
+    let bounds = SampleBounds { speed: 10.0, quantum: QUANTUM, ..SampleBounds::LINEAR };
+    for v in [0.0, 0.01, 0.02, 0.03] {
+        for (outliers, late) in [(0, 0), (1, 0), (2, 0), (3, 0), (0, 1), (0, 2), (0, 3), (2, 2)] {
+            for step in [0.012, 0.018, 0.028, 0.035, 0.039] {
+                let mut guard = Guard::<1>::new(bounds, SampleBounds::UNBOUNDED, PERIOD);
+                let (mut ticks, mut fault) = (1.0, None);
+                for n in (0..1000).filter(|n| !(310..310 + late).contains(n)) {
+                    let wrong = if (300..300 + outliers).contains(&n) { 0.05 } else { 0.0 };
+                    let x =
+                        rounded(v * n as f64 * PERIOD, QUANTUM) + wrong + if n < 700 { 0.0 } else { step };
+                    ticks = if n == 310 + late { 1.0 + late as f64 } else { ticks };
+                    if guard.pass(&at(x), ticks).is_err() {
+                        fault = Some(n);
+                        break;
+                    }
+                    ticks = 1.0;
+                }
+                let case = format!("{v} m/s, {outliers} outliers, {late} late ticks, {step} m");
+                assert!(fault.is_some_and(|n| (702..706).contains(&n)), "{case}: {fault:?}");
+            }
+        }
+    }
+}
+
+/// Up to 3 wrong samples in a row do not interrupt a motion whose acceleration is beyond dV / 10 per tick.
+#[test]
+fn outliers_in_a_quick_motion_are_no_fault() {
+    // Period in s, frequency in Hz and amplitude in m.
+    let motions = [(5e-3, 4.0, 0.03), (5e-3, 1.0, 0.3), (2e-3, 10.0, 0.012), (1e-3, 10.0, 0.018)];
+    for (period, frequency, amplitude) in motions {
+        for wrong in [&[0.05][..], &[0.05, -0.05], &[0.05, -0.05, 0.05], &[0.2, 0.2, 0.2], &[0.3, 0.0, -0.1]]
+        {
+            for phase in 0..40 {
+                let bounds = SampleBounds { speed: 10.0, quantum: QUANTUM, ..SampleBounds::LINEAR };
+                let mut guard = Guard::<1>::new(bounds, SampleBounds::UNBOUNDED, period);
+                let x = |n: usize| {
+                    let turn = std::f64::consts::TAU * frequency * n as f64 * period;
+                    let by = n.checked_sub(200).and_then(|n| wrong.get(n)).unwrap_or(&0.0);
+                    rounded(amplitude * (turn + 0.157 * f64::from(phase)).sin() + by, QUANTUM)
+                };
+                let (_, ended) = taken(&mut guard, (0..400).map(x));
+                let case = format!("{period} s, {frequency} Hz, {amplitude} m, phase {phase}, {wrong:?}");
+                assert_eq!(ended, None, "{case}");
+            }
+        }
+    }
+}
+
 /// The path of a device that samples every few ticks goes on at its new velocity after a change.
 #[test]
 fn slower_sensor_is_followed_after_a_change() {

@@ -16,7 +16,7 @@ pub(super) const MAX_EVERY: f64 = 4.0;
 pub(super) struct Change<T> {
     /// Its tick.
     pub(super) at: f64,
-    /// Ticks since the change before it.
+    /// Ticks since the change before it; infinite if the sample of a tick between them is unknown.
     pub(super) interval: f64,
     pub(super) from: T,
     pub(super) to: T,
@@ -26,19 +26,29 @@ impl<T: Copy + PartialEq> Change<T> {
     /// Find the last change; `last` is the last sample before the others, at tick 0, and has been the same for `same_for`
     /// ticks.
     pub(super) fn find(last: T, same_for: f64, samples: impl Iterator<Item = (f64, T)>) -> Self {
-        let (mut before, mut now) = ((-same_for, last), (-same_for, last));
+        let (mut before, mut now) = (last, (-same_for, last));
+        let (mut interval, mut seen_at, mut is_known) = (0.0, 0.0, true);
         for (at, value) in samples {
+            is_known &= !is_gap(at - seen_at, 1.0);
+            seen_at = at;
             if value != now.1 {
-                (before, now) = (now, (at, value));
+                interval = if is_known { at - now.0 } else { f64::INFINITY };
+                (before, now, is_known) = (now.1, (at, value), true);
             }
         }
-        Self { at: now.0, interval: now.0 - before.0, from: before.1, to: now.1 }
+        Self { at: now.0, interval, from: before, to: now.1 }
     }
 
     /// Return whether the device is slower than the loop, and not slower than is followed.
     pub(super) fn is_of_slow_device(&self) -> bool {
         self.interval > 1.0 && self.interval <= MAX_EVERY
     }
+}
+
+/// Return the mask of times in ticks that have more ticks than samples.
+#[inline(always)]
+pub(super) fn is_gap<S: Real>(ticks: S, samples: S) -> S::SimdBool {
+    ticks.simd_gt(samples + S::splat(0.5))
 }
 
 /// Path of a point: `x(k) = x_a + v k`, k ticks after the anchor `x_a`.
@@ -64,9 +74,10 @@ pub(super) struct Path<const N: usize, S = f64> {
     pub(super) rate: Option<Axes<N, S>>,
     /// Ticks from the anchor to the last sample.
     pub(super) since: S,
-    /// Ticks from the last sample that differed from its predecessor to the last sample.
+    /// Ticks from the last sample that differed from its predecessor to the last sample; more than [`MAX_EVERY`] after a
+    /// tick without a sample.
     pub(super) same_for: S,
-    /// Ticks between the last two samples that differed.
+    /// Ticks between the last two samples that differed, with a sample at each tick between them.
     pub(super) every: S,
 }
 
@@ -95,12 +106,16 @@ impl<const N: usize, S: Real> Track<N, S> {
         self.path.contains(&self.bounds, position, ticks, share)
     }
 
-    /// Accept a sample, `ticks` after the last one.
+    /// Accept a sample, `ticks` after the last one; `samples` are those seen since, which repeat the last one, and this
+    /// one.
+    ///
+    /// A late tick or an outlier tells nothing about the rate of the device.
     #[inline(always)]
-    pub(super) fn accept(&mut self, position: &Axes<N, S>, ticks: S) {
+    pub(super) fn accept(&mut self, position: &Axes<N, S>, ticks: S, samples: S) {
         let Self { bounds, path } = self;
         let Some(anchor) = path.anchor.replace(*position) else { return };
         let (k, same_for) = (path.since + ticks, path.same_for + ticks);
+        let same_for = (same_for + S::splat(MAX_EVERY)).select(is_gap(ticks, samples), same_for);
         let moved = position - anchor;
         let is_same = is_within(&moved, 0.0);
         let mut repeats = nowhere::<S>();
@@ -132,7 +147,7 @@ impl<const N: usize, S: Real> Track<N, S> {
     #[inline(always)]
     pub fn step(&mut self, position: &Axes<N, S>, ticks: S) -> S::SimdBool {
         let on_path = self.contains(position, ticks, S::one());
-        self.accept(position, ticks);
+        self.accept(position, ticks, S::one());
         on_path
     }
 }

@@ -5,7 +5,7 @@ use nalgebra::UnitQuaternion;
 use super::{
     bounds::{PerTick, SampleBounds},
     sample::Turned,
-    track::{Change, MAX_EVERY},
+    track::{Change, MAX_EVERY, is_gap},
 };
 
 /// Path of a rotation on SO(3), `R(k) = exp(w k) R_a`; as [`Track`](super::Track), with angles for lengths.
@@ -53,9 +53,12 @@ impl TurnTrack {
                 || is_small(&expected.rotation_to(orientation), change * share + quantum * (k + 1.0)))
     }
 
-    pub(super) fn accept(&mut self, orientation: &UnitQuaternion<f64>, ticks: f64) {
+    pub(super) fn accept(&mut self, orientation: &UnitQuaternion<f64>, ticks: f64, samples: f64) {
         let Some(anchor) = self.anchor.replace(*orientation) else { return };
-        let (k, same_for) = (self.since + ticks, self.same_for + ticks);
+        let (k, mut same_for) = (self.since + ticks, self.same_for + ticks);
+        if is_gap(ticks, samples) {
+            same_for += MAX_EVERY;
+        }
         let is_same = *orientation == anchor;
         self.same_for = if is_same { same_for } else { 0.0 };
         if same_for <= MAX_EVERY && !is_small(&anchor.rotation_to(orientation), 2.0 * self.bounds.quantum) {
