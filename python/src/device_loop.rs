@@ -219,7 +219,7 @@ struct DeviceClock {
 impl DeviceClock {
     /// Refuses a time that is not finite, that goes back, or that other samples lack.
     fn take(&mut self, time_s: Option<f64>) -> PyResult<()> {
-        steadily("time_s", self.is_given, time_s.is_some())?;
+        require_steady("time_s", self.is_given, time_s.is_some())?;
         if let Some(time_s) = time_s {
             if !time_s.is_finite() {
                 return Err(PyValueError::new_err(format!("time_s = {time_s}: must be finite, or None")));
@@ -320,8 +320,8 @@ impl MasterLoop {
             // A failed step must leave zero force.
             last.trigger_force = last.trigger_force.map(|_| 0.0);
             if fault.is_none() {
-                steadily("velocity", last.has_velocity, velocity.is_some())?;
-                steadily("angular_velocity", last.has_angular_velocity, angular_velocity.is_some())?;
+                require_steady("velocity", last.has_velocity, velocity.is_some())?;
+                require_steady("angular_velocity", last.has_angular_velocity, angular_velocity.is_some())?;
                 last.clock.take(time_s)?;
             } else {
                 // A device that was restarted has another clock.
@@ -379,7 +379,7 @@ impl MasterLoop {
 pub(crate) struct SlaveLoop {
     driven: Driven<dyn SlaveDriverLoop>,
     /// After the last tick.
-    beside: Mutex<Beside>,
+    extras: Mutex<Extras>,
     clock: Mutex<DeviceClock>,
     pub(crate) watched: Watched,
     kind: SideKind,
@@ -393,9 +393,9 @@ constructor!(SlaveLoop, listen, [], |py, scene, outline, run_id, how| {
         let (paced, watch, records) = pace_scene_slave(scene, run_id, parts).map_err(refused)?;
         PyResult::Ok((paced, Watched::new(watch, records, control, true)?))
     })?;
-    let beside = Mutex::new(Beside::NOTHING);
+    let extras = Mutex::new(Extras::NOTHING);
     let clock = Mutex::default();
-    Ok(Self { driven: Driven::new(paced), beside, clock, watched, kind: outline.kind, axes: outline.axes })
+    Ok(Self { driven: Driven::new(paced), extras, clock, watched, kind: outline.kind, axes: outline.axes })
 });
 
 #[pymethods]

@@ -357,7 +357,7 @@ impl<const N: usize> Guard<N> {
         let (newest, last_wrong) = (length - 1, wrong.ilog2() as usize);
         let (from, to) = if last_wrong + 2 < length {
             (last_wrong + 1, last_wrong + 2)
-        } else if wrong.count_ones() == 1 {
+        } else if wrong.is_power_of_two() {
             (last_wrong - 2, last_wrong - 1)
         } else if self.are_in_line(&chain[newest - 2], &chain[newest - 1], &chain[newest]) {
             return Some(false);

@@ -344,9 +344,10 @@ fn step_is_a_fault_after_outliers_and_late_ticks() {
                 let (mut ticks, mut fault) = (1.0, None);
                 for n in (0..1000).filter(|n| !(310..310 + late).contains(n)) {
                     let wrong = if (300..300 + outliers).contains(&n) { 0.05 } else { 0.0 };
-                    let x =
-                        rounded(v * n as f64 * PERIOD, QUANTUM) + wrong + if n < 700 { 0.0 } else { step };
-                    ticks = if n == 310 + late { 1.0 + late as f64 } else { ticks };
+                    let x = rounded(v * f64::from(n) * PERIOD, QUANTUM)
+                        + wrong
+                        + if n < 700 { 0.0 } else { step };
+                    ticks = if n == 310 + late { 1.0 + f64::from(late) } else { ticks };
                     if guard.pass(&at(x), ticks).is_err() {
                         fault = Some(n);
                         break;
