@@ -407,6 +407,8 @@ proptest! {
         body.place(UPRIGHT, &Axes::from(w)).unwrap();
         let energy = |body: &SimulatedRotation| body.kinetic_energy_j() + body.spring_energy_j();
         let (begun, mut last) = (energy(&body), energy(&body));
+        // The spring changes side at pi, where it holds pi^2 k / 2.
+        prop_assume!(begun < 4.5 * stiffness);
         for tick in 1..=300 {
             body.read(tick * TICK_NS);
             let now = energy(&body);
