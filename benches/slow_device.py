@@ -63,7 +63,7 @@ def measured(every_ms: float, seconds: float) -> Row:
 
 
 def main() -> int:
-    """Prints the table."""
+    """Print the table."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--seconds", type=float, default=60.0, help="of each run, 5 to 600; default 60")
     arguments = options.parse_args()

@@ -36,7 +36,7 @@ class SpeedBrake:
 
 
 def main() -> None:
-    """Compares it with the windowed energy."""
+    """Compare it with the windowed energy."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.parse_args()
     register_controller("speed-brake", SpeedBrake)

@@ -61,7 +61,7 @@ def thrown_at(controller: Controller, delay_s: float) -> float:
 
 
 def main() -> None:
-    """Prints one row per delay."""
+    """Print one row per delay."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", maxsplit=1)[0])
     parser.add_argument("--controllers", nargs="+", choices=get_args(Controller), default=get_args(Controller))
     parser.add_argument("--delays-ms", nargs="+", type=float, default=[1.0, 10.0, 50.0, 100.0])

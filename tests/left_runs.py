@@ -10,7 +10,7 @@ _GIVEN_UP: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
 
 
 def end_left_runs() -> int:
-    """Ends them, so that the interpreter and its threads are as before the first; how many there were."""
+    """End them, so that the interpreter and its threads are as before the first; how many there were."""
     left = [thread for thread in threading.enumerate() if thread.name == "haptether-loop" and thread not in _GIVEN_UP]
     for thread in left:
         run = getattr(getattr(thread, "_target", None), "__self__", None)

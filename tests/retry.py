@@ -64,7 +64,7 @@ def reason(report: pytest.TestReport) -> str:
 
 
 def passes(test: str) -> bool:
-    """Runs one test in a process of its own."""
+    """Run one test in a process of its own."""
     return subprocess.run([sys.executable, "-m", "pytest", test], check=False).returncode == 0
 
 

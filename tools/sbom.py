@@ -55,7 +55,7 @@ def bill() -> dict[str, Any]:
 
 
 def main() -> None:
-    """Prints the bill, one component a line."""
+    """Print the bill, one component a line."""
     found = bill()
     components = ",\n".join(map(json.dumps, found.pop("components")))
     print(f'{json.dumps(found)[:-1]}, "components": [\n{components}\n]}}')

@@ -66,7 +66,7 @@ fn slave(rotation: bool) -> SlaveEndpoint<3> {
     SlaveEndpoint::of_pose(&settings, &turning).unwrap()
 }
 
-/// Steps both sides, `ticks` of 1 ms on.
+/// Step both sides, `ticks` of 1 ms on.
 fn run(near: &mut impl Side, far: &mut impl Side, from: u64, ticks: u64) {
     let mut buffer = [0; MAX_FRAME];
     for tick in from..from + ticks {

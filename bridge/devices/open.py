@@ -159,7 +159,7 @@ def opened(
 
 
 def attach_gripper(gripper: "Gripper", device: "SlaveDevice") -> None:
-    """Tells a gripper at which arm it is, before either is open.
+    """Tell a gripper its arm, before either is open.
 
     Raises:
         DeviceError: It cannot be at this arm.
@@ -202,7 +202,7 @@ def opened_gripper(gripper: "Gripper | None", device: "SlaveDevice") -> Iterator
 
 
 def check_period(device: "MasterDevice | SlaveDevice", key: str, period_s: float | None) -> None:
-    """Refuses a device that paces a loop by a period of its own: limits, filters and fades would all be of another.
+    """Refuse a device that paces a loop by a period of its own: limits, filters and fades would all be of another.
 
     It also refuses a device whose bus takes longer than a period. Before a device is open its times may be None, which
     passes.

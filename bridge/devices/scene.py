@@ -1,4 +1,4 @@
-"""The drivers that a scene names, made and held against it; none is opened."""
+"""Create the drivers of a scene and check them against it, without opening one."""
 
 from typing import TYPE_CHECKING, Literal
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 
 def master_driver(scene: Scene) -> "tuple[Scene, MasterDevice | None]":
-    """The scene with the speed bound of its master's driver, and that driver; none for a model.
+    """Return the scene with the speed bound of the master's driver, and the driver; None for a model.
 
     Raises:
-        ValueError: No such driver, options that it refuses, or another number of axes than the scene.
-        DeviceError: The driver cannot be in this scene, or its constructor failed.
+        ValueError: The driver is unknown, refuses its options, or has another number of axes than the scene.
+        DeviceError: The driver does not fit the scene, or its constructor failed.
     """
     if scene.master.driver is None:
         return scene, None
@@ -32,10 +32,10 @@ def master_driver(scene: Scene) -> "tuple[Scene, MasterDevice | None]":
 
 
 def slave_drivers(scene: Scene) -> "tuple[Scene, SlaveDevice | None, Gripper | None]":
-    """The scene with the speed limits of its arm's driver, that driver and the gripper's; none for models.
+    """Return the scene with the speed limits of the arm's driver, the driver and that of the gripper; None for models.
 
     Raises:
-        ValueError: As `master_driver`; a scene without a slave; a model beside a driver.
+        ValueError: As `master_driver`; or the scene has no slave, or a model beside a driver.
         DeviceError: As `master_driver`.
     """
     table = scene.slave
@@ -63,13 +63,13 @@ def slave_drivers(scene: Scene) -> "tuple[Scene, SlaveDevice | None, Gripper | N
 
 
 def slave_period_s(scene: Scene) -> float:
-    """The period of the slave's loop in s: by default that of the run."""
+    """Return the period of the slave's loop in s; the default is the period of the run."""
     own_s = None if scene.slave is None else scene.slave.period_s
     return scene.run.period_s if own_s is None else own_s
 
 
 def _check_axes(scene: Scene, device: "MasterDevice | SlaveDevice", side: Literal["master", "slave"]) -> None:
-    """Refuses a device that has another number of axes than the scene."""
+    """Refuse a device that has another number of axes than the scene."""
     axes = getattr(device, "axes", None)
     if axes is not None and axes != scene.master.axes:
         kind = "device" if side == "master" else "arm"
@@ -81,7 +81,7 @@ def _check_axes(scene: Scene, device: "MasterDevice | SlaveDevice", side: Litera
 
 
 def _no_faster(scene: Scene, device: "SlaveDevice") -> Scene:
-    """The scene with commands no faster than the arm may follow: else it would go on after it was let go."""
+    """Return the scene with commands no faster than the arm. A faster command leaves the arm behind, still moving."""
     coupling = scene.coupling or CouplingTable()
     slower = []
     for key, bound in (("command_speed", "max_speed"), ("command_angular_speed", "max_angular_speed")):
@@ -92,7 +92,7 @@ def _no_faster(scene: Scene, device: "SlaveDevice") -> Scene:
 
 
 def _bounded(scene: Scene, device: object, side: Literal["master", "slave"]) -> Scene:
-    """The scene with the speed bound of the driver where it has none of its own."""
+    """Return the scene with the speed bound of the driver, if the scene has none."""
     bound: float | None = getattr(device, "speed_bound", None)
     if bound is None or getattr(getattr(scene, side), "speed_bound", None) is not None:
         return scene

@@ -36,7 +36,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 
 /// What one side does with the bytes of the other.
 trait Side: Send {
-    /// Takes what arrived, if anything did, and gives what to send.
+    /// Take what arrived, if anything did, and give what to send.
     fn exchange<'a>(
         &mut self,
         arrived: Option<&mut [u8]>,
@@ -168,7 +168,7 @@ fn bridged(secure: bool) -> [Box<dyn Side>; 2] {
         .map(|(session, endpoint)| Box::new(Bridged { session, endpoint, now_ns: 0 }) as Box<dyn Side>)
 }
 
-/// Keeps this thread on one CPU.
+/// Keep this thread on one CPU.
 fn pin(cpu: usize) {
     let mut cpus = CpuSet::new();
     cpus.set(cpu);

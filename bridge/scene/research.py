@@ -60,7 +60,7 @@ def with_own_controllers(raw: Raw) -> Raw:
     `safety.research.controller = "none"` means no such table, so that a sweep may vary it.
 
     Raises:
-        SceneError: Two Python controllers, or one that differs from `safety.research`.
+        SceneError: The scene names two Python controllers, or another one than `safety.research`.
     """
     safety = raw.get("safety") if isinstance(raw, dict) else None
     if not isinstance(raw, dict) or not isinstance(safety, dict):

@@ -34,7 +34,7 @@ pub enum ButtonError {
 }
 
 impl ButtonSettings {
-    /// Checks the mapping.
+    /// Check the mapping.
     pub fn check(&self) -> Result<(), ButtonError> {
         let Self { clutch, engage, gripper } = *self;
         for (name, bit) in [("clutch", clutch), ("engage", engage), ("gripper", gripper)] {
@@ -95,12 +95,12 @@ impl Buttons {
         Ok(Self { settings, engage, gripper, was_aligned: false })
     }
 
-    /// Returns whether a button works the clutch.
+    /// Return whether a button works the clutch.
     pub(crate) fn has_clutch(&self) -> bool {
         self.settings.clutch.is_some() || self.settings.engage.is_some()
     }
 
-    /// Takes the word of a tick.
+    /// Take the word of a tick.
     ///
     /// Returns the clutch, true if closed, and the trigger, 0 open or 1 closed; `None` if not mapped, or the clutch
     /// unknown.
@@ -116,12 +116,12 @@ impl Buttons {
         (clutch.map(level).or(engaged), closed)
     }
 
-    /// Opens the clutch switch.
+    /// Open the clutch switch.
     pub(crate) fn open(&mut self) {
         self.engage.on = false;
     }
 
-    /// Opens the clutch switch after a gap. Each button must open before it can be pressed.
+    /// Open the clutch switch after a gap. Each button must open before it can be pressed.
     pub(crate) fn stalled(&mut self) {
         self.open();
         for switch in [&mut self.engage, &mut self.gripper] {
@@ -129,7 +129,7 @@ impl Buttons {
         }
     }
 
-    /// Opens the clutch switch if the ladder no longer accepts its press.
+    /// Open the clutch switch if the ladder no longer accepts its press.
     pub(crate) fn follow(&mut self, now_ns: u64, state: LadderState) {
         let was_aligned = std::mem::replace(&mut self.was_aligned, state.is_aligned());
         let pressed_ns = self.engage.button.last_press_ns().unwrap_or(0);

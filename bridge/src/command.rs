@@ -36,7 +36,7 @@ pub enum OperatorCommand {
 }
 
 impl OperatorCommand {
-    /// Rejects numbers that are invalid for an endpoint of N axes.
+    /// Reject numbers that are invalid for an endpoint of N axes.
     pub fn check<const N: usize>(&self) -> Result<(), CouplingError> {
         match self {
             Self::Start | Self::Press | Self::Release | Self::Takeover | Self::Acknowledge => Ok(()),

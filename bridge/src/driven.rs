@@ -153,7 +153,7 @@ pub struct DrivenSlave<const N: usize> {
 }
 
 impl<const N: usize> DrivenSlave<N> {
-    /// Creates an arm that brakes at `deceleration` in m/s^2.
+    /// Create an arm that brakes at `deceleration` in m/s^2.
     pub fn new(deceleration: f64) -> Result<Self, DrivenSlaveError> {
         if !(deceleration > 0.0 && deceleration <= 100.0) {
             return Err(DrivenSlaveError(deceleration));

@@ -34,7 +34,7 @@ impl fmt::Write for Line {
     }
 }
 
-/// Returns whether a character is printable, and neither reorders nor hides text.
+/// Return whether a character is printable, and neither reorders nor hides text.
 fn is_printable(letter: char) -> bool {
     !letter.is_control()
         && !matches!(letter,
@@ -50,7 +50,7 @@ impl FaultText {
     /// No text.
     pub const EMPTY: Self = Self { bytes: [0; MAX_FAULT_TEXT], length: 0 };
 
-    /// Puts `text` on one line: white space becomes blanks, unprintable characters U+FFFD; a long text is truncated.
+    /// Put `text` on one line: white space becomes blanks, unprintable characters U+FFFD; a long text is truncated.
     pub fn new(text: &str) -> Self {
         let mut built = Self::EMPTY;
         // Length up to which the mark still fits.
@@ -101,7 +101,7 @@ impl FaultText {
         std::str::from_utf8(&self.bytes[..usize::from(self.length)]).unwrap_or_default()
     }
 
-    /// Returns whether there is no text.
+    /// Return whether there is no text.
     pub const fn is_empty(&self) -> bool {
         self.length == 0
     }
@@ -141,7 +141,7 @@ pub struct TextPiece {
 }
 
 impl TextPiece {
-    /// Returns whether the encoding is canonical: zeros without text and after the end.
+    /// Return whether the encoding is canonical: zeros without text and after the end.
     #[inline]
     pub fn is_canonical(&self) -> bool {
         if self.number == 0 { *self == Self::default() } else { self.is_canonical_piece() }
@@ -163,7 +163,7 @@ pub struct SpokenText {
 }
 
 impl SpokenText {
-    /// Sets the text; no effect if it is the same.
+    /// Set the text; no effect if it is the same.
     pub fn set(&mut self, text: &FaultText) {
         if self.text != *text {
             // Never 0, which means no text.
@@ -177,7 +177,7 @@ impl SpokenText {
         &self.text
     }
 
-    /// Returns the piece of the next frame, in order.
+    /// Return the piece of the next frame, in order.
     pub fn next_piece(&mut self) -> TextPiece {
         if self.text.is_empty() {
             return TextPiece::default();
@@ -208,7 +208,7 @@ impl Default for HeardText {
 }
 
 impl HeardText {
-    /// Takes a piece; pieces of different texts do not mix.
+    /// Take a piece; pieces of different texts do not mix.
     #[inline]
     pub fn take(&mut self, piece: &TextPiece) {
         // Nearly all frames have none.

@@ -25,7 +25,7 @@ pub enum Trigger {
 }
 
 impl Trigger {
-    /// Creates a simulated trigger: increasing times in s since engagement, with positions.
+    /// Create a simulated trigger: increasing times in s since engagement, with positions.
     pub fn simulated(course: &[[f64; 2]]) -> Result<Self, ModelError> {
         let (times, positions): (Vec<_>, Vec<_>) = course.iter().map(|[at_s, to]| (*at_s, *to)).unzip();
         for position in &positions {
@@ -88,7 +88,7 @@ pub(crate) struct LeadingTrigger {
 }
 
 impl LeadingTrigger {
-    /// Creates the filter for ticks of `period_s`, before the first position.
+    /// Create the filter for ticks of `period_s`, before the first position.
     pub(crate) fn new(period_s: f64) -> Self {
         let bounds = SampleBounds {
             speed: f64::INFINITY,
@@ -99,7 +99,7 @@ impl LeadingTrigger {
         Self { guard: Guard::new(bounds, SampleBounds::UNBOUNDED, period_s) }
     }
 
-    /// Returns the position, or its prediction while held; `ticks` after the previous.
+    /// Return the position, or its prediction while held; `ticks` after the previous.
     pub(crate) fn taken(&mut self, position: f64, ticks: f64) -> f64 {
         let sample = Sample::point(&Axes::<1>::new(position), None);
         // Without a bound on the speed nothing is refused.
@@ -129,7 +129,7 @@ pub struct HeldTrigger {
 }
 
 impl HeldTrigger {
-    /// Creates a trigger at rest at the start of the finger's path in m, until the sides engage.
+    /// Create a trigger at rest at the start of the finger's path in m, until the sides engage.
     pub fn new(device: DeviceParameters<1>, travel_m: f64, finger: Hand<1>) -> Result<Self, MasterError> {
         let stops = (Axes::<1>::zeros(), Axes::<1>::new(travel_m));
         let mut device = SimulatedMaster::new(DeviceParameters { stops, ..device }, finger, 0)?;
@@ -172,12 +172,12 @@ pub struct LedGripper {
 }
 
 impl LedGripper {
-    /// Creates a model.
+    /// Create a model.
     pub fn simulated(settings: GripperSettings) -> Result<Self, ModelError> {
         Ok(Self::new(Jaws::Simulated(SimulatedGripper::new(settings)?), &settings))
     }
 
-    /// Creates a gripper whose driver is elsewhere; unknown until read.
+    /// Create a gripper whose driver is elsewhere; unknown until read.
     pub fn driven(settings: GripperSettings) -> Result<Self, ModelError> {
         let settings = settings.checked()?;
         let at = GripperSample { position: f64::NAN, ..GripperSample::default() };
@@ -194,21 +194,21 @@ impl LedGripper {
         }
     }
 
-    /// Stores the sample of its driver.
+    /// Store the sample of its driver.
     pub fn take(&mut self, read: GripperSample) {
         if let Jaws::Driven(sample) = &mut self.jaws {
             *sample = read;
         }
     }
 
-    /// Sets where a model's jaws meet a rigid object.
+    /// Set where a model's jaws meet a rigid object.
     pub(crate) fn meets(&mut self, object: Option<f64>) {
         if let Jaws::Simulated(gripper) = &mut self.jaws {
             gripper.set_object(object);
         }
     }
 
-    /// Returns the sample at `now_ns`.
+    /// Return the sample at `now_ns`.
     pub(crate) fn read(&mut self, now_ns: u64) -> GripperSample {
         self.sample = match &mut self.jaws {
             Jaws::Simulated(gripper) => gripper.read(now_ns),
@@ -217,7 +217,7 @@ impl LedGripper {
         self.sample
     }
 
-    /// Follows `trigger`, 0 open to 1 closed; keeps the grip if `None`.
+    /// Follow `trigger`, 0 open to 1 closed; keeps the grip if `None`.
     pub(crate) fn lead(&mut self, now_ns: u64, trigger: Option<f64>) {
         let elapsed_s = now_ns.saturating_sub(self.led_ns.replace(now_ns).unwrap_or(now_ns)) as f64 * 1e-9;
         self.order = match self.follower.step(trigger, &self.sample, elapsed_s) {
@@ -232,7 +232,7 @@ impl LedGripper {
         }
     }
 
-    /// Returns whether the trigger leads it.
+    /// Return whether the trigger leads it.
     pub(crate) fn follows(&self) -> bool {
         self.follower.follows()
     }

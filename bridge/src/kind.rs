@@ -32,7 +32,7 @@ impl SideKind {
         self as u8
     }
 
-    /// Returns whether `axes` is a valid number of axes.
+    /// Return whether `axes` is a valid number of axes.
     pub const fn has_axes(self, axes: usize) -> bool {
         match self {
             Self::Linear => matches!(axes, 1..=3),

@@ -406,7 +406,7 @@ pub(crate) fn padded<T>(of: &[T], lanes: usize) -> impl Iterator<Item = &T> {
     (0..lanes).filter_map(|lane| of.get(lane).or(of.last()))
 }
 
-/// Packs a number of each instance, as [`padded`].
+/// Pack a number of each instance, as [`padded`].
 pub(crate) fn packed<T, S: haptether_safety::Real>(of: &[T], number: impl Fn(&T) -> f64) -> S {
     let mut lanes = S::zero();
     for (lane, one) in padded(of, S::LANES).enumerate() {

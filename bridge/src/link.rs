@@ -33,7 +33,7 @@ pub struct LinkStatistics {
 }
 
 impl LinkStatistics {
-    /// Adds the session's rejections: replays as duplicate or late, others as refused.
+    /// Add the session's rejections: replays as duplicate or late, others as refused.
     #[must_use]
     pub fn with(mut self, rejections: &Rejections) -> Self {
         let (repeated, too_old) = (rejections.of(Rejection::Repeated), rejections.of(Rejection::TooOld));
@@ -88,7 +88,7 @@ pub struct PortState {
 }
 
 impl PortState {
-    /// Stores the measured state; other fields stay.
+    /// Store the measured state; other fields stay.
     #[inline]
     pub(crate) fn report<const N: usize>(
         &mut self,
@@ -177,7 +177,7 @@ struct Newest {
 }
 
 impl Newest {
-    /// Returns whether a sequence of this run is plausible at `by_ns`.
+    /// Return whether a sequence of this run is plausible at `by_ns`.
     fn is_near(&self, sequence: u64, by_ns: u64) -> bool {
         let newest = self.frame.sequence;
         if sequence > newest && sequence - newest == 1 {
@@ -224,7 +224,7 @@ pub struct FrameLink {
 }
 
 impl FrameLink {
-    /// Creates an end of `role`. A new `run_id` at every start shows a restart to the peer.
+    /// Create an end of `role`. A new `run_id` at every start shows a restart to the peer.
     pub fn new(role: Role, axes: usize, run_id: u64, lease_ns: u64) -> Self {
         Self {
             role,
@@ -242,7 +242,7 @@ impl FrameLink {
         }
     }
 
-    /// Takes a datagram; strictly newer frames replace the newest.
+    /// Take a datagram; strictly newer frames replace the newest.
     ///
     /// Returns whether the frame began a run. A refused datagram changes only its counter.
     ///
@@ -253,7 +253,7 @@ impl FrameLink {
         self.take_datagram(time, datagram).map(|head| head.begins)
     }
 
-    /// Takes a frame that was not encoded: [`Frame::received`].
+    /// Take a frame that was not encoded: [`Frame::received`].
     pub fn receive_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<bool, RejectReason> {
         self.take_frame(time, frame, self.layout.axes).map(|head| head.begins)
     }
@@ -355,7 +355,7 @@ impl FrameLink {
         self.layout
     }
 
-    /// Sets the layout, before the first frame.
+    /// Set the layout, before the first frame.
     pub fn set_layout(&mut self, layout: FrameLayout) {
         self.layout = layout;
     }
@@ -394,7 +394,7 @@ impl FrameLink {
         self.statistics.missing = self.missing_before + expected.saturating_sub(self.arrived);
     }
 
-    /// Encodes the next frame.
+    /// Encode the next frame.
     pub fn send<'a>(
         &mut self,
         time: LinkTime,
@@ -405,7 +405,7 @@ impl FrameLink {
         self.next_frame(time, status, &port).encode(buffer)
     }
 
-    /// Returns the next frame, not encoded.
+    /// Return the next frame, not encoded.
     pub fn next_frame(&mut self, time: LinkTime, status: Status, port: &PortState) -> Frame {
         let mut frame = Frame::EMPTY;
         self.fill_frame(time, self.layout.axes, status, port, &mut frame);
@@ -444,7 +444,7 @@ impl FrameLink {
         self.statistics.sent += 1;
     }
 
-    /// Returns whether the newest frame confirms that the peer hears this run.
+    /// Return whether the newest frame confirms that the peer hears this run.
     pub fn is_heard(&self) -> bool {
         self.newest().is_some_and(|frame| {
             frame.hears_peer && frame.echo.is_some_and(|echo| echo.run_id == self.run_id)
@@ -482,7 +482,7 @@ impl FrameLink {
         self.statistics.round_trip_ns
     }
 
-    /// Counts so far.
+    /// Count so far.
     pub fn statistics(&self) -> LinkStatistics {
         self.statistics
     }

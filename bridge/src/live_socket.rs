@@ -75,7 +75,7 @@ fn unix_socket() -> io::Result<OwnedFd> {
     Ok(socket_with(AddressFamily::UNIX, SocketType::STREAM, flags, None)?)
 }
 
-/// Locks the folder of `path` against other runs that create or remove a socket.
+/// Lock the folder of `path` against other runs that create or remove a socket.
 ///
 /// Anybody may hold the lock of a folder that others may enter: there it is not required.
 fn locked_folder(path: &Path) -> io::Result<File> {
@@ -100,7 +100,7 @@ fn is_shared(folder: &File) -> io::Result<bool> {
     Ok(found.mode() & 0o077 != 0 || found.uid() != rustix::process::geteuid().as_raw())
 }
 
-/// Removes the socket of a killed run; refuses anything else.
+/// Remove the socket of a killed run; refuses anything else.
 fn remove_stale(path: &Path, address: &SocketAddrUnix, taken: &str) -> io::Result<()> {
     match std::fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
@@ -148,7 +148,7 @@ impl LiveSocket {
         Ok(Self { listener, file })
     }
 
-    /// Accepts a waiting client, non-blocking; `None` if nobody waits. Fails without a free descriptor.
+    /// Accept a waiting client, non-blocking; `None` if nobody waits. Fails without a free descriptor.
     pub(crate) fn accept(&self) -> io::Result<Option<UnixStream>> {
         match self.listener.accept() {
             Ok((stream, _)) => {
@@ -161,7 +161,7 @@ impl LiveSocket {
         }
     }
 
-    /// Removes the file; open connections stay.
+    /// Remove the file; open connections stay.
     pub(crate) fn remove(&mut self) {
         self.file.remove();
     }

@@ -49,7 +49,7 @@ where
     P: ModelPlant<N>,
     R: Rendering<N>,
 {
-    /// Creates a loop at time 0; the force acts `delay` ticks late.
+    /// Create a loop at time 0; the force acts `delay` ticks late.
     pub fn new(mut plant: P, rendering: R, delay: DelayLine<N>, watch: Watch<N>, period_ns: u64) -> Self {
         let (last_position, _) = plant.read(0);
         let period_s = period_ns as f64 * 1e-9;
@@ -105,7 +105,7 @@ where
 
 /// A force field that a servo loop samples.
 pub trait Rendering<const N: usize> {
-    /// Returns whether the force depends on the velocity.
+    /// Return whether the force depends on the velocity.
     fn needs_velocity(&self) -> bool;
 
     /// Force in N at `time_s`, for position in m and velocity in m/s as the loop knows them. It acts for `period_s`.
@@ -118,7 +118,7 @@ pub trait Rendering<const N: usize> {
 }
 
 pub(crate) trait Surfaces<const N: usize> {
-    /// Returns whether `position` in m, at which the force was last computed, is inside an object.
+    /// Return whether `position` in m, at which the force was last computed, is inside an object.
     fn touches(&self, position: &Axes<N>) -> bool;
 }
 
@@ -248,12 +248,12 @@ pub struct DelayLine<const N: usize> {
 }
 
 impl<const N: usize> DelayLine<N> {
-    /// Creates a line of `ticks` ticks; 0 passes values at once.
+    /// Create a line of `ticks` ticks; 0 passes values at once.
     pub fn new(ticks: usize) -> Self {
         Self { under_way: vec![Axes::zeros(); ticks].into_boxed_slice(), next: 0 }
     }
 
-    /// Adds a value and removes the oldest.
+    /// Add a value and remove the oldest.
     #[inline(always)] // in the loop of a run
     pub fn pass(&mut self, force: Axes<N>) -> Axes<N> {
         let Some(slot) = self.under_way.get_mut(self.next) else { return force };

@@ -45,7 +45,7 @@ impl Wake {
         Self { deadline_ns: deadline_ns + missed * period_ns, overshoot_ns, missed }
     }
 
-    /// Returns whether pending datagrams are too old to act on.
+    /// Return whether pending datagrams are too old to act on.
     pub(crate) fn is_stalled(&self) -> bool {
         self.overshoot_ns > MAX_LATE_NS
     }
@@ -67,7 +67,7 @@ pub(crate) struct Pace {
 }
 
 impl Pace {
-    /// Creates a loop whose first tick is at true time 0.
+    /// Create a loop whose first tick is at true time 0.
     pub(crate) fn new(clock: Option<EndpointClock>, period_ns: u64) -> Self {
         let deadline_ns = clock.map_or(0, |clock| shown_ns(&clock, 0));
         Self { clock, period_ns, true_ns: 0, deadline_ns }

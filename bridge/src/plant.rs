@@ -9,7 +9,7 @@ use crate::{buttons::ButtonWord, coupling::RotationState, driven::DrivenMaster};
 
 /// A master device; time is an argument.
 pub trait MasterPlant<const N: usize> {
-    /// Starts time at `now_ns`; called once, before the first read.
+    /// Start time at `now_ns`; called once, before the first read.
     fn begin(&mut self, _now_ns: u64) {}
 
     /// Position in m and, if measured, velocity in m/s.
@@ -88,16 +88,16 @@ pub trait ModelPlant<const N: usize>: MasterPlant<N> {
 
 /// A slave arm; time is an argument.
 pub trait SlavePlant<const N: usize> {
-    /// Starts time at `now_ns`; called once, before the first read.
+    /// Start time at `now_ns`; called once, before the first read.
     fn begin(&mut self, _now_ns: u64) {}
 
     /// Position in m, velocity in m/s and `F_e` in N at `now_ns`.
     fn read(&mut self, now_ns: u64) -> [Axes<N>; 3];
 
-    /// Takes the tool to `position` in m, which moves with `velocity` in m/s.
+    /// Take the tool to `position` in m, which moves with `velocity` in m/s.
     fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>);
 
-    /// Stops softly within the arm's bounds and stays there, whatever was written. Returns the rest position in m.
+    /// Stop softly within the arm's bounds and stays there, whatever was written. Returns the rest position in m.
     /// Nothing is written until the stop is over. Never an emergency stop: nothing on the network can switch power
     /// and brakes.
     fn stop(&mut self) -> Axes<N>;
@@ -115,7 +115,7 @@ pub trait SlavePlant<const N: usize> {
         None
     }
 
-    /// Turns the tool to `orientation`, which turns with `angular_velocity` in rad/s. Precedes each
+    /// Turn the tool to `orientation`, which turns with `angular_velocity` in rad/s. Precedes each
     /// [`write`](Self::write) of an arm that turns.
     fn write_rotation(&mut self, _orientation: &UnitQuaternion<f64>, _angular_velocity: &Axes<3>) {}
 
@@ -129,7 +129,7 @@ pub trait SlavePlant<const N: usize> {
         None
     }
 
-    /// Takes the gripper's sample. Returns where the jaws meet an object, 0 open to 1 closed, if the arm knows.
+    /// Take the gripper's sample. Returns where the jaws meet an object, 0 open to 1 closed, if the arm knows.
     fn grip(&mut self, _jaws: &GripperSample) -> Option<Option<f64>> {
         None
     }
@@ -274,7 +274,7 @@ pub trait ModelArm {
         0
     }
 
-    /// Passes each signal of the environment: name and values.
+    /// Pass each signal of the environment: name and values.
     fn world(&self, _take: &mut dyn FnMut(&'static str, &[f64])) {}
 }
 

@@ -137,7 +137,7 @@ pub struct Playout<T> {
 }
 
 impl<T: Copy> Playout<T> {
-    /// Creates an empty play-out.
+    /// Create an empty play-out.
     pub fn new(settings: PlayoutSettings) -> Result<Self, PlayoutError> {
         settings.check()?;
         Ok(Self {
@@ -151,7 +151,7 @@ impl<T: Copy> Playout<T> {
         })
     }
 
-    /// Takes a packet that arrived at `now_ns`, sent at `sent_ns` on the sender's clock.
+    /// Take a packet that arrived at `now_ns`, sent at `sent_ns` on the sender's clock.
     pub fn arrived(&mut self, sequence: u64, sent_ns: u64, now_ns: u64, payload: T) -> Arrival {
         if sequence == u64::MAX || sent_ns.max(now_ns) > i64::MAX.cast_unsigned() {
             self.counts.refused += 1;
@@ -184,7 +184,7 @@ impl<T: Copy> Playout<T> {
         Arrival::Queued
     }
 
-    /// Drops packets of a previous timeline.
+    /// Drop packets of a previous timeline.
     fn clear_waiting(&mut self) {
         let Some(next) = self.next else { return };
         let waiting = self.slots.iter_mut().filter(|slot| slot.is_some_and(|slot| slot.sequence >= next));
@@ -194,7 +194,7 @@ impl<T: Copy> Playout<T> {
         }
     }
 
-    /// Skips sequences beyond the capacity.
+    /// Skip sequences beyond the capacity.
     fn make_room(&mut self, sequence: u64) {
         let capacity = self.slots.len() as u64;
         let next = *self.next.get_or_insert(sequence);
@@ -204,7 +204,7 @@ impl<T: Copy> Playout<T> {
         }
     }
 
-    /// Passes sequences up to `until`. Returns how many were present.
+    /// Pass sequences up to `until`. Returns how many were present.
     fn pass(&mut self, next: u64, until: u64) -> u64 {
         let near = until.min(next.saturating_add(self.slots.len() as u64));
         let there = (next..near).filter(|&sequence| self.waits(sequence)).count() as u64;
@@ -215,7 +215,7 @@ impl<T: Copy> Playout<T> {
         there
     }
 
-    /// Removes the next packet that is due at `now_ns`.
+    /// Remove the next packet that is due at `now_ns`.
     pub fn next_due(&mut self, now_ns: u64) -> Option<Played<T>> {
         let next = self.next?;
         let (position, shift) = self.timeline.advance(now_ns)?;
@@ -254,12 +254,12 @@ impl<T: Copy> Playout<T> {
         self.timeline.wait_ns()
     }
 
-    /// Counts so far.
+    /// Count so far.
     pub fn counts(&self) -> PlayoutCounts {
         self.counts
     }
 
-    /// Clears packets, not counts, for a new run of the sender.
+    /// Clear packets, not counts, for a new run of the sender.
     pub fn restart(&mut self, settings: PlayoutSettings) -> Result<(), PlayoutError> {
         let counts = self.counts;
         *self = Self::new(settings)?;

@@ -4,7 +4,7 @@ use std::mem::MaybeUninit;
 
 use crate::recorder::Recorded;
 
-/// Creates a ring and touches its pages, so that use does not grow the process.
+/// Create a ring and touches its pages, so that use does not grow the process.
 pub(crate) fn ring<T>(capacity: usize) -> (rtrb::Producer<T>, rtrb::Consumer<T>) {
     let (mut producer, consumer) = rtrb::RingBuffer::new(capacity);
     if let Ok(mut room) = producer.write_chunk_uninit(capacity) {
@@ -24,7 +24,7 @@ pub(crate) trait WaitingRecords: Send {
 
     fn waiting(&self) -> usize;
 
-    /// Returns whether the producer is gone.
+    /// Return whether the producer is gone.
     fn is_abandoned(&self) -> bool;
 }
 

@@ -29,15 +29,15 @@ pub trait Side {
     where
         Self: Sized;
 
-    /// Starts true time at `now_ns`; called once, before the first tick.
+    /// Start true time at `now_ns`; called once, before the first tick.
     fn begin(&mut self, now_ns: u64);
 
-    /// Takes a datagram. A refused datagram changes only its counter.
+    /// Take a datagram. A refused datagram changes only its counter.
     fn receive(&mut self, time: LinkTime, datagram: &[u8]) -> Result<(), RejectReason> {
         self.exchange_mut().receive(time, datagram)
     }
 
-    /// Takes a frame that was not encoded. A side that inspects datagrams needs
+    /// Take a frame that was not encoded. A side that inspects datagrams needs
     /// [`encoded`](crate::VirtualSettings::encoded) frames.
     #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     fn receive_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<(), RejectReason> {
@@ -45,7 +45,7 @@ pub trait Side {
         self.exchange_mut().receive_frame(time, frame, axes)
     }
 
-    /// Reads the plant, decides, writes the plant.
+    /// Read the plant, decides, writes the plant.
     fn tick(&mut self, time: TickTime) -> Self::Record
     where
         Self: Sized,
@@ -61,7 +61,7 @@ pub trait Side {
     where
         Self: Sized;
 
-    /// Encodes the frame of this tick.
+    /// Encode the frame of this tick.
     fn send<'a>(&mut self, time: LinkTime, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
         self.exchange_mut().send(time, buffer)
     }
@@ -79,7 +79,7 @@ pub trait Side {
         self.exchange().link().layout().axes
     }
 
-    /// Carries out an operator command. Returns whether it changed anything; releasing an open clutch does not.
+    /// Carry out an operator command. Returns whether it changed anything; releasing an open clutch does not.
     /// Invalid numbers change nothing.
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError>;
 
@@ -88,12 +88,12 @@ pub trait Side {
         ScaleRanges::default()
     }
 
-    /// Returns whether the device has a button of its own.
+    /// Return whether the device has a button of its own.
     fn has_button(&self) -> bool {
         false
     }
 
-    /// Removes force and motion from the plant.
+    /// Remove force and motion from the plant.
     fn rest(&mut self);
 
     /// Link, ladder and flight recorder.
@@ -124,7 +124,7 @@ pub struct MasterSide<P, const N: usize, R = ()> {
 }
 
 impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
-    /// Creates a side whose clutch is worked by `clutch`, unless the device has a button.
+    /// Create a side whose clutch is worked by `clutch`, unless the device has a button.
     pub fn new(plant: P, endpoint: MasterEndpoint<N>, clutch: Clutch) -> Result<Self, ClutchError> {
         let operator = ClutchOperator::new(clutch)?;
         let button = Button::default();
@@ -142,7 +142,7 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
         })
     }
 
-    /// Adds buttons, as `settings` map them.
+    /// Add buttons, as `settings` map them.
     pub fn with_buttons(mut self, settings: Option<ButtonSettings>) -> Result<Self, ButtonError> {
         let buttons = settings.map(Buttons::new).transpose()?;
         if let Some(buttons) = &buttons {
@@ -155,13 +155,13 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
         Ok(Self { buttons, ..self })
     }
 
-    /// Makes the records contain a rotation.
+    /// Make the records contain a rotation.
     #[must_use]
     pub fn turning(self) -> MasterSide<P, N, MasterRotation> {
         self.recording()
     }
 
-    /// Adds a trigger that leads the slave's gripper.
+    /// Add a trigger that leads the slave's gripper.
     #[must_use]
     pub fn with_trigger(mut self, trigger: Option<Trigger>) -> Self {
         if trigger.is_some() {
@@ -189,7 +189,7 @@ impl<P: MasterPlant<N>, const N: usize, R> MasterSide<P, N, R> {
         (clutch, trigger)
     }
 
-    /// Makes the records contain force feedback at the trigger.
+    /// Make the records contain force feedback at the trigger.
     #[must_use]
     pub fn feeling(self) -> MasterSide<P, N, Feeling<R>> {
         self.recording()
@@ -215,7 +215,7 @@ impl<P: MasterPlant<N>, const N: usize, R> MasterSide<P, N, R> {
         self.felt.as_ref()
     }
 
-    /// Passes each force-feedback signal of the trigger, for a run in virtual time.
+    /// Pass each force-feedback signal of the trigger, for a run in virtual time.
     pub(crate) fn finger_signals(&self, take: &mut dyn FnMut(&'static str, &[f64])) {
         let (Some(felt), Some(trigger)) = (&self.felt, &self.trigger) else { return };
         let estimated = FingerTruth { velocity: felt.motion.velocity[0], finger_force_n: 0.0 };
@@ -361,7 +361,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for MasterSide<P, N,
     }
 }
 
-/// Returns whether the arm stands still whatever the command.
+/// Return whether the arm stands still whatever the command.
 pub(crate) fn is_stopped(state: LadderState) -> bool {
     matches!(state, LadderState::Stop | LadderState::Fault)
 }
@@ -439,13 +439,13 @@ pub struct SlaveSide<P, const N: usize, R = ()> {
 }
 
 impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
-    /// Creates a side with an arm not commanded yet.
+    /// Create a side with an arm not commanded yet.
     pub fn new(plant: P, endpoint: SlaveEndpoint<N>) -> Self {
         let led = LeadTransition::default();
         Self { plant, endpoint, led, gripper: None, reference_point: None, records: PhantomData }
     }
 
-    /// Makes the records contain a rotation.
+    /// Make the records contain a rotation.
     #[must_use]
     pub fn turning(self) -> SlaveSide<P, N, SlaveRotation> {
         let Self { plant, endpoint, led, gripper, reference_point, .. } = self;
@@ -458,7 +458,7 @@ impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
         Self { reference_point, ..self }
     }
 
-    /// Adds a gripper.
+    /// Add a gripper.
     #[must_use]
     pub fn with_gripper(mut self, gripper: Option<LedGripper>) -> Self {
         if gripper.is_some() {
@@ -550,7 +550,7 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side for SlaveSide<P, N, R>
     }
 }
 
-/// Seals the next frame of a side for its session. Without keys returns `None` and numbers no frame.
+/// Seal the next frame of a side for its session. Without keys returns `None` and numbers no frame.
 pub(crate) fn sealed_frame<'a>(
     session: &mut Session,
     time: LinkTime,

@@ -151,7 +151,7 @@ impl OneWay {
         })
     }
 
-    /// Carries a datagram; `back` leads to its sender.
+    /// Carry a datagram; `back` leads to its sender.
     fn carry(&mut self, now_ns: u64, datagram: &[u8], back: &mut Self) {
         self.carry_sent();
         self.judged(now_ns, datagram.len(), back, |to, at_ns, damage| {
@@ -159,7 +159,7 @@ impl OneWay {
         });
     }
 
-    /// Carries the next frame of a side in an insecure session. It is encoded only if the link changes packets;
+    /// Carry the next frame of a side in an insecure session. It is encoded only if the link changes packets;
     /// otherwise it waits for [`carry_sent`](Self::carry_sent).
     #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     fn carry_next_frame(&mut self, side: &mut impl Side, time: LinkTime, now_ns: u64, back: &mut Self) {
@@ -181,7 +181,7 @@ impl OneWay {
         debug_assert_eq!(frame.layout().length(), self.frame_size, "what stands in a frame never changes");
     }
 
-    /// Judges the waiting frames. Meanwhile a side does several ticks in a row, so that the sides do not evict each
+    /// Judge the waiting frames. Meanwhile a side does several ticks in a row, so that the sides do not evict each
     /// other's code from the cache.
     fn carry_sent(&mut self) {
         if self.sent.is_empty() {
@@ -224,7 +224,7 @@ impl OneWay {
         });
     }
 
-    /// Passes each arrival of a datagram to `push`.
+    /// Pass each arrival of a datagram to `push`.
     fn judged(
         &mut self,
         now_ns: u64,
@@ -301,7 +301,7 @@ struct Loop<'a, S> {
 }
 
 impl<'a, S: Side> Loop<'a, S> {
-    /// Creates a loop, secure if `seed` is given.
+    /// Create a loop, secure if `seed` is given.
     fn new(
         side: &'a mut S,
         role: Role,
@@ -413,7 +413,7 @@ pub enum Event<'a, M, S> {
     Slave(&'a S),
 }
 
-/// Runs both sides at their own rates. Passes each record and both sides to `observe`, until it breaks off or the
+/// Run both sides at their own rates. Passes each record and both sides to `observe`, until it breaks off or the
 /// master has done its ticks.
 ///
 /// The loop that is next takes the frames due by then, ticks and sends; at the same instant the master is first. A
@@ -494,7 +494,7 @@ impl<R: Copy + Default> Unseen<R> {
         Self { ticks: Vec::new(), kept: 0, seen: 0 }
     }
 
-    /// Drops observed ticks. Call before adding more.
+    /// Drop observed ticks. Call before adding more.
     fn forget_seen(&mut self) {
         self.ticks.copy_within(self.seen..self.kept, 0);
         self.kept -= self.seen;
@@ -515,7 +515,7 @@ impl<R: Copy + Default> Unseen<R> {
         &self.ticks[self.seen..self.kept]
     }
 
-    /// Copies the unobserved ticks, without spare capacity.
+    /// Copy the unobserved ticks, without spare capacity.
     fn copied(&self) -> Self {
         Self { ticks: self.unseen().to_vec(), kept: self.unseen().len(), seen: 0 }
     }
@@ -604,7 +604,7 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
         self.near.unseen().iter().map(|(_, record)| record)
     }
 
-    /// Copies the run. `None` with security, encoded frames, or a network that changes packets.
+    /// Copy the run. `None` with security, encoded frames, or a network that changes packets.
     pub(crate) fn snapshot(&self) -> Option<Snapshot<M, S>>
     where
         M: Clone,
@@ -626,7 +626,7 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
         })
     }
 
-    /// Resumes a snapshot of a run of the same settings, with sides in its state.
+    /// Resume a snapshot of a run of the same settings, with sides in its state.
     pub(crate) fn resume(
         settings: &VirtualSettings,
         snapshot: &Snapshot<M, S>,

@@ -477,7 +477,7 @@ fn a_tick_of_a_loop_that_is_looked_at_allocates_nothing() {
                 side.exchange_mut().device_failed(None);
             }
         };
-        paced.step(fails, |_| {}).unwrap();
+        paced.step(None, fails, |_| {}).unwrap();
         paced.wait();
     }
     let allocated = allocations() - before;

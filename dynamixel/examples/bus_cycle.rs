@@ -85,7 +85,7 @@ fn terminal() -> (OwnedFd, String) {
     (ours, path)
 }
 
-/// Answers reads of all servos while the process lives.
+/// Answer reads of all servos while the process lives.
 fn answer(line: &OwnedFd, servos: u8, baud: u64) {
     let (each, fast) = answers(servos);
     let wire = |bytes: usize| {

@@ -27,7 +27,7 @@ const TABLE: [u16; 256] = {
 pub struct Crc16(u16);
 
 impl Crc16 {
-    /// Adds bytes.
+    /// Add bytes.
     pub fn update(&mut self, bytes: &[u8]) {
         for &byte in bytes {
             let index = (self.0 >> 8) ^ u16::from(byte);

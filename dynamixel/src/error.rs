@@ -10,12 +10,12 @@ const ALERT: u8 = 0x80;
 pub struct StatusError(u8);
 
 impl StatusError {
-    /// Wraps the error byte as received.
+    /// Wrap the error byte as received.
     pub fn new(byte: u8) -> Self {
         Self(byte)
     }
 
-    /// Returns the byte.
+    /// Return the byte.
     pub fn byte(self) -> u8 {
         self.0
     }

@@ -184,7 +184,7 @@ impl Packet {
         &self.bytes[..self.length]
     }
 
-    /// Encodes an instruction.
+    /// Encode an instruction.
     pub fn encode(&mut self, instruction: &Instruction<'_>) -> Result<(), RequestError> {
         self.length = 0;
         let result = self.try_encode(instruction);
@@ -262,7 +262,7 @@ impl Packet {
         self.put(&u16::try_from(length).unwrap_or(u16::MAX).to_le_bytes())
     }
 
-    /// Adds stuffed bytes; leaves room for the checksum.
+    /// Add stuffed bytes; leaves room for the checksum.
     fn put(&mut self, bytes: &[u8]) -> Result<(), RequestError> {
         for &byte in bytes {
             if self.length + 4 > MAX_PACKET {
@@ -289,7 +289,7 @@ impl Packet {
     }
 }
 
-/// Removes stuffing in place. Returns the remaining length, or `None` if there is an unstuffed header.
+/// Remove stuffing in place. Returns the remaining length, or `None` if there is an unstuffed header.
 pub(crate) fn without_stuffing(bytes: &mut [u8]) -> Option<usize> {
     let mut kept = 0;
     let mut expected = false;

@@ -149,7 +149,7 @@ impl Default for StatusParser {
 }
 
 impl StatusParser {
-    /// Discards all bytes so far.
+    /// Discard all bytes so far.
     pub fn reset(&mut self) {
         self.filled = 0;
         self.handed_out = 0;
@@ -210,7 +210,7 @@ impl StatusParser {
         usize::from(u16::from_le_bytes([self.bytes[5], self.bytes[6]]))
     }
 
-    /// Drops bytes until the rest can begin a packet.
+    /// Drop bytes until the rest can begin a packet.
     fn align(&mut self) {
         while self.filled > 0 && !self.may_begin() {
             self.drop_first();
@@ -226,7 +226,7 @@ impl StatusParser {
             && begun.get(INSTRUCTION).is_none_or(|&code| code == STATUS)
     }
 
-    /// Drops the first byte, and all up to the next possible header start.
+    /// Drop the first byte, and all up to the next possible header start.
     fn drop_first(&mut self) {
         let next = self.bytes[1..self.filled].iter().position(|&byte| byte == HEADER[0]);
         let count = next.map_or(self.filled, |index| index + 1);

@@ -127,7 +127,7 @@ impl SyncRead {
         })
     }
 
-    /// Discards previous answers, and returns the bytes to send.
+    /// Discard previous answers, and return the bytes to send.
     pub fn begin(&mut self) -> &[u8] {
         self.parser.reset();
         self.answered = 0;
@@ -136,7 +136,7 @@ impl SyncRead {
         self.request.bytes()
     }
 
-    /// Takes received bytes; bytes after the last answer are ignored.
+    /// Take received bytes; bytes after the last answer are ignored.
     pub fn receive(&mut self, mut bytes: &[u8]) -> Result<Progress, SyncReadError> {
         if let Some(error) = self.failed {
             return Err(error);

@@ -79,7 +79,7 @@ impl<const N: usize> DeviceParameters<N> {
         Self { encoder_quantum: 2.3e-5, measures_velocity: false, ..Self::ideal(0.157, -0.005, 0.038) }
     }
 
-    /// Returns an error if a parameter is invalid.
+    /// Return an error if a parameter is invalid.
     pub fn check(&self) -> Result<(), ModelError> {
         for axis in 0..N {
             require("mass_kg", self.mass_kg[axis], self.mass_kg[axis] > 0.0, "finite and above 0")?;
@@ -119,7 +119,7 @@ impl<const N: usize> DeviceParameters<N> {
     }
 }
 
-/// Reads one pair of stops per axis; no value means infinite stops.
+/// Read one pair of stops per axis; no value means infinite stops.
 #[cfg(feature = "serde")]
 fn stops<'de, D: serde::Deserializer<'de>, const N: usize>(
     deserializer: D,
@@ -135,7 +135,7 @@ fn stops<'de, D: serde::Deserializer<'de>, const N: usize>(
     Ok((Axes::from_fn(|axis, _| pairs[axis].0), Axes::from_fn(|axis, _| pairs[axis].1)))
 }
 
-/// Reads a bound; no value means infinite.
+/// Read a bound; no value means infinite.
 #[cfg(feature = "serde")]
 fn infinite_or<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
     use serde::Deserialize as _;

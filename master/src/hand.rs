@@ -289,7 +289,7 @@ fn grip_times(release: Release, regrasp: Option<Regrasp>) -> [f64; 3] {
     [ends, begins, whole_ns(begins + rise_s)]
 }
 
-/// Rounds s to whole ns: a sum of decimal seconds differs from its tick by rounding.
+/// Round s to whole ns: a sum of decimal seconds differs from its tick by rounding.
 pub(crate) fn whole_ns(time_s: f64) -> f64 {
     (time_s * 1e9).round() / 1e9
 }
@@ -300,7 +300,7 @@ pub(crate) fn line([value, rate]: [f64; 2]) -> Series {
     series
 }
 
-/// Clips the hand's force `wish` in N to the grip `strength` in N.
+/// Clip the hand's force `wish` in N to the grip `strength` in N.
 #[inline]
 pub(crate) fn gripped<const N: usize>(wish: &Axes<N>, strength: f64) -> Axes<N> {
     // The common case, well below the strength, needs no root.
@@ -326,7 +326,7 @@ fn gripped_at_most<const N: usize>(wish: &Axes<N>, strength: f64) -> Axes<N> {
 mod tests {
     use super::*;
 
-    /// Compares `gripped` with the law written with a root and a division.
+    /// Compare `gripped` with the law written with a root and a division.
     fn check_grip<const N: usize>(direction: Axes<N>) {
         for strength in [0.0, 1e-310, 1e-150, 20.0, 1e150, f64::INFINITY] {
             let size = if strength == f64::INFINITY { 1e9 } else { strength };

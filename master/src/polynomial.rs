@@ -154,7 +154,7 @@ mod tests {
     }
 
     proptest! {
-        /// Finds the first simple root of polynomials built from roots, to the accuracy of their
+        /// Find the first simple root of polynomials built from roots, to the accuracy of their
         /// coefficients.
         #[test]
         fn finds_the_least_root(mut roots in prop::collection::vec(0.01..3.0f64, 1..6)) {

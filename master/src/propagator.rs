@@ -306,7 +306,7 @@ impl<const N: usize> Outlook<N> {
         self.shake(hand, past_ns);
     }
 
-    /// Updates the tremor `past_ns` after the last update; 0 for the first.
+    /// Update the tremor `past_ns` after the last update; 0 for the first.
     ///
     /// Ticks of equal length advance the phase by one angle d: `sin(p + d) = sin p cos d + cos p sin d`.
     #[inline]
@@ -329,7 +329,7 @@ impl<const N: usize> Outlook<N> {
         self.target.add_scalar_mut(tremor.amplitude * self.wave[0]);
     }
 
-    /// Computes sine and cosine of a tremor of `rate` in rad/s. After two ticks in a row of length `past_ns`,
+    /// Compute sine and cosine of a tremor of `rate` in rad/s. After two ticks in a row of length `past_ns`,
     /// also computes those of the phase step.
     #[inline(never)]
     fn compute_wave(&mut self, rate: f64, past_ns: u64) {

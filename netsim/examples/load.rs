@@ -55,7 +55,7 @@ impl Side {
         })
     }
 
-    /// Sends up to `wanted` datagrams that contain the time.
+    /// Send up to `wanted` datagrams that contain the time.
     fn send(&mut self, wanted: u64, origin: Instant) {
         let count = usize::try_from(wanted).unwrap_or(BATCH).min(BATCH);
         if count == 0 {

@@ -40,7 +40,7 @@ pub struct EndpointClock {
 }
 
 impl EndpointClock {
-    /// Checks the settings.
+    /// Check the settings.
     pub fn new(settings: &ClockSettings) -> Result<Self, LinkSettingsError> {
         let &ClockSettings { offset_s, drift_ppm, step_s, step_at_s } = settings;
         within("offset_s", offset_s, -MAX_OFFSET_S, MAX_OFFSET_S)?;
@@ -98,7 +98,7 @@ impl TryFrom<ClockSettings> for EndpointClock {
     }
 }
 
-/// Requires a number checked to be far below 2^63.
+/// Require a number checked to be far below 2^63.
 #[expect(clippy::cast_possible_truncation, reason = "checked, and rounded first")]
 fn rounded(number: f64) -> i64 {
     number.round() as i64

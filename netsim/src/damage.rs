@@ -60,7 +60,7 @@ impl Damage {
         self.keep = self.keep.min(bytes(kept));
     }
 
-    /// Tests if the bytes stay unchanged.
+    /// Test if the bytes stay unchanged.
     #[inline]
     pub fn is_none(&self) -> bool {
         self.forged.is_none()
@@ -70,7 +70,7 @@ impl Damage {
             && self.altered.is_none()
     }
 
-    /// Tests if bits are flipped.
+    /// Test if bits are flipped.
     pub fn corrupts(&self) -> bool {
         self.corrupted.bits > 0 || self.attacked.bits > 0
     }

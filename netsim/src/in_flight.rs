@@ -32,12 +32,12 @@ pub struct InFlight<T> {
 }
 
 impl<T> InFlight<T> {
-    /// Creates an empty queue for at most `capacity` packets.
+    /// Create an empty queue for at most `capacity` packets.
     pub fn with_capacity(capacity: usize) -> Self {
         Self::reserving(capacity, capacity)
     }
 
-    /// Creates an empty queue for at most `capacity` packets that allocates as they come.
+    /// Create an empty queue for at most `capacity` packets that allocates as they come.
     pub fn growing(capacity: usize) -> Self {
         Self::reserving(capacity, capacity.min(FIRST_CAPACITY))
     }
@@ -54,7 +54,7 @@ impl<T> InFlight<T> {
         }
     }
 
-    /// Adds a packet due at `due_ns`, or drops it with [`DropCause::InFlight`].
+    /// Add a packet due at `due_ns`, or drop it with [`DropCause::InFlight`].
     #[inline(always)] // in the per-packet loop
     pub fn push(&mut self, due_ns: u64, payload: T) -> Result<(), DropCause> {
         if self.len() >= self.capacity {
@@ -86,7 +86,7 @@ impl<T> InFlight<T> {
         (!self.is_empty()).then_some(self.next_ns)
     }
 
-    /// Removes the next packet due by `now_ns`, with its due time.
+    /// Remove the next packet due by `now_ns`, with its due time.
     #[inline]
     pub fn pop_due(&mut self, now_ns: u64) -> Option<(u64, T)> {
         if now_ns < self.next_ns {
@@ -129,7 +129,7 @@ impl<T> InFlight<T> {
         self.in_turn.len() + self.overtaking.len()
     }
 
-    /// Tests if the queue is empty.
+    /// Test if the queue is empty.
     pub fn is_empty(&self) -> bool {
         self.in_turn.is_empty() && self.overtaking.is_empty()
     }
@@ -203,7 +203,7 @@ mod tests {
     }
 
     proptest! {
-        /// Compares random pushes and pops with a sorted list, including overtaking and maximal times.
+        /// Compare random pushes and pops with a sorted list, including overtaking and maximal times.
         #[test]
         fn queue_matches_a_sorted_list(
             acts in prop::collection::vec(

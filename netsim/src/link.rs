@@ -37,7 +37,7 @@ pub struct Rules {
 }
 
 impl Rules {
-    /// Builds the rules of the settings; an absent impairment costs nothing.
+    /// Build the rules of the settings; an absent impairment costs nothing.
     pub fn build(
         direction: Direction,
         seed: u64,
@@ -88,7 +88,7 @@ pub struct Link {
 }
 
 impl Link {
-    /// Builds a link from settings.
+    /// Build a link from settings.
     pub fn new(direction: Direction, seed: u64, settings: &LinkSettings) -> Result<Self, LinkSettingsError> {
         Ok(Self {
             seed,
@@ -101,14 +101,14 @@ impl Link {
         })
     }
 
-    /// Applies new settings to later packets; see [`swap`](Self::swap).
+    /// Apply new settings to later packets; see [`swap`](Self::swap).
     pub fn change(&mut self, settings: &LinkSettings) -> Result<(), LinkSettingsError> {
         let mut rules = Rules::build(self.rules.direction, self.seed, settings)?;
         self.swap(&mut rules);
         Ok(())
     }
 
-    /// Applies new rules to later packets. Returns the old rules in `rules`, so that nothing is freed here.
+    /// Apply new rules to later packets. Returns the old rules in `rules`, so that nothing is freed here.
     ///
     /// Counters continue. Draws continue for the same seed, but the state of a rule, such as a queue,
     /// restarts. If the new rules keep order, no packet overtakes an earlier one; packets delayed by `netem`,
@@ -220,7 +220,7 @@ impl Link {
         if *keeps_order && reorder.is_none() && on_arrival.is_empty() { self.latest_in_turn_ns } else { 0 }
     }
 
-    /// Tests if packets may arrive changed, or with extra packets.
+    /// Test if packets may arrive changed, or with extra packets.
     pub fn changes_packets(&self) -> bool {
         !self.rules.on_arrival.is_empty()
     }
@@ -232,7 +232,7 @@ impl Link {
 }
 
 impl LinkSettings {
-    /// Checks all values and combinations by building the rules.
+    /// Check all values and combinations by building the rules.
     pub fn validate(&self) -> Result<(), LinkSettingsError> {
         Rules::build(Direction::Forward, 0, self).map(drop)
     }

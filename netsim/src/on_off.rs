@@ -134,7 +134,7 @@ impl OnOff {
         self.ended(Stretch { from_ns: before.until_ns, off, draws: before.draws + 1, ..*before })
     }
 
-    /// Sets the end of a stretch: next time of the Poisson process, or end of the block.
+    /// Set the end of a stretch: next time of the Poisson process, or end of the block.
     fn ended(&self, stretch: Stretch) -> Stretch {
         let drawn = unit(self.stream.at(stretch.block, 2 * stretch.draws));
         let gap_ns = nanoseconds(-libm::log(drawn) * self.mean_gap_ns * 1e-9);

@@ -134,7 +134,7 @@ pub(crate) struct Chance {
 }
 
 impl Chance {
-    /// Requires a probability checked to be in `[0, 1]`.
+    /// Require a probability checked to be in `[0, 1]`.
     pub(crate) fn new(probability: f64) -> Self {
         const TWO_POW_64: f64 = 18_446_744_073_709_551_616.0;
         #[expect(
@@ -159,7 +159,7 @@ pub(crate) struct Event {
 }
 
 impl Event {
-    /// Requires a probability checked to be in `[0, 1]`.
+    /// Require a probability checked to be in `[0, 1]`.
     pub(crate) fn new(probability: f64, stream: Stream) -> Self {
         Self { chance: Chance::new(probability), stream }
     }
@@ -168,7 +168,7 @@ impl Event {
         self.chance.takes(self.stream.bits(index))
     }
 
-    /// Applies `change` to a packet, and independently to each extra, if the event occurs. Each `change` gets
+    /// Apply `change` to a packet, and independently to each extra, if the event occurs. Each `change` gets
     /// its own stream.
     pub(crate) fn strike<'a, T: 'a>(
         &self,

@@ -36,7 +36,7 @@ impl From<SocketAddr> for Asker {
     }
 }
 
-/// Tests if a socket at `local` listens on every address of the machine.
+/// Test if a socket at `local` listens on every address of the machine.
 fn has_several(local: SocketAddr) -> bool {
     local.ip().to_canonical().is_unspecified()
 }
@@ -106,7 +106,7 @@ impl Outgoing {
         }
     }
 
-    /// Sends datagrams, from the address `asked` if given; returns how many the kernel accepted.
+    /// Send datagrams, from the address `asked` if given; return how many the kernel accepted.
     ///
     /// The route chooses the interface: replies to a link-local address carry its zone.
     pub(crate) fn send(
@@ -182,7 +182,7 @@ impl ReplySocket {
         asker.map(|asker| (message.bytes, asker)).ok_or_else(|| io::ErrorKind::InvalidData.into())
     }
 
-    /// Sends a datagram to the asker, from the address it asked.
+    /// Send a datagram to the asker, from the address it asked.
     ///
     /// # Errors
     ///

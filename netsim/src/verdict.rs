@@ -18,7 +18,7 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// Drops the packet with `cause` if `taken`; otherwise delivers it at `at_ns`.
+    /// Drop the packet with `cause` if `taken`; otherwise delivers it at `at_ns`.
     pub(crate) const fn unless(taken: bool, cause: DropCause, at_ns: u64) -> Self {
         if taken { Self::Drop { cause } } else { Self::Deliver { at_ns } }
     }

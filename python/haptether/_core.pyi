@@ -960,7 +960,7 @@ class Renewal:
         time_s: float | None = None,
         is_late: bool = False,
     ) -> None:
-        """Takes the sample of a tick.
+        """Take the sample of a tick.
 
         Args:
             position: x in m (rad), shape `(axes,)`, of which seven count.
@@ -970,7 +970,7 @@ class Renewal:
         """
 
     def interrupt(self) -> None:
-        """Takes a tick without a sample."""
+        """Take a tick without a sample."""
 
     @property
     def share(self) -> float | None:
@@ -1484,7 +1484,7 @@ class ProxyStatistics:
 
     @property
     def log_lost(self) -> int:
-        """Records missing from the log because its writer was late."""
+        """Record missing from the log because its writer was late."""
 
     @property
     def log_failed(self) -> bool:
@@ -1633,7 +1633,7 @@ class Recording:
 
     @property
     def lost_backward(self) -> int:
-        """Answers lost on the return path."""
+        """Answer lost on the return path."""
 
     @property
     def shortest_s(self) -> float:

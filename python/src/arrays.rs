@@ -44,7 +44,7 @@ pub(crate) struct Samples<'a> {
 }
 
 impl<'a> Samples<'a> {
-    /// Takes `array`; returns an error that names it `name` if the shape is invalid.
+    /// Take `array`; return an error that names it `name` if the shape is invalid.
     pub(crate) fn new(name: &str, array: &'a SignalArray<'_>, axes: usize) -> PyResult<Self> {
         let array = &array.0;
         let shape = array.shape();
@@ -72,7 +72,7 @@ impl<'a> Samples<'a> {
         Axes::from_column_slice(&self.values[tick * N..tick * N + N])
     }
 
-    /// Returns an error if `other` has another number of ticks.
+    /// Return an error if `other` has another number of ticks.
     pub(crate) fn as_long_as(&self, name: &str, other: &Samples<'_>) -> PyResult<()> {
         if self.ticks == other.ticks {
             return Ok(());
@@ -122,7 +122,7 @@ impl Sample {
     }
 }
 
-/// Converts a sample to an array of shape `(axes,)`.
+/// Convert a sample to an array of shape `(axes,)`.
 pub(crate) fn sample_out<const N: usize>(py: Python<'_>, value: &Axes<N>) -> Py<PyAny> {
     column(py, value.as_slice().to_vec())
 }

@@ -6,7 +6,7 @@ pub(crate) fn refuse_axes(axes: usize) -> PyErr {
     PyValueError::new_err(format!("axes = {axes}: must be 1 to 7"))
 }
 
-/// Converts an error of the crates to `ValueError`; its text states the value and the limits.
+/// Convert an error of the crates to `ValueError`; its text states the value and the limits.
 pub(crate) fn refuse(error: impl std::fmt::Display) -> PyErr {
     PyValueError::new_err(error.to_string())
 }

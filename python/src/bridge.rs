@@ -9,7 +9,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(ladder_reason, module)?)
 }
 
-/// Converts a non-negative time in s to ns.
+/// Convert a non-negative time in s to ns.
 pub(crate) fn nanoseconds(key: &str, seconds: f64) -> PyResult<u64> {
     if seconds.is_finite() && (0.0..=1e9).contains(&seconds) {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked above

@@ -24,7 +24,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<LiveSlave>()
 }
 
-/// Starts a loop on its own thread. Releases the GIL, because touching all memory for records takes long.
+/// Start a loop on its own thread. Releases the GIL, because touching all memory for records takes long.
 fn start(py: Python<'_>, scene: &[u8], run_id: u64, place: Place) -> PyResult<(Mutex<LiveRun>, Watched)> {
     py.detach(|| {
         let (parts, control) = place.open()?;
@@ -36,7 +36,7 @@ fn start(py: Python<'_>, scene: &[u8], run_id: u64, place: Place) -> PyResult<(M
 /// Period at which `join` polls for the end of a loop.
 const LOOK_EVERY: Duration = Duration::from_millis(1);
 
-/// Ends a loop and returns its trace and report. Holds no lock while the loop ends, so that other threads can
+/// End a loop and return its trace and report. Holds no lock while the loop ends, so that other threads can
 /// use it.
 fn join(py: Python<'_>, run: &Mutex<LiveRun>, watched: &Watched) -> PyResult<(Trace, PyLoopReport)> {
     watched.handle.stop();

@@ -26,7 +26,7 @@ fn seconds(ns: u64) -> f64 {
     if ns == u64::MAX { f64::INFINITY } else { ns as f64 * 1e-9 }
 }
 
-/// Converts a column to an array, of shape `(n_ticks,)` for one axis, else `(n_ticks, axes)`; none if there
+/// Convert a column to an array, of shape `(n_ticks,)` for one axis, else `(n_ticks, axes)`; none if there
 /// is no such column.
 fn array(py: Python<'_>, trace: &Trace, name: &str) -> PyResult<Option<Py<PyAny>>> {
     let Some(values) = trace.column(name) else { return Ok(None) };
@@ -42,7 +42,7 @@ fn array(py: Python<'_>, trace: &Trace, name: &str) -> PyResult<Option<Py<PyAny>
     }))
 }
 
-/// Converts a column of times in s; infinite before the first frame of the peer.
+/// Convert a column of times in s; infinite before the first frame of the peer.
 fn times(py: Python<'_>, trace: &Trace, name: &str) -> Py<PyAny> {
     let Some(Column::Numbers(values)) = trace.column(name) else { return column::<f64>(py, Vec::new()) };
     column(py, values.iter().map(|value| if value.is_nan() { f64::INFINITY } else { *value }).collect())

@@ -54,7 +54,7 @@ impl Extras {
     const NOTHING: Self = Self { gripper: GripperOrder::Hold, buttons: None };
 }
 
-/// Reads a number for one axis, or a sequence with one number per axis.
+/// Read a number for one axis, or a sequence with one number per axis.
 fn read_axes<const N: usize>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Padded> {
     if let Ok(values) = value.extract::<[f64; N]>() {
         return Ok(padded(&Axes::from(values)));
@@ -84,7 +84,7 @@ const QUATERNION: &str = "a sequence of 4 numbers, w, x, y, z, or None";
 const VECTOR: &str = "a sequence of 3 numbers, or None";
 const WORD: &str = "a whole number from 0 to 2^32 - 1, or None";
 
-/// Requires a part that a pose driver must read at each tick.
+/// Require a part that a pose driver must read at each tick.
 fn read_part<T>(name: &str, value: Option<T>) -> PyResult<T> {
     let missing = || {
         PyTypeError::new_err(format!(
@@ -117,7 +117,7 @@ impl<T: ?Sized> Driven<T> {
         Self { paced: Arc::new(Mutex::new(paced)), calls: Arc::default() }
     }
 
-    /// Locks the loop for the driver's thread. Waits without the GIL, so that no other thread waits for it.
+    /// Lock the loop for the driver's thread. Waits without the GIL, so that no other thread waits for it.
     /// The watch of a driver that does not return holds the lock for a tick at a time.
     fn own(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, Box<T>>> {
         for _ in 0..MAX_WAITS {
@@ -217,7 +217,7 @@ struct DeviceClock {
 }
 
 impl DeviceClock {
-    /// Refuses a time that is not finite, that goes back, or that other samples lack.
+    /// Refuse a time that is not finite, that goes back, or that other samples lack.
     fn take(&mut self, time_s: Option<f64>) -> PyResult<()> {
         require_steady("time_s", self.is_given, time_s.is_some())?;
         if let Some(time_s) = time_s {
@@ -250,7 +250,7 @@ struct LastTick {
     clock: DeviceClock,
 }
 
-/// Requires a field to be in every sample or in none, because an estimate in between would jump.
+/// Require a field to be in every sample or in none, because an estimate in between would jump.
 fn require_steady(name: &str, before: Option<bool>, is_given: bool) -> PyResult<()> {
     if before.is_none_or(|before| before == is_given) {
         return Ok(());

@@ -60,7 +60,7 @@ struct PyBus {
 }
 
 impl PyBus {
-    /// Runs a call on the bus without the GIL.
+    /// Run a call on the bus without the GIL.
     fn with<T: Send>(
         &self,
         py: Python<'_>,

@@ -34,7 +34,7 @@ use crate::{
 /// Longest history kept of a live run in s: one hour.
 const MAX_KEPT_S: f64 = 3600.0;
 
-/// Reads the shared key from a `bytearray`, which its owner can wipe, or from `bytes`.
+/// Read the shared key from a `bytearray`, which its owner can wipe, or from `bytes`.
 fn shared_key(key: &Bound<'_, PyAny>) -> PyResult<PreSharedKey> {
     let read = if let Ok(bytes) = key.cast::<PyByteArray>() {
         PreSharedKey::of_vec(bytes.to_vec())
@@ -49,7 +49,7 @@ fn shared_key(key: &Bound<'_, PyAny>) -> PyResult<PreSharedKey> {
     })
 }
 
-/// Returns the security of frames: a key, or explicitly none.
+/// Return the security of frames: a key, or explicitly none.
 pub(crate) fn security(key: Option<&Bound<'_, PyAny>>, insecure: bool) -> PyResult<Security> {
     match (key, insecure) {
         (Some(key), false) => shared_key(key).map(Security::Secure),
@@ -68,7 +68,7 @@ pub(crate) struct Place {
 }
 
 impl Place {
-    /// Binds a master; without `listen`, to the local address of the route to the peer and any free port.
+    /// Bind a master; without `listen`, to the local address of the route to the peer and any free port.
     pub(crate) fn of_master(
         peer: &str,
         listen: Option<&str>,
@@ -142,7 +142,7 @@ impl Place {
         Ok(Self { parts: LiveParts { socket, settings, security, keep_s, record, telemetry }, control })
     }
 
-    /// Returns the parts and the control socket, if any. Called before the loop, which must not start without
+    /// Return the parts and the control socket, if any. Called before the loop, which must not start without
     /// it.
     pub(crate) fn open(self) -> PyResult<(LiveParts, (Role, Option<ControlSocket>))> {
         let refused = |path: &Path, error: std::io::Error| {
@@ -161,7 +161,7 @@ fn cannot_listen(local: Option<SocketAddr>, error: std::io::Error) -> PyErr {
     PyOSError::new_err(format!("cannot listen{local}: {error}"))
 }
 
-/// Converts the start time of a side to ns; it must not be in the future.
+/// Convert the start time of a side to ns; it must not be in the future.
 fn started(time_s: f64) -> PyResult<u64> {
     let (started_ns, now_ns) = (nanoseconds("started_s", time_s)?, now_ns());
     if started_ns > now_ns {
@@ -432,7 +432,7 @@ pub(crate) fn finished_before() -> PyErr {
     PyRuntimeError::new_err("the loop was finished before, or it panicked")
 }
 
-/// Reads the real-time request to the system.
+/// Read the real-time request to the system.
 pub(crate) fn realtime_settings(demand: &str, priority: u8, cpu: Option<u16>) -> PyResult<RealtimeSettings> {
     let demand = match demand {
         "auto" => RealtimeDemand::Auto,

@@ -65,12 +65,12 @@ fn read_recording_columns(py: Python<'_>, path: PathBuf) -> PyResult<RecordingCo
     })
 }
 
-/// Returns the system's text for an error number.
+/// Return the system's text for an error number.
 fn system_text(py: Python<'_>, number: i32) -> PyResult<String> {
     py.import("os")?.call_method1("strerror", (number,))?.extract()
 }
 
-/// Converts a column to an array; a column of names to a pair of distinct names and index per tick.
+/// Convert a column to an array; a column of names to a pair of distinct names and index per tick.
 fn array(py: Python<'_>, values: Values) -> PyResult<Py<PyAny>> {
     Ok(match values {
         Values::Unknown(ticks) => column(py, vec![f64::NAN; ticks]),

@@ -47,7 +47,7 @@ impl PyResearch {
         Self { factory, spent: Arc::default(), failure }
     }
 
-    /// Raises the first exception of any controller; otherwise reports the time spent to the factory.
+    /// Raise the first exception of any controller; otherwise reports the time spent to the factory.
     pub(crate) fn finish(&self, py: Python<'_>) -> PyResult<()> {
         if let Some(error) = self.failure.error.lock().unwrap_or_else(PoisonError::into_inner).take() {
             return Err(error);
@@ -191,7 +191,7 @@ impl ResearchController for PyResearchController {
 }
 
 impl Failure {
-    /// Keeps the first failure with its cause.
+    /// Keep the first failure with its cause.
     fn keep(&self, what: &str, cause: PyErr) {
         let mut kept = self.error.lock().unwrap_or_else(PoisonError::into_inner);
         if kept.is_none() {

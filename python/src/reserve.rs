@@ -78,7 +78,7 @@ unsafe impl GlobalAlloc for Reserving {
     }
 }
 
-/// Fills the reserve if it is empty; returns false if memory is already short.
+/// Fill the reserve if it is empty; return false if memory is already short.
 pub(crate) fn fill() -> bool {
     if !RESERVE.load(Ordering::Acquire).is_null() {
         return true;
@@ -129,7 +129,7 @@ fn free(mut first: *mut u8) {
     }
 }
 
-/// Releases the reserve if nothing more can be mapped, before code without error handling needs memory.
+/// Release the reserve if nothing more can be mapped, before code without error handling needs memory.
 pub(crate) fn probe() {
     if is_exhausted() || RESERVE.load(Ordering::Acquire).is_null() {
         return;

@@ -154,7 +154,7 @@ fn simulate_scene(
     })
 }
 
-/// Runs `work`; if it `calls` Python at each tick, on a thread attached to Python. Creating a thread state
+/// Run `work`; if it `calls` Python at each tick, on a thread attached to Python. Creating a thread state
 /// per call takes 40 us. Between calls the GIL is free.
 fn attached<T: Send>(calls: bool, work: impl FnOnce() -> T + Send) -> T {
     if calls { Python::attach(|py| py.detach(work)) } else { work() }
@@ -163,7 +163,7 @@ fn attached<T: Send>(calls: bool, work: impl FnOnce() -> T + Send) -> T {
 /// Period at which signals and progress are checked.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
-/// Runs `work` on its own thread, so that a signal ends it at once; calls `report` with the progress.
+/// Run `work` on its own thread, so that a signal ends it at once; calls `report` with the progress.
 fn interruptibly<T: Send>(
     py: Python<'_>,
     report: Option<&Py<PyAny>>,

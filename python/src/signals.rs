@@ -92,7 +92,7 @@ impl Requests {
         }
     }
 
-    /// Ends the process, whatever its other threads wait for; its loops get a moment to come to rest.
+    /// End the process, whatever its other threads wait for; its loops get a moment to come to rest.
     #[allow(unsafe_code)] // a call that cannot fail
     fn exit(&self) -> ! {
         let end = Instant::now() + MAX_REST;

@@ -107,7 +107,7 @@ impl SimulatedGripper {
         self.sample
     }
 
-    /// Takes a command.
+    /// Take a command.
     pub fn write(&mut self, command: GripperCommand) {
         self.command = Some(command);
     }
@@ -117,7 +117,7 @@ impl SimulatedGripper {
         self.settings.object = object.filter(|position| (0.0..=1.0).contains(position));
     }
 
-    /// Stops the jaws and keeps the force on what they hold.
+    /// Stop the jaws and keep the force on what they hold.
     pub fn hold(&mut self) {
         if self.sample.holds_object {
             return;

@@ -108,7 +108,7 @@ impl HeldArm {
         })
     }
 
-    /// Starts the pusher's time, once.
+    /// Start the pusher's time, once.
     pub(crate) fn start(&mut self, now_ns: u64) {
         self.started_ns.get_or_insert(now_ns);
     }
@@ -121,7 +121,7 @@ impl HeldArm {
         }
     }
 
-    /// Sets the clock to `now_ns` without advancing: the arm rests until then.
+    /// Set the clock to `now_ns` without advancing: the arm rests until then.
     pub(crate) fn begin(&mut self, now_ns: u64) {
         self.now_ns = now_ns;
     }

@@ -122,7 +122,7 @@ impl<const N: usize> SimulatedSlave<N> {
         Self { plant, sensor, begun_ns: now_ns, now_ns, started_ns: None, reads: 0 }
     }
 
-    /// Sets the clock to `now_ns` without advancing: arm and objects rest until then.
+    /// Set the clock to `now_ns` without advancing: arm and objects rest until then.
     pub fn begin(&mut self, now_ns: u64) {
         self.begun_ns = now_ns;
         self.now_ns = now_ns;
@@ -132,7 +132,7 @@ impl<const N: usize> SimulatedSlave<N> {
         }
     }
 
-    /// Starts the pushers' time, once.
+    /// Start the pushers' time, once.
     pub fn start(&mut self, now_ns: u64) {
         if self.started_ns.is_some() {
             return;
@@ -253,7 +253,7 @@ impl<const N: usize> SimulatedSlave<N> {
         }
     }
 
-    /// Steps so far that were too stiff to be followed to full accuracy and were taken by a stable method of
+    /// Step so far that were too stiff to be followed to full accuracy and were taken by a stable method of
     /// order 1.
     pub fn coarse_steps(&self) -> u64 {
         match &self.plant {

@@ -26,7 +26,7 @@ def opened(path: str) -> int:
 
 
 def note(text: str) -> None:
-    """Adds a line to that file, if one is named."""
+    """Add a line to that file, if one is named."""
     if path := os.environ.get(WRITTEN):
         os.write(opened(path), f"{text}\n".encode())
 

@@ -31,7 +31,7 @@ class Terminal:
                 assert self.printed.count(text) >= count, self.printed
 
     def read(self, seconds: float) -> bool:
-        """Reads what there is; false at the end."""
+        """Read what there is; false at the end."""
         if not select.select([self.master], [], [], seconds)[0]:
             return True
         try:

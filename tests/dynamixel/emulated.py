@@ -37,7 +37,7 @@ class EmulatedBus(Emulated):
 
 @contextmanager
 def emulated_bus(*arguments: str) -> Iterator[EmulatedBus]:
-    """Runs `haptether dynamixel-emulator` with its control line on standard input, and ends it in any case."""
+    """Run `haptether dynamixel-emulator` with its control line on standard input, and end it in any case."""
     command = [sys.executable, "-m", "haptether", "dynamixel-emulator", "--control", "-", *arguments]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     emulated = EmulatedBus(process, "")

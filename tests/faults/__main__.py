@@ -44,7 +44,7 @@ WIDTH = 200
 
 
 def main() -> int:
-    """Runs the suite as the command line asks for."""
+    """Run the suite as the command line asks for."""
     parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
     parser.add_argument("--json", type=Path, help="where the same goes for machines; - for standard output")
     parser.add_argument("--only", choices=list(GROUPS), action="append", help="these rows alone")

@@ -157,7 +157,7 @@ def scene() -> Scene:
 def watch(
     device: PythonHand | PythonArm, injected: InjectedFault, then: Callable[[DeviceRun], None] | None = None
 ) -> Seen:
-    """Runs a side in Python against a native one, and injects a fault into its driver once both have engaged."""
+    """Run a side in Python against a native one, and injects a fault into its driver once both have engaged."""
     spec, key = scene_json(scene()), secrets.token_bytes(32)
     master: LiveMaster | MasterRun
     slave: LiveSlave | SlaveRun

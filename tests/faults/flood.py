@@ -68,7 +68,7 @@ KINDS = {"frame": sealed, "hello": hello}
 def flood(
     host: str, port: int, *, rate_hz: float, seconds: float, session: int, counter: int, kind: str = "frame"
 ) -> Sent:
-    """Sends batches by `sendmmsg`, each when it is due; what is late is made up for.
+    """Send batches by `sendmmsg`, each when it is due; what is late is made up for.
 
     Args:
         host: Address.

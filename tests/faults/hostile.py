@@ -93,7 +93,7 @@ class Relay:
                     self._near.sendto(self._far.recv(2048), master)
 
     def close(self) -> None:
-        """Ends it."""
+        """End it."""
         self._done.set()
         self._thread.join()
         for used in (self._near, self._far, self._copier):
@@ -101,7 +101,7 @@ class Relay:
 
 
 def send_all(to: str, datagrams: list[bytes], every: int = 50) -> int:
-    """Sends datagrams to an address, some a millisecond, and counts what comes back within 0.3 s."""
+    """Send datagrams to an address, some a millisecond, and count what comes back within 0.3 s."""
     host, port = to.rsplit(":", 1)
     answers = 0
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:

@@ -42,7 +42,7 @@ class DisturbedError(Exception):
 
 
 def undisturbed(recorded: Recorded) -> None:
-    """Refuses a run that had not engaged soundly before the fault.
+    """Refuse a run that had not engaged soundly before the fault.
 
     Raises:
         DisturbedError: It had not.
@@ -57,7 +57,7 @@ def undisturbed(recorded: Recorded) -> None:
 
 
 def again(measure: Callable[[], Row], fault: str) -> Callable[[], Row]:
-    """Measures anew where the machine got in between; after `ATTEMPTS` the row has failed."""
+    """Measure anew where the machine got in between; after `ATTEMPTS` the row has failed."""
 
     def measured() -> Row:
         reason = ""

@@ -48,7 +48,7 @@ class Complaints:
         self._found: list[str] = []
 
     def check(self, is_so: object, otherwise: str) -> None:
-        """Notes `otherwise` unless `is_so`."""
+        """Note `otherwise` unless `is_so`."""
         if not is_so:
             self._found.append(otherwise)
 

@@ -61,11 +61,11 @@ class Process:
         return found[1].rstrip(",")
 
     def send(self, number: signal.Signals) -> None:
-        """Sends it a signal."""
+        """Send it a signal."""
         self.process.send_signal(number)
 
     def end(self, number: signal.Signals | None = signal.SIGTERM) -> str:
-        """Asks it to end, or only waits for that; gives what it said."""
+        """Ask it to end, or only waits for that; gives what it said."""
         if number is not None and self.process.poll() is None:
             self.process.send_signal(number)
         try:
@@ -77,13 +77,13 @@ class Process:
         return self.said
 
     def frozen(self, length_s: float) -> None:
-        """Stops it for a time, as a machine does that swaps or whose debugger holds it."""
+        """Stop it for a time, as a machine does that swaps or whose debugger holds it."""
         self.send(signal.SIGSTOP)
         time.sleep(length_s)
         self.send(signal.SIGCONT)
 
     def kill(self) -> None:
-        """Ends it whatever it does, and closes its pipe, also where it has ended by itself and nobody read it out."""
+        """End it whatever it does, and close its pipe, also where it has ended by itself and nobody read it out."""
         if self.process.poll() is None:
             self.process.kill()
         self.process.wait()
@@ -101,7 +101,7 @@ class Stage:
     @classmethod
     @contextlib.contextmanager
     def set(cls) -> Iterator[Self]:
-        """Sets one up and takes it down."""
+        """Set one up and take it down."""
         with tempfile.TemporaryDirectory() as folder:
             stage = cls(Path(folder))
             write_key(stage.key)
@@ -117,7 +117,7 @@ class Stage:
         return self.folder / "session.key"
 
     def end_together(self, *processes: Process) -> None:
-        """Ends sides within a moment of one another, so that the end of one is not a fault of the other."""
+        """End sides within a moment of one another, so that the end of one is not a fault of the other."""
         for process in processes:
             process.process.terminate()
         for process in processes:

@@ -97,17 +97,17 @@ def served(of: EmulatedGripper) -> Iterator[Served]:
 
 
 def silent(_connection: socket.socket, _line: bytes) -> None:
-    """Says nothing."""
+    """Say nothing."""
 
 
 def closing(connection: socket.socket, _line: bytes) -> None:
-    """Ends the connection."""
+    """End the connection."""
     connection.shutdown(socket.SHUT_RDWR)
     raise ConnectionError
 
 
 def resetting(connection: socket.socket, _line: bytes) -> None:
-    """Ends it as a program that crashed."""
+    """End it as a program that crashed."""
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     connection.close()
     raise ConnectionError
@@ -150,7 +150,7 @@ def dribbling(connection: socket.socket, _line: bytes) -> None:
 
 
 def volunteering(connection: socket.socket, line: bytes) -> None:
-    """Says more than it was asked, a moment later."""
+    """Say more than it was asked, a moment later."""
     # As of jaws that are on 40 mm.
     values = {b"POS": b"123", b"OBJ": b"2", b"STA": b"3"}
     variable = line.removeprefix(b"GET ")

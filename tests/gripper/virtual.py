@@ -85,7 +85,7 @@ class Led:
         self.order = Order(self._number, None)
 
     def run(self, duration_s: float, until: Callable[[GripperSample], bool] = lambda _: False) -> float:
-        """Lets time pass; how much until something held."""
+        """Let time pass; how much until something held."""
         begun_s = self.now_s
         while self.now_s - begun_s < duration_s and not until(self.sample):
             request = self.session.due(self.order, self.now_ns)

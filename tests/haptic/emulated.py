@@ -23,7 +23,7 @@ class EmulatedInverse(Emulated):
 
 @contextmanager
 def emulated_service(*arguments: str) -> Iterator[EmulatedInverse]:
-    """Runs `haptether inverse3-emulator` with its control line on standard input, and ends it in any case."""
+    """Run `haptether inverse3-emulator` with its control line on standard input, and end it in any case."""
     command = [sys.executable, "-m", "haptether", "inverse3-emulator", "--port", "0", "--event-port", "0"]
     process = subprocess.Popen([*command, "--control", "-", *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     emulated = EmulatedInverse(process, "127.0.0.1")

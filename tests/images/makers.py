@@ -19,7 +19,7 @@ Maker = Callable[[Path], None]
 
 
 def run(*command: str) -> None:
-    """Runs a command that must succeed."""
+    """Run a command that must succeed."""
     subprocess.run(command, check=True, timeout=LONGEST_S, cwd=ROOT, stdout=subprocess.DEVNULL)
 
 

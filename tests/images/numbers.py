@@ -69,7 +69,7 @@ def sha256(picture: Path) -> str:
 
 
 def keep(pictures: list[Path]) -> None:
-    """Writes the digests of pictures that were just made, and the numbers behind them."""
+    """Write the digests of pictures that were just made, and the numbers behind them."""
     kept = json.loads(KEPT.read_text()) if KEPT.exists() else {"pictures": {}, "commands": {}}
     for picture in pictures:
         kept["pictures"][picture.name] = sha256(picture)

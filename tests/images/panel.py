@@ -19,7 +19,7 @@ BEGIN_S, SHOWN_S = 30.0, 2.9
 
 
 def photograph_panel(path: Path) -> None:
-    """Writes a PNG of what `haptether watch` shows of a live master."""
+    """Write a PNG of what `haptether watch` shows of a live master."""
     with TemporaryDirectory() as folder:
         socket, key = Path(folder) / "master.sock", Path(folder) / "arm.key"
         haptether = (sys.executable, "-m", "haptether")
@@ -65,7 +65,7 @@ def watched(socket: Path) -> SideState:
 
 
 def photograph(shown: RenderableType, path: Path) -> None:
-    """Writes what Rich shows as PNG."""
+    """Write what Rich shows as PNG."""
     screen = Console(record=True, width=80, file=io.StringIO(), force_terminal=True)
     screen.print(shown)
     drawn = screen.export_svg(title="haptether watch")

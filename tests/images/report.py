@@ -8,7 +8,7 @@ import haptether
 
 
 def photograph_report(path: Path) -> None:
-    """Writes a PNG of `Run._repr_html_`."""
+    """Write a PNG of `Run._repr_html_`."""
     shown = haptether.simulate("remote_push")._repr_html_()
     with chromium() as browser:
         page = browser.new_page(viewport={"width": 600, "height": 800}, device_scale_factor=1.5)

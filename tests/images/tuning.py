@@ -38,7 +38,7 @@ def record_hands(folder: Path, hands: int = HANDS, seed: int = 1) -> list[Path]:
 
 
 def photograph_tuning(path: Path) -> None:
-    """Draws what `haptether tune` draws of them."""
+    """Draw what `haptether tune` draws of them."""
     tune("--plot", str(path), "--force")
 
 
@@ -48,7 +48,7 @@ def record_numbers() -> list[str]:
 
 
 def tune(*options: str) -> list[str]:
-    """Runs the command on fresh recordings; returns what it prints, without the folder of the recordings."""
+    """Run the command on fresh recordings; return what it prints, without the folder of the recordings."""
     with TemporaryDirectory() as folder:
         files = map(str, record_hands(Path(folder)))
         changes = [word for setting in SETTINGS for word in ("--set", setting)]

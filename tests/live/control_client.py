@@ -44,7 +44,7 @@ class Control:
 
 
 def fill(path: Path, count: int, stack: contextlib.ExitStack, sent: bytes = b"") -> None:
-    """Opens so many connections until the end of `stack`, each of which sends this and reads nothing."""
+    """Open so many connections until the end of `stack`, each of which sends this and reads nothing."""
     for _ in range(count):
         one = stack.enter_context(socket.socket(socket.AF_UNIX))
         one.setblocking(False)

@@ -27,7 +27,7 @@ MAX_OF_REAL_TIME = 100.0
 
 
 def run(raw: dict[str, Any]) -> Run:
-    """Runs a scene, and checks what holds of every run and that it took no more than 100 times as long."""
+    """Run a scene, and check what holds of every run and that it took no more than 100 times as long."""
     scene = msgspec.convert(raw, Scene)
     begun_s = time.process_time()
     done = simulate(scene)

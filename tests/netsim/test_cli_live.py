@@ -42,7 +42,7 @@ class Child:
         return found[1]
 
     def end(self) -> tuple[str, str]:
-        """Asks it to end and gives what it said, on standard output and standard error."""
+        """Ask it to end and give what it said, on standard output and standard error."""
         self.process.send_signal(signal.SIGINT)
         return self.process.communicate(timeout=PATIENCE_S)
 

@@ -204,7 +204,7 @@ MAX_INSTALLED_MB = 90
 
 
 def install(version: str, wheel: Path, folder: Path) -> Path:
-    """Makes a clean environment with the wheel and what it requires, and nothing else."""
+    """Make a clean environment with the wheel and what it requires, and nothing else."""
     place = folder / version
     subprocess.run([UV, "venv", "--quiet", "--python", PYTHONS[version], str(place)], check=True)
     arguments = ["--quiet", "--python", str(place / "bin" / "python"), str(wheel)]

@@ -25,7 +25,7 @@ WORDS = [
 
 
 def check(path: Path) -> None:
-    """Loads a file; what it refuses, it refuses in one line that names the file."""
+    """Load a file; what it refuses, it refuses in one line that names the file."""
     try:
         load_scene(path)
     except SceneError as error:

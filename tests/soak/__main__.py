@@ -55,7 +55,7 @@ class Running:
         return found[1].rstrip(",")
 
     def sample(self, has_loop: bool) -> None:
-        """Takes memory, and the cycles since the last sample that were late."""
+        """Take memory, and the cycles since the last sample that were late."""
         self.bytes.append(anonymous_bytes(self.process.pid))
         if not has_loop:
             return
@@ -68,7 +68,7 @@ class Running:
         self._slept = (now, sleeps)
 
     def end(self) -> str:
-        """Asks it to end, and gives what it said."""
+        """Ask it to end, and give what it said."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
         try:
@@ -80,7 +80,7 @@ class Running:
 
 
 def soak(duration_s: float, log: Callable[[str], None]) -> dict[str, Any]:
-    """Runs the three processes for `duration_s`, and gives what became of each."""
+    """Run the three processes for `duration_s`, and give what became of each."""
     with tempfile.TemporaryDirectory() as folder:
         results = {name: Path(folder, f"{name}.json") for name in ("slave", "network", "master")}
         running: dict[str, Running] = {}
@@ -152,7 +152,7 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> int:
-    """Runs a soak as the command line asks for."""
+    """Run a soak as the command line asks for."""
     parser = argparse.ArgumentParser(prog="python -m tests.soak", description=__doc__)
     parser.add_argument("--seconds", type=float, default=600.0, help=f"how long, {MIN_S:g} to 1e6; 600 by default")
     parser.add_argument("--json", type=Path, help="where the same goes for machines")

@@ -82,7 +82,7 @@ STATE = """() => ({ coupled_s: ((coupled.until ?? performance.now()) - coupled.b
 
 
 def main() -> int:
-    """Prints the memory at begin and end, and how long the pair was coupled; 1 unless it was to the end."""
+    """Print the memory at begin and end, and how long the pair was coupled; 1 unless it was to the end."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=10.0)
     minutes: float = parser.parse_args().minutes

@@ -53,7 +53,7 @@ class Growth:
 
 
 def growth(samples: Sequence[int], period_s: float) -> Growth:
-    """Compares tenths of the second half, so that the first half is the warm-up.
+    """Compare tenths of the second half, so that the first half is the warm-up.
 
     Args:
         samples: Bytes, one each `period_s`; at least 4.

@@ -41,7 +41,7 @@ class Watched:
         self._seen: dict[str, object] = {}
 
     def look(self) -> None:
-        """Reports what is new."""
+        """Report what is new."""
         for key, value in (
             ("slave", self.slave.state), ("master", self.master.state), ("fault", self.slave.notes.fault),
             ("recovering", self.device._recovery is not None), ("error", str(self.slave.error or "")),
@@ -59,7 +59,7 @@ class Watched:
         return line != "end"
 
     def end(self) -> dict[str, Any]:
-        """Ends both; figures of the run."""
+        """End both; figures of the run."""
         begun_s = time.monotonic()
         trace, report = self.slave.finish()
         ended_s = time.monotonic() - begun_s

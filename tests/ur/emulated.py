@@ -78,7 +78,7 @@ class Emulated:
 
 @contextmanager
 def emulator(*arguments: str, host: str | None = None) -> Iterator[Emulated]:
-    """Runs `haptether ur-emulator` with its control line on standard input, and ends it in any case."""
+    """Run `haptether ur-emulator` with its control line on standard input, and end it in any case."""
     host = host or free_host()
     command = [sys.executable, "-m", "haptether", "ur-emulator", "--host", host, "--control", "-", *arguments]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)

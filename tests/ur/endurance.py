@@ -78,7 +78,7 @@ def steal_s() -> float:
 
 
 def main() -> int:
-    """Runs every mode and prints a row for each; 1 if one of them is not good."""
+    """Run every mode and print a row for each; 1 if one of them is not good."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--version", default="5.11")

@@ -197,7 +197,7 @@ HEADINGS = (
 
 
 def main() -> int:
-    """Prints a row for each start; 1 if a frame was late or an engagement failed."""
+    """Print a row for each start; 1 if a frame was late or an engagement failed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=100, metavar="N", help="engagements (default: 100)")
     parser.add_argument(

@@ -77,7 +77,7 @@ class Arm:
             raise RuntimeError(f"{name}: write: Broken pipe")
 
     def look(self) -> None:
-        """Lets its watchdog look at the time."""
+        """Let its watchdog look at the time."""
         hz = self.watchdog_hz
         if hz is not None and self.watchdog_bites and self.clock() - self.kicked_s > 1.0 / hz:
             self.runtime_state, self.watchdog_hz = STOPPED, None
@@ -216,7 +216,7 @@ class Receive:
 
 
 def install(monkeypatch: pytest.MonkeyPatch, arm: Arm) -> None:
-    """Puts the arm where the driver looks for the library and for the controller."""
+    """Put the arm where the driver looks for the library and for the controller."""
     module = SimpleNamespace(RTDEReceiveInterface=lambda *_: Receive(arm))
     for place in ("connection", "driver"):
         monkeypatch.setattr(f"haptether.slave.ur.{place}.vendor_module", lambda: module)

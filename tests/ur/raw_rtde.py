@@ -40,7 +40,7 @@ class Client:
         self.socket.close()
 
     def send(self, kind: str, payload: bytes = b"") -> None:
-        """Sends a frame."""
+        """Send a frame."""
         self.socket.sendall(frame(kind, payload))
 
     def next(self) -> tuple[str, bytes]:
@@ -69,7 +69,7 @@ class Client:
         return struct.unpack(">4I", self.request("v"))
 
     def outputs(self, names: list[str], rate_hz: float = 125.0) -> tuple[int | None, list[str]]:
-        """Sets up outputs: number of the recipe (none in version 1) and types."""
+        """Set up outputs: number of the recipe (none in version 1) and types."""
         head = struct.pack(">d", rate_hz) if self.version == 2 else b""
         answer = self.request("O", head + ",".join(names).encode())
         number = answer[0] if self.version == 2 else None
@@ -78,7 +78,7 @@ class Client:
         return number, types
 
     def inputs(self, names: list[str]) -> tuple[int, list[str]]:
-        """Sets up inputs: number of the recipe and types."""
+        """Set up inputs: number of the recipe and types."""
         answer = self.request("I", ",".join(names).encode())
         return answer[0], answer[1:].decode().split(",")
 
@@ -91,7 +91,7 @@ class Client:
         return self.request("P") == b"\x01"
 
     def write(self, recipe: int, types: str, *numbers: float) -> None:
-        """Writes inputs; `types` as in `struct`."""
+        """Write inputs; `types` as in `struct`."""
         self.send("U", struct.pack(f">B{types}", recipe, *numbers))
 
     def package(self) -> dict[str, Any]:

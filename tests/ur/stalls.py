@@ -47,7 +47,7 @@ class Stalls:
 
 
 def anew_after_stalls(test: Callable[P, None]) -> Callable[P, None]:
-    """Repeats a test that failed during a stall of the machine, up to the third try; `tests.retry` lists it."""
+    """Repeat a test that failed during a stall of the machine, up to the third try; `tests.retry` lists it."""
 
     @functools.wraps(test)
     def run(*arguments: P.args, **named: P.kwargs) -> None:

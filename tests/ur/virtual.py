@@ -79,7 +79,7 @@ class World:
         self.until(lambda: self.playing and self.answer == READY)
 
     def write(self, command: int, doubles: Sequence[float] = (), integers: Sequence[int] = ()) -> None:
-        """Writes a command with its arguments, as one package."""
+        """Write a command with its arguments, as one package."""
         values: dict[str, float | int] = {f"input_int_register_{self.offset}": command}
         values |= {f"input_double_register_{self.offset + n}": v for n, v in enumerate(doubles)}
         values |= {f"input_int_register_{self.offset + 1 + n}": v for n, v in enumerate(integers)}
@@ -123,16 +123,16 @@ class World:
     # ---------------------------------------------------------------------------------------------------- time
 
     def cycles(self, count: int) -> None:
-        """Lets control cycles pass."""
+        """Let control cycles pass."""
         for _ in range(count):
             self.controller.cycle()
 
     def seconds(self, seconds: float) -> None:
-        """Lets time pass."""
+        """Let time pass."""
         self.cycles(round(seconds / self.controller.period_s))
 
     def until(self, holds: "object", limit_s: float = 1.0) -> None:
-        """Lets time pass until something holds."""
+        """Let time pass until something holds."""
         assert callable(holds)
         for _ in range(round(limit_s / self.controller.period_s)):
             if holds():

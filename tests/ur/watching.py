@@ -50,7 +50,7 @@ class Watching:
                 raise AssertionError(message)
 
     def end(self) -> dict[str, Any]:
-        """Ends it in good order; figures of the run."""
+        """End it in good order; figures of the run."""
         self.command("end")
         result: dict[str, Any] = self.wait_for("end", patience_s=20.0)["end"]
         self.process.wait(10.0)
@@ -59,7 +59,7 @@ class Watching:
 
 @contextmanager
 def driven(options: dict[str, Any], *overrides: str) -> Iterator[Watching]:
-    """Runs hand, bridge and driver, and ends them in any case."""
+    """Run hand, bridge and driver, and end them in any case."""
     command = [sys.executable, "-m", "tests.ur.driven", json.dumps(options), *overrides]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     watching = Watching(process)

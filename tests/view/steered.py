@@ -17,7 +17,7 @@ AT_S = 2.0
 
 
 def main() -> None:
-    """Presses every key once, clicks, plays."""
+    """Press every key once, clicks, plays."""
     window = Playback([shown("remote_push")[2]], size=(560, 340), camera="front", at_s=AT_S)
     window.draw()
     interactor = window.picture.plotter.iren.interactor

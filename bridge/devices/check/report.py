@@ -126,7 +126,7 @@ class DeviceCheck:
 
     @property
     def _seen_period_s(self) -> float:
-        """Period of the loop in s; of a device that paces, the one that is seen."""
+        """Period of the loop in s. A device that paces the loop has its measured period."""
         times = self.timing()
         return times.period_p50_s if self.run.watched.paces and times is not None else self.loop_period_s
 

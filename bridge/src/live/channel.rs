@@ -53,7 +53,7 @@ pub(super) struct LiveChannel {
 }
 
 impl LiveChannel {
-    /// Creates a session for a layout; a secure one has no keys yet.
+    /// Create a session for a layout; a secure one has no keys yet.
     pub(super) fn start(
         role: Role,
         layout: FrameLayout,
@@ -77,7 +77,7 @@ impl LiveChannel {
         })
     }
 
-    /// Opens a datagram in place for the side.
+    /// Open a datagram in place for the side.
     pub(super) fn receive(
         &mut self,
         time: LinkTime,
@@ -110,7 +110,7 @@ impl LiveChannel {
         Received::Nothing
     }
 
-    /// Advances time and takes new keys. Passes handshakes with destination to `send`, events to `report`.
+    /// Advance time and take new keys. Passes handshakes with destination to `send`, events to `report`.
     pub(super) fn advance(
         &mut self,
         now_ns: u64,
@@ -144,7 +144,7 @@ impl LiveChannel {
         }
     }
 
-    /// Ends the handshakes. Returns the rejections, by cause.
+    /// End the handshakes. Returns the rejections, by cause.
     pub(super) fn end(&mut self) -> Rejections {
         let more = self.handshakes.as_mut().map(Handshakes::end).unwrap_or_default();
         self.session.rejections() + more

@@ -46,13 +46,13 @@ pub struct DriverCalls {
 }
 
 impl DriverCalls {
-    /// Marks the start of a call, on the driver's thread only.
+    /// Mark the start of a call, on the driver's thread only.
     pub fn enter(&self, call: DriverCall) {
         let before = self.newest.load(Ordering::Relaxed) | 3;
         self.newest.store(before.wrapping_add(1) | call as u64, Ordering::Relaxed);
     }
 
-    /// Returns whether the newest call is blocked, as the watch has told both sides.
+    /// Return whether the newest call is blocked, as the watch has told both sides.
     pub fn is_blocked(&self) -> bool {
         let newest = self.newest();
         newest != 0 && newest == self.blocked.load(Ordering::Relaxed)
@@ -63,7 +63,7 @@ impl DriverCalls {
     }
 }
 
-/// Starts the thread that watches the driver `name` of a loop; it ends with the loop.
+/// Start the thread that watches the driver `name` of a loop; it ends with the loop.
 ///
 /// After 0.5 s in one call the side goes to FAULT with a text that names the call. The thread steps the loop until
 /// the driver returns: frames, records and telemetry go on. At a stop it announces the end to the peer.

@@ -26,39 +26,39 @@ use crate::{
 pub struct LiveHandle(Arc<Shared>);
 
 impl LiveHandle {
-    /// Ends the loop after its current tick.
+    /// End the loop after its current tick.
     pub fn stop(&self) {
         self.0.stop.store(true, Ordering::Relaxed);
     }
 
-    /// Returns whether the loop was stopped, or ended by itself under a driver.
+    /// Return whether the loop was stopped, or ended by itself under a driver.
     pub fn is_stopped(&self) -> bool {
         self.0.stop.load(Ordering::Relaxed)
     }
 
-    /// Returns whether the loop has ended: no force, no motion, peer notified.
+    /// Return whether the loop has ended: no force, no motion, peer notified.
     pub fn is_at_rest(&self) -> bool {
         self.0.at_rest.load(Ordering::Relaxed)
     }
 
-    /// Releases the clutch briefly and presses it again, for the operator at this side only. Void if not read within
+    /// Release the clutch briefly and press it again, for the operator at this side only. Void if not read within
     /// 0.25 s, or within 0.25 s after a stall, when its time is unknown.
     pub fn press_clutch(&self) {
         self.0.press_ns.store(system::now_ns().max(1), Ordering::Relaxed);
     }
 
-    /// Lets another master begin after 2 s of silence, for the operator at the slave only. Void as
+    /// Let another master begin after 2 s of silence, for the operator at the slave only. Void as
     /// [`Self::press_clutch`].
     pub fn allow_takeover(&self) {
         self.0.takeover_ns.store(system::now_ns().max(1), Ordering::Relaxed);
     }
 
-    /// Acknowledges a device fault. The driver takes it by [`Self::take_acknowledgement`].
+    /// Acknowledge a device fault. The driver takes it by [`Self::take_acknowledgement`].
     pub fn acknowledge_device(&self) {
         self.0.acknowledged_ns.store(system::now_ns().max(1), Ordering::Relaxed);
     }
 
-    /// Takes an acknowledgement of the last 0.25 s.
+    /// Take an acknowledgement of the last 0.25 s.
     pub fn take_acknowledgement(&self) -> bool {
         // Called each tick: swap only if needed.
         if self.0.acknowledged_ns.load(Ordering::Relaxed) == 0 {
@@ -84,7 +84,7 @@ impl LiveHandle {
         LadderState::from_code(self.0.state.load(Ordering::Relaxed)).unwrap_or(LadderState::Disengaged)
     }
 
-    /// Returns whether the peer has answered a frame of this side.
+    /// Return whether the peer has answered a frame of this side.
     pub fn is_answered(&self) -> bool {
         self.0.answered.load(Ordering::Relaxed)
     }
@@ -119,14 +119,14 @@ impl LiveWatch {
         &self.handle
     }
 
-    /// Takes the events of the session.
+    /// Take the events of the session.
     pub fn drain_events(&mut self, mut take: impl FnMut(SecurityEvent)) {
         while let Ok(event) = self.events.pop() {
             take(event);
         }
     }
 
-    /// Takes the port for a thread that serves clients; once.
+    /// Take the port for a thread that serves clients; once.
     pub fn port(&mut self) -> Option<ControlPort> {
         self.port.take()
     }
@@ -166,7 +166,7 @@ impl LiveWatch {
         self.diagnosis.as_ref()
     }
 
-    /// Takes the last report of a finished loop.
+    /// Take the last report of a finished loop.
     pub fn ended(&mut self, flight: Option<Box<FlightRecorder>>) {
         while self.flights.pop().is_ok() {}
         self.flight = flight.or(self.flight.take());
@@ -315,7 +315,7 @@ impl Shared {
         commands.push((system::now_ns(), command)).map_err(|_| CommandError::Full)
     }
 
-    /// Returns whether the loop was stopped or memory is exhausted.
+    /// Return whether the loop was stopped or memory is exhausted.
     pub(super) fn must_end(&self) -> bool {
         self.stop.load(Ordering::Relaxed) || system::is_exhausted()
     }
@@ -390,7 +390,7 @@ impl<R: Copy> RecordSinks<R> {
         }
     }
 
-    /// Passes a record to all sinks. Returns whether all earlier ones are kept.
+    /// Pass a record to all sinks. Returns whether all earlier ones are kept.
     pub(super) fn push(&mut self, record: R) -> bool {
         if let Some(recorder) = &mut self.outputs.recorder {
             recorder.take(record);
@@ -418,7 +418,7 @@ impl<R: Copy> RecordSinks<R> {
         }
     }
 
-    /// Ends telemetry and recording.
+    /// End telemetry and recording.
     pub(super) fn end(mut self) -> Option<RecordingReport> {
         if let Some(telemetry) = self.outputs.telemetry.take() {
             telemetry.end();
@@ -426,7 +426,7 @@ impl<R: Copy> RecordSinks<R> {
         self.abandon()
     }
 
-    /// Closes both if no loop began.
+    /// Close both if no loop began.
     pub(super) fn abandon(self) -> Option<RecordingReport> {
         let RecordOutputs { newest, recorder, telemetry } = self.outputs;
         drop(telemetry);
@@ -453,7 +453,7 @@ const MAX_DIAGNOSES: usize = 16;
 /// Maximum number of queued commands, and of commands per tick.
 pub(super) const MAX_COMMANDS: usize = 16;
 
-/// Creates the rings of a loop started by the operator at `started_ns`.
+/// Create the rings of a loop started by the operator at `started_ns`.
 pub(super) fn channels<R>(
     started_ns: u64,
     address: SocketAddr,
@@ -467,7 +467,7 @@ pub(super) fn channels<R>(
     (channels, RecordSinks { to_reader, outputs }, watch, reader)
 }
 
-/// Creates the rings except records; compiled once.
+/// Create the rings except records; compiled once.
 fn rings(
     started_ns: u64,
     address: SocketAddr,

@@ -71,7 +71,7 @@ impl Admission {
         }
     }
 
-    /// Returns whether a message with a valid MAC goes on to the thread.
+    /// Return whether a message with a valid MAC goes on to the thread.
     fn admits(
         &mut self,
         now_ns: u64,
@@ -134,7 +134,7 @@ impl Handshakes {
         })
     }
 
-    /// Reports the session's standing, unless requests are unread.
+    /// Report the session's standing, unless requests are unread.
     pub(super) fn set_standing(&mut self, standing: Standing) {
         if self.requests.slots() == WAITING {
             let _ = self.requests.push(Request::Standing(standing, self.keys));
@@ -180,7 +180,7 @@ impl Handshakes {
         died
     }
 
-    /// Ends the thread. Returns its rejections, including messages beyond the limit.
+    /// End the thread. Returns its rejections, including messages beyond the limit.
     pub(super) fn end(&mut self) -> Rejections {
         self.is_over.store(true, Ordering::Relaxed);
         let rejections = self.thread.join().unwrap_or_default();

@@ -87,7 +87,7 @@ const END_NS: [u64; 9] =
 /// it.
 pub(super) const PROMPT_NS: u64 = 250_000_000;
 
-/// Returns whether a command of `at_ns` is still valid at `now_ns`. `stalled_ns` is the end of the last stall,
+/// Return whether a command of `at_ns` is still valid at `now_ns`. `stalled_ns` is the end of the last stall,
 /// `failed_ns` the time of the present fault.
 fn is_prompt(
     command: OperatorCommand,
@@ -118,25 +118,25 @@ pub(super) trait LoopSide {
     /// The concrete side, for its driver.
     fn side_any(&mut self) -> &mut dyn Any;
 
-    /// Sets time 0 of the loop on the monotonic clock.
+    /// Set time 0 of the loop on the monotonic clock.
     fn begin(&mut self, now_ns: u64);
 
     fn tick(&mut self, time: TickTime);
 
-    /// Passes the last record to the sinks. Returns whether all earlier ones are kept.
+    /// Pass the last record to the sinks. Returns whether all earlier ones are kept.
     fn record(&mut self) -> bool;
 
-    /// Removes force and motion, once.
+    /// Remove force and motion, once.
     fn rest(&mut self);
 
     fn count_link(&self, link: &LinkStatistics);
 
-    /// Passes a diagnosis to the sinks, as [`RecordSinks::note`].
+    /// Pass a diagnosis to the sinks, as [`RecordSinks::note`].
     fn note(&mut self, time_ns: u64, diagnosis: Option<&Diagnosis>);
 
     fn end_records(&mut self) -> Option<RecordingReport>;
 
-    /// Closes the sinks if no loop began.
+    /// Close the sinks if no loop began.
     fn abandon(&mut self) -> Option<RecordingReport>;
 }
 
@@ -313,7 +313,7 @@ impl LiveLoop {
         }
     }
 
-    /// Carries out the valid commands since the last tick.
+    /// Carry out the valid commands since the last tick.
     fn take_commands(&mut self, side: &mut dyn Side, shared: &Shared) {
         let Self { channel, channels, now_ns, stalled_ns, .. } = self;
         let now_ns = *now_ns;
@@ -354,7 +354,7 @@ impl LiveLoop {
         }
     }
 
-    /// Hands out the results of a tick, without waiting.
+    /// Hand out the results of a tick, without waiting.
     fn report(&mut self, plant: &mut dyn LoopSide, shared: &Shared) {
         let Self { channels, report, now_ns, start_ns, .. } = self;
         let elapsed_ns = *now_ns - *start_ns;
@@ -391,7 +391,7 @@ impl LiveLoop {
         shared.answered.store(link.round_trip_ns != 0, Ordering::Relaxed);
     }
 
-    /// Leaves the plant at rest and announces the end to the peer, once.
+    /// Leave the plant at rest and announce the end to the peer, once.
     pub(super) fn announce_end(&mut self, plant: &mut dyn LoopSide, shared: &Shared) {
         if std::mem::replace(&mut self.has_announced_end, true) {
             return;
@@ -417,7 +417,7 @@ impl LiveLoop {
         shared.at_rest.store(true, Ordering::Relaxed);
     }
 
-    /// Announces the end and closes sinks and session.
+    /// Announce the end and close sinks and session.
     pub(super) fn end(
         mut self,
         plant: &mut dyn LoopSide,

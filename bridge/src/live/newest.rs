@@ -24,7 +24,7 @@ impl<R> Newest<R> {
         self.room
     }
 
-    /// Adds a record. Returns whether no older record was overwritten.
+    /// Add a record. Returns whether no older record was overwritten.
     pub(super) fn push(&mut self, record: R) -> bool {
         if self.records.len() < self.room {
             self.records.push(record);

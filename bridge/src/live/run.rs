@@ -70,7 +70,7 @@ impl Running {
     }
 }
 
-/// Starts the loop of one side on its own thread; `outputs` receive every record.
+/// Start the loop of one side on its own thread; `outputs` receive every record.
 ///
 /// Fails if real-time scheduling is required and not fully granted.
 pub fn run_live<S: Side + Send + 'static>(
@@ -110,7 +110,7 @@ fn prepared<S: Side + Send + 'static>(
     Ok((Parts { plant, socket, channel, channels, settings, shared }, watch, records))
 }
 
-/// Starts a loop on its own thread; compiled once for all sides.
+/// Start a loop on its own thread; compiled once for all sides.
 fn spawned(parts: Parts, watch: &LiveWatch) -> Result<LiveRun, StartError> {
     let Parts { mut plant, socket, channel, channels, settings, shared } = parts;
     let (to_starter, granted) = mpsc::sync_channel(1);
@@ -145,12 +145,12 @@ impl LiveRun {
         self.realtime
     }
 
-    /// Returns whether the loop has ended.
+    /// Return whether the loop has ended.
     pub fn is_finished(&self) -> bool {
         self.thread.is_finished()
     }
 
-    /// Ends the loop. Returns its report; `None` if joined before or panicked.
+    /// End the loop. Returns its report; `None` if joined before or panicked.
     pub fn join(&mut self) -> Option<Ended> {
         self.handle.stop();
         self.thread.join()
@@ -196,7 +196,7 @@ struct Pacing {
 /// A prepared loop, its watch and its records.
 pub type Paced<S> = (PacedLoop<S>, LiveWatch, RecordReader<<S as Side>::Record>);
 
-/// Prepares the loop of one side; `outputs` receive every record.
+/// Prepare the loop of one side; `outputs` receive every record.
 pub fn paced_by_device<S: Side + Send + 'static>(
     side: S,
     socket: PeerSocket,
@@ -219,13 +219,10 @@ pub fn paced_by_device<S: Side + Send + 'static>(
 }
 
 impl<S: Side + 'static> PacedLoop<S> {
-    /// Does one tick: `before` sets the sample, `after` takes the decision. `None` once the run is over.
-    pub fn step<T>(&mut self, before: impl FnOnce(&mut S), after: impl FnOnce(&mut S) -> T) -> Option<T> {
-        self.step_on(None, before, after)
-    }
-
-    /// The same, and measures how often the device renews its samples; `sample` is none if the device has failed.
-    pub fn step_on<T>(
+    /// Do one tick: `before` sets the sample, `after` takes the decision. Return `None` once the run is over.
+    ///
+    /// `sample` measures how often the device renews its samples; it is `None` if the device has failed.
+    pub fn step<T>(
         &mut self,
         sample: Option<Stamped<'_>>,
         before: impl FnOnce(&mut S),
@@ -280,7 +277,7 @@ impl Pacing {
 
 /// Operations of a driver on any side's loop, except [`PacedLoop::step`].
 pub trait DriverLoop {
-    /// Starts time, and requests real-time scheduling for this thread. Does nothing if already begun.
+    /// Start time, and requests real-time scheduling for this thread. Does nothing if already begun.
     ///
     /// Fails, and ends the run, if real-time scheduling is required and not fully granted.
     fn begin(&mut self) -> Result<RealtimeReport, StartError>;
@@ -295,10 +292,10 @@ pub trait DriverLoop {
     /// time in ns. Once the run is over, announces its end and returns `None`.
     fn turn_blocked(&mut self, text: &FaultText) -> Option<u64>;
 
-    /// Announces the end to the peer, once the device is at rest and before anything waits for the report.
+    /// Announce the end to the peer, once the device is at rest and before anything waits for the report.
     fn announce_end(&mut self);
 
-    /// Ends the loop. Returns its report; `None` if ended before.
+    /// End the loop. Returns its report; `None` if ended before.
     fn end(&mut self) -> Option<Ended>;
 }
 

@@ -115,7 +115,7 @@ impl PeerSocket {
         self.sockets[self.routes[self.current].0].socket().local_addr()
     }
 
-    /// Takes the address that answered, of several; once.
+    /// Take the address that answered, of several; once.
     pub(super) fn take_found(&mut self) -> Option<SocketAddr> {
         self.found.take()
     }
@@ -128,7 +128,7 @@ impl PeerSocket {
         self.strangers.count_of(Stranger::Elsewhere)
     }
 
-    /// Passes each waiting datagram to `take`, which classifies it, until the clock shows `until_ns`.
+    /// Pass each waiting datagram to `take`, which classifies it, until the clock shows `until_ns`.
     ///
     /// Datagrams from other addresses than a known peer's are counted and ignored. At least [`ROUND`] are taken: a
     /// late loop must hear its peer, too.
@@ -191,7 +191,7 @@ impl PeerSocket {
         self.routes.iter().position(admits)
     }
 
-    /// Discards waiting datagrams as outdated, until `until_ns`, so that a flood cannot hold the loop.
+    /// Discard waiting datagrams as outdated, until `until_ns`, so that a flood cannot hold the loop.
     pub fn discard(&mut self, until_ns: u64) {
         let mut buffer = [0; 1];
         for socket in &self.sockets {
@@ -290,7 +290,7 @@ impl Route {
         Self { learns: true, peer: None, second: None, owed: 0, is_answered: false }
     }
 
-    /// Returns whether frames of the peer arrive from this address.
+    /// Return whether frames of the peer arrive from this address.
     fn lives_at(&self, now_ns: u64, from: SocketAddr) -> bool {
         self.peer.is_some_and(|peer| peer.asker.from == from && !peer.is_silent(now_ns))
     }
@@ -299,7 +299,7 @@ impl Route {
         self.learns || self.peer.is_some_and(|peer| peer.asker.from == from)
     }
 
-    /// Updates the addresses from a datagram of `asker` that arrived at `now_ns`.
+    /// Update the addresses from a datagram of `asker` that arrived at `now_ns`.
     fn take(&mut self, now_ns: u64, asker: Asker, received: Received) {
         match received {
             Received::Fresh { is_answered } => self.is_answered = is_answered,

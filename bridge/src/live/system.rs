@@ -60,17 +60,17 @@ fn request_prompt_wakeups() {
 /// Per process, as memory is shared.
 static EXHAUSTED: AtomicBool = AtomicBool::new(false);
 
-/// Ends each loop of this process at its next tick: no force, no motion, peer notified.
+/// End each loop of this process at its next tick: no force, no motion, peer notified.
 pub fn end_for_lack_of_memory() {
     EXHAUSTED.store(true, Ordering::Relaxed);
 }
 
-/// Clears the flag, for later loops.
+/// Clear the flag, for later loops.
 pub fn memory_is_back() {
     EXHAUSTED.store(false, Ordering::Relaxed);
 }
 
-/// Returns whether memory is exhausted.
+/// Return whether memory is exhausted.
 pub fn is_exhausted() -> bool {
     EXHAUSTED.load(Ordering::Relaxed)
 }
@@ -147,12 +147,12 @@ pub struct RealtimeReport {
 }
 
 impl RealtimeReport {
-    /// Returns whether all requests were granted, except deep sleep.
+    /// Return whether all requests were granted, except deep sleep.
     pub fn is_complete(&self) -> bool {
         !(self.fifo.is_refused() || self.locked.is_refused() || self.cpu.is_refused())
     }
 
-    /// Fails if full grants are required and missing.
+    /// Fail if full grants are required and missing.
     pub(super) fn check(&self, demand: RealtimeDemand) -> io::Result<()> {
         if demand == RealtimeDemand::Require && !self.is_complete() {
             let text = format!("real time is required: {self}");
@@ -212,7 +212,7 @@ impl fmt::Display for RealtimeReport {
     }
 }
 
-/// Makes all requests for this thread, granted as long as [`Kept`] lives.
+/// Make all requests for this thread, granted as long as [`Kept`] lives.
 pub(super) fn prepare(settings: RealtimeSettings, later: LaterMemory) -> (RealtimeReport, Kept) {
     request_prompt_wakeups();
     if settings.demand == RealtimeDemand::Off {
@@ -268,14 +268,14 @@ impl Drop for ProcessorsBefore {
     }
 }
 
-/// Keeps processors out of deep sleep while the file is open, as cyclictest does.
+/// Keep processors out of deep sleep while the file is open, as cyclictest does.
 fn keep_awake() -> io::Result<File> {
     let mut latency = OpenOptions::new().write(true).open("/dev/cpu_dma_latency")?;
     latency.write_all(&0_i32.to_ne_bytes())?;
     Ok(latency)
 }
 
-/// Pins this thread to one processor.
+/// Pin this thread to one processor.
 fn stay_on(cpu: u16) -> io::Result<u16> {
     if usize::from(cpu) >= CpuSet::MAX_CPU {
         return Err(Errno::INVAL.into());
@@ -343,7 +343,7 @@ const GAP: usize = 64 << 10;
 /// Name prefixes of libraries that a tick calls.
 const CALLED: [&str; 4] = ["libc.", "libc-", "libm.", "libm-"];
 
-/// Locks each used page, all of this library and those it calls, and the stack around this frame.
+/// Lock each used page, all of this library and those it calls, and the stack around this frame.
 ///
 /// `mlockall` fills whole mappings instead: 8 MiB per stack, 32 MiB per thread of `OpenBLAS`, 64 MiB per arena of
 /// `malloc` in the kernel's count, and all libraries.
@@ -397,7 +397,7 @@ struct Mapping<'a> {
 }
 
 impl<'a> Mapping<'a> {
-    /// Parses a line of `/proc/self/maps`; `None` if not readable.
+    /// Parse a line of `/proc/self/maps`; `None` if not readable.
     fn of_line(line: &'a str) -> Option<Self> {
         let mut fields = line.split_ascii_whitespace();
         let (start, end) = fields.next()?.split_once('-')?;
@@ -431,7 +431,7 @@ impl Drop for LockedMemory {
     }
 }
 
-/// Returns whether this thread has `CAP_IPC_LOCK` (bit 14, effective), and so no limit.
+/// Return whether this thread has `CAP_IPC_LOCK` (bit 14, effective), and so no limit.
 fn may_lock_all() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let effective = status.lines().find_map(|line| line.strip_prefix("CapEff:"));

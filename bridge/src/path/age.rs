@@ -25,13 +25,13 @@ pub struct PacketAge {
 }
 
 impl PacketAge {
-    /// Creates a tracker without packets. Healthy clocks drift apart by at most `max_drift_ppb`.
+    /// Create a tracker without packets. Healthy clocks drift apart by at most `max_drift_ppb`.
     pub fn new(max_drift_ppb: u64) -> Self {
         let sent = vec![0; SENT_KEPT].into_boxed_slice();
         Self { max_drift_ppb, sent, newest: None, known: 0, sent_after_ns: None }
     }
 
-    /// Records our packet `counter`, sent at `now_ns`. A gap in the counters clears all before.
+    /// Record our packet `counter`, sent at `now_ns`. A gap in the counters clears all before.
     pub fn sent(&mut self, counter: u64, now_ns: u64) {
         let follows = self.newest.and_then(|newest| newest.checked_add(1)) == Some(counter);
         self.known = if follows { (self.known + 1).min(SENT_KEPT as u64) } else { 1 };
@@ -39,7 +39,7 @@ impl PacketAge {
         self.sent[slot(counter)] = now_ns;
     }
 
-    /// Takes the echo of a packet newer than all before, arrived at `now_ns`: our counter, and the hold time in ns.
+    /// Take the echo of a packet newer than all before, arrived at `now_ns`: our counter, and the hold time in ns.
     /// Ignores unknown counters.
     ///
     /// A hold time longer than the exchange is a fault of a clock; the bound holds even then.
@@ -75,7 +75,7 @@ impl PacketAge {
         self.sent_after_ns.map(|sent_ns| now_ns.saturating_sub(sent_ns))
     }
 
-    /// Clears the state of the peer's packets for a new session, but keeps send times.
+    /// Clear the state of the peer's packets for a new session, but keeps send times.
     pub fn restart(&mut self) {
         self.sent_after_ns = None;
     }
@@ -128,7 +128,7 @@ impl Default for AgeBaseline {
 }
 
 impl AgeBaseline {
-    /// Creates a baseline without ages.
+    /// Create a baseline without ages.
     pub fn new() -> Self {
         let known = SAMPLE_NS as f64;
         Self {
@@ -143,7 +143,7 @@ impl AgeBaseline {
         }
     }
 
-    /// Takes the age `age_ns` of a packet that arrived at `now_ns`.
+    /// Take the age `age_ns` of a packet that arrived at `now_ns`.
     #[inline]
     pub fn take(&mut self, now_ns: u64, age_ns: u64) {
         let age = age_ns as f64;
@@ -196,7 +196,7 @@ impl AgeBaseline {
         self.last_ns.map(|_| (self.level_ns as i64).cast_unsigned())
     }
 
-    /// Clears all, for a new session of the peer.
+    /// Clear all, for a new session of the peer.
     pub fn restart(&mut self) {
         *self = Self::new();
     }
@@ -208,7 +208,7 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    /// Feeds an age in ms each ms, from `from_ms` on.
+    /// Feed an age in ms each ms, from `from_ms` on.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // whole ns of tens of ms
     fn feed(baseline: &mut AgeBaseline, from_ms: u64, count: u64, age_ms: impl Fn(u64) -> f64) {
         for n in from_ms..from_ms + count {

@@ -46,7 +46,7 @@ impl PathMeter {
         }
     }
 
-    /// Clears all, for a new session with new sequences.
+    /// Clear all, for a new session with new sequences.
     pub fn restart(&mut self) {
         *self.sequences = Sequences::new();
         *self.extents = Extents::new();
@@ -55,7 +55,7 @@ impl PathMeter {
         (self.first_ns, self.last_ns, self.worst_gap_ns) = (None, 0, 0);
     }
 
-    /// Takes a packet that arrived at `now_ns`, sent at `sent_ns` on the sender's clock. Arrival times must not
+    /// Take a packet that arrived at `now_ns`, sent at `sent_ns` on the sender's clock. Arrival times must not
     /// decrease.
     pub fn arrived(&mut self, sequence: u64, sent_ns: u64, now_ns: u64) {
         match self.sequences.mark(sequence) {
@@ -173,7 +173,7 @@ impl Bursts {
         if self.bursts == 0 { 0.0 } else { self.lost as f64 / self.bursts as f64 }
     }
 
-    /// Takes the next `count` sequences, all missing.
+    /// Take the next `count` sequences, all missing.
     fn miss(&mut self, count: u64) {
         if count > 0 {
             self.bursts += u64::from(self.run == 0);
@@ -219,7 +219,7 @@ impl Sequences {
         Self { there: [false; PLACES], first: None, newest: 0, settled: Bursts::default() }
     }
 
-    /// Marks a sequence. The first to arrive starts the count: those before it are not expected.
+    /// Mark a sequence. The first to arrive starts the count: those before it are not expected.
     pub(super) fn mark(&mut self, sequence: u64) -> Seen {
         // No link counts so far, and the sequence after it would overflow.
         if sequence == u64::MAX {
@@ -331,7 +331,7 @@ impl Extents {
         Self { greatest: [0; PLACES], arrivals: 0, counts: Reordering::default() }
     }
 
-    /// Takes a sequence in order of arrival, without duplicates.
+    /// Take a sequence in order of arrival, without duplicates.
     pub(super) fn arrived(&mut self, sequence: u64) {
         let arrival = self.arrivals;
         let before = arrival.checked_sub(1).map_or(sequence, |last| self.greatest[slot(last)]);
@@ -368,7 +368,7 @@ pub struct Jitter {
 }
 
 impl Jitter {
-    /// Takes a packet in order of arrival. The two times may be of different clocks.
+    /// Take a packet in order of arrival. The two times may be of different clocks.
     pub fn arrived(&mut self, sent_ns: u64, now_ns: u64) {
         let transit = difference(now_ns, sent_ns);
         if let Some(last) = self.last_transit_ns.replace(transit) {

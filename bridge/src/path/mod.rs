@@ -82,14 +82,14 @@ impl PeerPath {
         self.reported = None;
     }
 
-    /// Counts a frame that arrived by `now_ns`, including late and repeated ones.
+    /// Count a frame that arrived by `now_ns`, including late and repeated ones.
     pub fn arrived(&mut self, sequence: u64, sent_ns: u64, now_ns: u64) {
         if let Some(reported) = &mut self.reported {
             reported.meter.arrived(sequence, sent_ns, now_ns);
         }
     }
 
-    /// Takes a frame newer than all before, sent at `sent_ns` on the peer's clock; `echo` is of our run.
+    /// Take a frame newer than all before, sent at `sent_ns` on the peer's clock; `echo` is of our run.
     ///
     /// It is taken at `now_ns` and arrived by `by_ns`, later in a late loop. Only counter and hold time of the echo
     /// are used: our send times are known here.

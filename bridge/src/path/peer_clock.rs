@@ -132,7 +132,7 @@ pub struct PeerOffset {
     pub bound_ns: u64,
 }
 
-/// Parts per nanosecond of the lines, so that a rate of one in a billion is a whole number.
+/// Units per ns of the lines: a rate of 1e-9 is a whole number.
 const PARTS: i128 = BILLION as i128;
 /// Readings are rounded down to whole ns: a bound of a difference may be off by 1 ns, the difference by another. In
 /// parts.
@@ -184,14 +184,14 @@ enum Contradiction {
 }
 
 impl PeerClock {
-    /// Creates a clock without exchanges. Healthy clocks drift apart by at most `max_drift_ppb`.
+    /// Create a clock without exchanges. Healthy clocks drift apart by at most `max_drift_ppb`.
     pub fn new(max_drift_ppb: u64) -> Self {
         // A clock that loses its whole rate stands still: larger drifts are meaningless.
         let max_drift_ppb = max_drift_ppb.min(BILLION);
         Self { max_drift_ppb, lines: None, newest_ns: 0, anew_from_ns: 0, steps: 0 }
     }
 
-    /// Takes an exchange, in order of `received_ns`. Returns false for one sent before the last step was detected.
+    /// Take an exchange, in order of `received_ns`. Returns false for one sent before the last step was detected.
     ///
     /// [`ClockFault::Step`] restarts the range; any other fault ignores the exchange.
     pub fn take(&mut self, times: &TimestampExchange) -> Result<bool, ClockFault> {
@@ -245,7 +245,7 @@ impl PeerClock {
         (ahead > 0).then(|| whole_up(ahead))
     }
 
-    /// Checks a packet without an echo, sent at `peer_sent_ns` on the peer's clock.
+    /// Check a packet without an echo, sent at `peer_sent_ns` on the peer's clock.
     ///
     /// Fails if it preceded its sending on every clock that fits. It may also be from before the last step; the next
     /// exchange shows which.
@@ -281,7 +281,7 @@ impl PeerClock {
         self.steps
     }
 
-    /// Clears all but the count of steps, for a new session.
+    /// Clear all but the count of steps, for a new session.
     pub fn restart(&mut self) {
         *self = Self { steps: self.steps, newest_ns: self.newest_ns, ..Self::new(self.max_drift_ppb) };
     }

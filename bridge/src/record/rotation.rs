@@ -21,7 +21,7 @@ pub trait MasterTurn: Copy + std::fmt::Debug + PartialEq + Send + 'static {
     /// Rotation, if any.
     fn rotation(&self) -> Option<&MasterRotation>;
 
-    /// Builds the part of a tick; `torques` are the received and the requested one.
+    /// Build the part of a tick; `torques` are the received and the requested one.
     fn of(
         measured: Option<&RotationSample>,
         truth: Option<RotationTruth>,
@@ -29,13 +29,13 @@ pub trait MasterTurn: Copy + std::fmt::Debug + PartialEq + Send + 'static {
         torques: [Axes<3>; 2],
     ) -> Self;
 
-    /// Adds the force feedback at the trigger, if the record has it.
+    /// Add the force feedback at the trigger, if the record has it.
     #[must_use]
     fn felt(self, _tick: Option<&SafetyTick<1>>) -> Self {
         self
     }
 
-    /// Passes each field to `take`.
+    /// Pass each field to `take`.
     fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>));
 }
 
@@ -50,10 +50,10 @@ pub trait SlaveTurn: Copy + std::fmt::Debug + PartialEq + Send + 'static {
     /// Rotation, if any.
     fn rotation(&self) -> Option<&SlaveRotation>;
 
-    /// Builds the part from measured rotation and command.
+    /// Build the part from measured rotation and command.
     fn of<const N: usize>(measured: Option<&RotationState>, tick: &SlaveTick<N>) -> Self;
 
-    /// Passes each field to `take`.
+    /// Pass each field to `take`.
     fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>));
 }
 
@@ -126,7 +126,7 @@ pub struct MasterRotation {
 }
 
 impl MasterRotation {
-    /// Passes each signal of a run in virtual time, which has true values.
+    /// Pass each signal of a run in virtual time, which has true values.
     pub(crate) fn signals(&self, take: &mut dyn FnMut(&'static str, &[f64])) {
         take("orientation", &self.true_orientation);
         take("measured_orientation", &self.orientation);
@@ -259,7 +259,7 @@ pub struct SlaveRotation {
 }
 
 impl SlaveRotation {
-    /// Passes each signal of a run in virtual time.
+    /// Pass each signal of a run in virtual time.
     pub(crate) fn signals(&self, take: &mut dyn FnMut(&'static str, &[f64])) {
         take("slave_orientation", &self.orientation);
         take("slave_command_orientation", &self.command_orientation);

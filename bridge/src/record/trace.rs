@@ -71,7 +71,7 @@ impl Trace {
     }
 }
 
-/// Adds one record; compiled once for all record types.
+/// Add one record; compiled once for all record types.
 fn push(columns: &mut [(&'static str, Column)], record: &dyn Recorded) {
     let mut columns = columns.iter_mut();
     record.fields(&mut |(_, _, value)| {

@@ -68,7 +68,7 @@ pub trait Recorded: Send + 'static {
     /// Time since the run began, in ns.
     fn time_ns(&self) -> u64;
 
-    /// Hands each field to `take`, always the same in the same order.
+    /// Hand each field to `take`, always the same in the same order.
     fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>));
 }
 
@@ -87,7 +87,7 @@ pub(super) fn schema(record: &dyn Recorded) -> String {
         .to_string()
 }
 
-/// Writes a record as one JSON object.
+/// Write a record as one JSON object.
 pub(super) fn write_json(record: &dyn Recorded, security: SecurityMark, out: &mut Vec<u8>) {
     let mut before = b'{';
     record.fields(&mut |(name, _, value)| {

@@ -59,7 +59,7 @@ pub(super) struct McapFile<W: Write> {
 }
 
 impl<W: Write> McapFile<W> {
-    /// Writes the head: what the file is, the schema of its messages, their channel.
+    /// Write the head: what the file is, the schema of its messages, their channel.
     pub(super) fn begin(out: W, any: &dyn Recorded, security: SecurityMark, scene: &str) -> Self {
         let (sink, refusal) = Sink::new(out);
         let mut file = Self {
@@ -111,14 +111,14 @@ impl<W: Write> McapFile<W> {
         self.begun_ns = 0;
     }
 
-    /// Takes the start of the run, in ns of the monotonic clock, for the log times; 0 is none.
+    /// Take the start of the run, in ns of the monotonic clock, for the log times; 0 is none.
     pub(super) fn set_start(&mut self, started_ns: u64) {
         if started_ns != 0 {
             self.begun_ns = wall_clock_ns().saturating_sub(now_ns().saturating_sub(started_ns));
         }
     }
 
-    /// Adds a record to the chunk.
+    /// Add a record to the chunk.
     pub(super) fn write(&mut self, record: &dyn Recorded) {
         let Some(writer) = &mut self.writer else { return };
         self.message.clear();
@@ -134,7 +134,7 @@ impl<W: Write> McapFile<W> {
         let _ = writer.write_to_known_channel(&header, &self.message);
     }
 
-    /// Adds why the two sides are not coupled to the chunk.
+    /// Add why the two sides are not coupled to the chunk.
     pub(super) fn note(&mut self, note: &Note) {
         let Some(writer) = &mut self.writer else { return };
         let cause = Cause { time_ns: note.time_ns, explanation: note.diagnosis.explain() };
@@ -148,13 +148,13 @@ impl<W: Write> McapFile<W> {
         let _ = writer.write_to_known_channel(&header, &self.message);
     }
 
-    /// Ends the chunk and hands it to the system; returns the number of the error if it was refused.
+    /// End the chunk and hand it to the system; return the number of the error if it was refused.
     pub(super) fn flush(&mut self) -> Option<i32> {
         let is_done = self.writer.as_mut().is_some_and(|writer| writer.flush().is_ok());
         self.outcome(is_done)
     }
 
-    /// Writes the index and the end; returns the number of the error if that was refused.
+    /// Write the index and the end; return the number of the error if that was refused.
     pub(super) fn finish(mut self) -> Option<i32> {
         let is_done = self.writer.as_mut().is_some_and(|writer| writer.finish().is_ok());
         self.outcome(is_done)
@@ -188,7 +188,7 @@ impl FreeSpace {
     }
 }
 
-/// Opens a file for its owner alone, from its begin.
+/// Open a file for its owner alone, from its begin.
 ///
 /// A link is not followed: in a folder that others may write to, it would have this process write where they say. A pipe
 /// needs its reader: to wait for one would hold up every signal.

@@ -175,7 +175,7 @@ pub struct Recorder<R> {
 }
 
 impl<R: Recorded> Recorder<R> {
-    /// Opens the file, writes its head, and starts the thread that writes the rest.
+    /// Open the file, write its head, and start the thread that writes the rest.
     pub fn begin(settings: &RecorderSettings) -> io::Result<Self> {
         let free = FreeSpace::beside(&settings.path)?;
         if free.bytes() < settings.min_free_bytes {
@@ -204,7 +204,7 @@ impl<R: Recorded> Recorder<R> {
 /// The loop's ends of what leads to the thread that writes.
 type Writer = (rtrb::Producer<Note>, Arc<Progress>, mpsc::Receiver<()>);
 
-/// Starts the thread that writes; compiled once for all types of records.
+/// Start the thread that writes; compiled once for all types of records.
 fn spawn_writer(
     out: impl io::Write + Send + 'static,
     free_bytes: impl Fn() -> u64 + Send + 'static,
@@ -232,7 +232,7 @@ impl<R> Recorder<R> {
         self.progress.started_ns.store(now_ns, Ordering::Relaxed);
     }
 
-    /// Hands a record over, or drops it where the disk is slow: what is not written is counted.
+    /// Hand a record over, or drop it where the disk is slow: what is not written is counted.
     pub(crate) fn take(&mut self, record: R) {
         self.progress.offered.fetch_add(1, Ordering::Relaxed);
         let _ = self.records.push(record);
@@ -256,7 +256,7 @@ impl<R> Recorder<R> {
     }
 }
 
-/// Closes the last ring of a writer and waits for it; compiled once for all types of records.
+/// Close the last ring of a writer and waits for it; compiled once for all types of records.
 fn await_writer(
     notes: rtrb::Producer<Note>,
     progress: &Progress,
@@ -281,7 +281,7 @@ const CHUNKS_OF_A_SIZE: u64 = 1024;
 /// Records of the largest chunk, 4 s at 1 kHz.
 const MAX_CHUNK: u64 = 4096;
 
-/// Writes records until the other end of the ring is gone and all are written, or the disk has had enough.
+/// Write records until the other end of the ring is gone and all are written, or the disk has had enough.
 fn write_while_open(
     file: McapFile<impl io::Write>,
     (records, mut notes): (&mut dyn WaitingRecords, rtrb::Consumer<Note>),

@@ -15,7 +15,7 @@ pub(crate) struct WaitingRecorder<R> {
 }
 
 impl<R: Recorded> WaitingRecorder<R> {
-    /// Opens the file and writes its head; the time of the run begins at 0 of its log times.
+    /// Open the file and write its head; the time of the run begins at 0 of its log times.
     pub(crate) fn begin(settings: &RecorderSettings) -> io::Result<Self> {
         let out = file::create(&settings.path)?;
         let mut file = McapFile::begin(out, &R::any(), settings.security, &settings.scene);
@@ -24,7 +24,7 @@ impl<R: Recorded> WaitingRecorder<R> {
         Ok(Self { file, taken: 0, refused: None, diagnosis, records: PhantomData })
     }
 
-    /// Writes a record, and why the two sides are not coupled.
+    /// Write a record, and why the two sides are not coupled.
     pub(crate) fn take(&mut self, record: &R, newest: Option<&Diagnosis>) {
         self.file.write(record);
         self.note(record.time_ns(), newest, false);
@@ -40,7 +40,7 @@ impl<R: Recorded> WaitingRecorder<R> {
         }
     }
 
-    /// Writes the end.
+    /// Write the end.
     pub(crate) fn finish(mut self, time_ns: u64, newest: Option<&Diagnosis>) -> io::Result<()> {
         self.note(time_ns, newest, true);
         let refused = self.refused;

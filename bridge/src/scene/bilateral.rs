@@ -231,7 +231,7 @@ where
     watched.finish(scene, &settings, &master, &slave, &counts).map(Some)
 }
 
-/// Takes the record of a tick of either side; breaks off where the run has ended, or is to stop.
+/// Take the record of a tick of either side; breaks off where the run has ended, or is to stop.
 #[inline(always)] // as what it calls
 fn observe<P, A, R, Q, const N: usize>(
     event: &Event<'_, MasterRecord<N, R>, SlaveRecord<N, Q>>,
@@ -287,7 +287,7 @@ type Prepared<P, A, R, Q, const N: usize> =
 pub(super) type Sides<'m, 's, P, A, R, Q, const N: usize> =
     (&'m Timed<MasterSide<P, N, R>>, &'s Timed<SlaveSide<A, N, Q>>);
 
-/// Leaves out what nobody will read.
+/// Leave out what nobody will read.
 fn leave_out(exchange: &mut Exchange, kept: &Keeping<'_>) {
     if kept.files.is_none() {
         exchange.leave_out_flight();

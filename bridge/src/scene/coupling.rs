@@ -121,7 +121,7 @@ impl<const N: usize, S: Real> Present<N, S> {
         self.commands.get(self.done).is_some_and(|(at_ns, _)| *at_ns <= now_ns)
     }
 
-    /// Takes the commands that are due by `now_ns`; says whether anything was.
+    /// Take the commands that are due by `now_ns`; says whether anything was.
     pub(crate) fn advance(&mut self, now_ns: u64) -> Result<bool, CouplingError> {
         let before = self.done;
         while let Some((_, command)) = self.commands.get(self.done).filter(|(at, _)| *at <= now_ns) {

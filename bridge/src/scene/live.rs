@@ -75,7 +75,7 @@ pub struct LiveParts {
 }
 
 impl LiveParts {
-    /// Opens the outputs: after the socket, so that a run that cannot begin replaces no file.
+    /// Open the outputs: after the socket, so that a run that cannot begin replaces no file.
     fn outputs<R: Recorded>(&self) -> Result<RecordOutputs<R>, LiveError> {
         let newest = self.newest()?;
         let refused = |name: &'static str, path: &Path, error: std::io::Error| LiveError::Output {
@@ -151,7 +151,7 @@ fn started_master<R: MasterTurn, const N: usize>(
     if feels_trigger { started(side.feeling(), parts) } else { started(side, parts) }
 }
 
-/// Starts the simulated side of a scene as JSON on a thread of its own, in the role that its parts name.
+/// Start the simulated side of a scene as JSON on a thread of its own, in the role that its parts name.
 ///
 /// # Errors
 ///
@@ -268,7 +268,7 @@ fn report_fault(side: &mut impl Side, fault: Option<&str>) {
 impl<R: MasterTurn, const N: usize> MasterDriverLoop for PacedLoop<Timed<MasterSide<LiveDevice<N>, N, R>>> {
     fn step(&mut self, input: &MasterInput<'_>) -> Option<MasterOutput> {
         let turned = input.rotation.filter(|_| R::TURNS).map(|rotation| quat_wxyz(&rotation.orientation));
-        PacedLoop::step_on(
+        PacedLoop::step(
             self,
             stamped::<N>(&input.position, turned.as_ref(), input.time_s, input.fault),
             |side| {
@@ -299,7 +299,7 @@ impl<R: MasterTurn, const N: usize> MasterDriverLoop for PacedLoop<Timed<MasterS
 impl<R: SlaveTurn, const N: usize> SlaveDriverLoop for PacedLoop<Timed<SlaveSide<DrivenSlave<N>, N, R>>> {
     fn step(&mut self, input: &SlaveInput<'_>) -> Option<SlaveOutput> {
         let turned = input.rotation.filter(|_| R::TURNS).map(|rotation| quat_wxyz(&rotation.orientation));
-        PacedLoop::step_on(
+        PacedLoop::step(
             self,
             stamped::<N>(&input.position, turned.as_ref(), input.time_s, input.fault),
             |side| {
@@ -351,7 +351,7 @@ fn paced_master<R: MasterTurn, const N: usize>(
     Ok((Box::new(paced), watch, records))
 }
 
-/// Prepares the loop of the master of a scene as JSON, whose device has a driver; `simulated_clutch` as [`driven_master`].
+/// Prepare the loop of the master of a scene as JSON, whose device has a driver; `simulated_clutch` as [`driven_master`].
 ///
 /// # Errors
 ///
@@ -377,7 +377,7 @@ pub fn pace_scene_master(
     )
 }
 
-/// Prepares the loop of the slave of a scene as JSON, whose arm has a driver.
+/// Prepare the loop of the slave of a scene as JSON, whose arm has a driver.
 ///
 /// # Errors
 ///

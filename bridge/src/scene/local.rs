@@ -71,7 +71,7 @@ impl Touches {
     }
 }
 
-/// Refuses tables that need an arm.
+/// Refuse tables that need an arm.
 fn check_local<const N: usize>(scene: &SceneSpec<N>) -> Result<(), SceneError> {
     if scene.link.is_some() {
         return contradiction("link: needs a [slave] at its other end");
@@ -116,7 +116,7 @@ fn local_run<R: Rendering<N>, const N: usize>(
 }
 
 impl<R: Rendering<N>, const N: usize> LocalRun<R, N> {
-    /// Runs the scene to its end; `note` gets each tick, its time in s and the loop.
+    /// Run the scene to its end; `note` gets each tick, its time in s and the loop.
     fn follow(
         mut self,
         scene: &SceneSpec<N>,

@@ -353,7 +353,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
         }
     }
 
-    /// Takes one tick at time t in s: x in m, V in m/s, `F_v`, `F_device` and the hand's force in N, and where a
+    /// Take one tick at time t in s: x in m, V in m/s, `F_v`, `F_device` and the hand's force in N, and where a
     /// controller acts, if one may; returns in which scenarios nothing more will happen, if any may end early.
     #[inline(always)]
     #[allow(clippy::too_many_arguments)] // the signals of a tick

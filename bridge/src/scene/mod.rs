@@ -50,7 +50,7 @@ pub use sweep::{Progress, Refused, SweepError, SweepPart, SweepSettings, Variati
 pub use timed::Timed;
 pub use tool_environment::{ToolEnvironment, tool_environment};
 
-/// Runs a scene as JSON, in the form of [`SceneSpec`], unless `stop` is set meanwhile.
+/// Run a scene as JSON, in the form of [`SceneSpec`], unless `stop` is set meanwhile.
 ///
 /// # Errors
 ///
@@ -91,7 +91,7 @@ fn simulate_keeping(scene: &[u8], stop: &AtomicBool, kept: &Keeping<'_>) -> Resu
     )
 }
 
-/// Runs a scene, unless `stop` is set meanwhile.
+/// Run a scene, unless `stop` is set meanwhile.
 ///
 /// # Errors
 ///

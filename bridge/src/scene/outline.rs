@@ -20,7 +20,7 @@ pub struct SceneOutline {
     pub feels_trigger: bool,
 }
 
-/// Reads the outline of a scene as JSON; the rest of it is not looked at.
+/// Read the outline of a scene as JSON; the rest of it is not looked at.
 ///
 /// # Errors
 ///
@@ -52,7 +52,7 @@ pub fn scene_outline(json: &[u8]) -> Result<SceneOutline, SceneError> {
     })
 }
 
-/// Reads a scene as JSON, of as many axes as [`SceneOutline::axes`] says.
+/// Read a scene as JSON, of as many axes as [`SceneOutline::axes`] says.
 ///
 /// Through a tree of values, as the rows of a sweep: the reader of each table is then compiled once.
 ///

@@ -48,12 +48,12 @@ pub(crate) enum Sample<'a, const N: usize> {
 }
 
 impl Recorder {
-    /// Records every `every`-th of `max_ticks` ticks; nothing for 0.
+    /// Record every `every`-th of `max_ticks` ticks; nothing for 0.
     pub(crate) fn new(every: u64, max_ticks: u64) -> Self {
         Self { every, max_ticks, ticks: 0, signals: Vec::new() }
     }
 
-    /// Counts a tick that is not recorded; returns whether there was none, so that a [`take`](Self::take) must follow.
+    /// Count a tick that is not recorded; return whether there was none, so that a [`take`](Self::take) must follow.
     #[inline]
     pub(crate) fn begin_tick(&mut self) -> bool {
         if self.every == 0 {
@@ -64,7 +64,7 @@ impl Recorder {
         is_recorded
     }
 
-    /// Takes a tick: the same signals in the same order each time.
+    /// Take a tick: the same signals in the same order each time.
     #[inline]
     pub(crate) fn take<'a, const N: usize>(
         &mut self,
@@ -90,7 +90,7 @@ impl Recorder {
         self.ticks += 1;
     }
 
-    /// Takes further signals of the tick that was taken last, the same in the same order each time.
+    /// Take further signals of the tick that was taken last, the same in the same order each time.
     pub(crate) fn also(&mut self, add: impl FnOnce(&mut dyn FnMut(&'static str, &[f64]))) {
         if self.every == 0 || !(self.ticks - 1).is_multiple_of(self.every) {
             return;

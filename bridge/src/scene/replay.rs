@@ -132,7 +132,7 @@ impl<const N: usize> Replay<N> {
         ReplayedTick { safety, rotation, displacement, displacement_rate }
     }
 
-    /// Moves device and hand by the force of the last tick that was not there when it was recorded.
+    /// Move device and hand by the force of the last tick that was not there when it was recorded.
     ///
     /// The trapezoidal rule, which is stable whatever the stiffness:
     /// `M (v' - v) = dt (F - B (v + v')/2 - K (x + x')/2)`, `x' = x + dt (v + v')/2`.

@@ -94,7 +94,7 @@ pub struct SweepPart<'a> {
     pub variations: &'a [Variation],
 }
 
-/// Runs every scenario of one scene, as [`sweep_parts`].
+/// Run every scenario of one scene, as [`sweep_parts`].
 ///
 /// # Errors
 ///
@@ -111,7 +111,7 @@ pub fn sweep(
     Ok(parts.pop().unwrap_or_default())
 }
 
-/// Runs every scenario of each part.
+/// Run every scenario of each part.
 ///
 /// Which scenarios share a thread, lanes or the beginning of a run changes nothing, to the last bit: no operation mixes
 /// lanes, and runs share a beginning only as long as they are the same. With a controller of the caller's own none
@@ -166,7 +166,7 @@ pub fn sweep_parts(
     whole.collect::<Option<_>>().ok_or(SweepError::Stopped)
 }
 
-/// Sets the numbers of one row, and reads again the tables that they are in.
+/// Set the numbers of one row, and read again the tables that they are in.
 fn set_row<const N: usize>(
     spec: &mut SceneSpec<N>,
     scene: &mut Value,
@@ -219,7 +219,7 @@ fn spec_of<const N: usize>(plan: &Plan<'_>, metrics: Metrics) -> Result<(SceneSp
     Ok((SceneSpec { metrics, ..spec }, plan.base.clone()))
 }
 
-/// Runs groups of rows that may begin alike, or share link and ladders.
+/// Run groups of rows that may begin alike, or share link and ladders.
 fn run_groups<const N: usize>(
     plans: &[Plan<'_>],
     groups: &[Vec<Place>],

@@ -17,13 +17,13 @@ pub trait ToolEnvironment: DynClone + Send + Sync {
     /// Whether the tool touches something, as of the last force.
     fn touches(&self) -> bool;
 
-    /// Starts the pushers at a time in s; infinity keeps them at rest.
+    /// Start the pushers at a time in s; infinity keeps them at rest.
     fn push_from(&mut self, time_s: f64);
 
     /// The force in N on a tool at a position in m with a velocity in m/s.
     fn force(&mut self, time_s: f64, position: &[f64; 3], velocity: &[f64; 3]) -> [f64; 3];
 
-    /// Moves what is free in it on by a step in s.
+    /// Move what is free in it on by a step in s.
     fn advance(&mut self, time_s: f64, step_s: f64, position: &[f64; 3], velocity: &[f64; 3]);
 }
 

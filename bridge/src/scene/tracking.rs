@@ -37,7 +37,7 @@ impl<const N: usize, S: Real> Tracking<N, S> {
         }
     }
 
-    /// Runs side by side, before their first tick; None unless they measure the same under the same commands.
+    /// Run side by side, before their first tick; None unless they measure the same under the same commands.
     pub(super) fn gather(of: &[&Tracking<N>]) -> Option<Self> {
         let metrics = of.first()?.metrics;
         let begins = |one: &&Tracking<N>| one.metrics == metrics && one.near_position.is_none();
@@ -53,7 +53,7 @@ impl<const N: usize, S: Real> Tracking<N, S> {
         self.anchor = None;
     }
 
-    /// Takes a tick of the master: x and `F_device`, and whether both sides are coupled.
+    /// Take a tick of the master: x and `F_device`, and whether both sides are coupled.
     #[inline(always)] // once a tick, from few places
     pub(super) fn near(&mut self, is_coupled: bool, position: &Axes<N, S>, device_force: &Axes<N, S>) {
         if is_coupled && self.metrics.has(Metric::ForceError) {
@@ -64,7 +64,7 @@ impl<const N: usize, S: Real> Tracking<N, S> {
         self.near_position = Some(*position);
     }
 
-    /// Takes a tick of the slave: x and `F_e`, and whether both sides are coupled.
+    /// Take a tick of the slave: x and `F_e`, and whether both sides are coupled.
     #[inline(always)] // as of the master
     pub(super) fn far(&mut self, is_coupled: bool, position: &Axes<N, S>, environment_force: &Axes<N, S>) {
         self.far_force = *environment_force;

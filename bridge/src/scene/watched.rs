@@ -120,7 +120,7 @@ impl<const N: usize> Watched<N> {
         })
     }
 
-    /// Takes the record of a tick of either side; breaks off where the run has diverged or settled.
+    /// Take the record of a tick of either side; breaks off where the run has diverged or settled.
     #[inline(always)] // once a tick, from few places
     pub(super) fn take<P, A, R, Q>(
         &mut self,
@@ -140,7 +140,7 @@ impl<const N: usize> Watched<N> {
         }
     }
 
-    /// Takes what the operator has changed by then.
+    /// Take what the operator has changed by then.
     #[inline(always)] // most ticks have none due
     fn change(&mut self, now_ns: u64) {
         match self.changed(now_ns) {
@@ -249,7 +249,7 @@ impl<const N: usize> Watched<N> {
         flow
     }
 
-    /// Takes the record of a tick of the master without its signals; breaks off as [`take`](Self::take).
+    /// Take the record of a tick of the master without its signals; breaks off as [`take`](Self::take).
     #[inline(always)] // as take
     pub(super) fn measure_near<R: MasterTurn>(&mut self, record: &MasterRecord<N, R>) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 / 1e9;
@@ -334,7 +334,7 @@ impl<const N: usize> Watched<N> {
         ControlFlow::Continue(())
     }
 
-    /// Takes the record of a tick of the slave without its signals; breaks off where the run has diverged.
+    /// Take the record of a tick of the slave without its signals; breaks off where the run has diverged.
     #[inline(always)] // as take
     pub(super) fn measure_far<Q: SlaveTurn>(&mut self, record: &SlaveRecord<N, Q>) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 / 1e9;

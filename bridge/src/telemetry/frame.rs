@@ -98,7 +98,7 @@ impl Range {
         *self = Self { min: self.min.min(value), max: self.max.max(value), last: value };
     }
 
-    /// Writes minimum, maximum and last value. Non-finite ones become null: all three without a number.
+    /// Write minimum, maximum and last value. Non-finite ones become null: all three without a number.
     fn write(&self, out: &mut Vec<u8>) {
         let _ = serde_json::to_writer(out, &[self.min, self.max, self.last]);
     }
@@ -226,14 +226,14 @@ impl Frame {
         self.ticks += 1;
     }
 
-    /// Passes the changes since the last call, one line each.
+    /// Pass the changes since the last call, one line each.
     pub(super) fn events(&mut self, take: impl FnOnce(&[u8])) {
         take(&self.events);
         self.events.clear();
         self.count = 0;
     }
 
-    /// Takes the sample of the frame and its number of ticks; `None` without a tick.
+    /// Take the sample of the frame and its number of ticks; `None` without a tick.
     pub(super) fn sample(&mut self, counts: &Counts) -> Option<(&[u8], u64)> {
         if self.ticks == 0 {
             return None;

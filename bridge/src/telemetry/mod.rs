@@ -61,7 +61,7 @@ const FAILED: u8 = 2;
 /// Time after the start in ns, and reason why the sides are not coupled; `None` ends it.
 type Note = (u64, Option<Diagnosis>);
 
-/// Counts of the loop, as the thread reads them: each exact, but not all of one tick.
+/// Counts of the loop. Each is exact, but they may be from different ticks.
 #[derive(Debug, Default)]
 struct Counts {
     /// Records dropped because the ring was full.
@@ -111,7 +111,7 @@ impl<R: Recorded> Telemetry<R> {
 
 type Sender = (rtrb::Producer<Note>, Arc<Counts>, Arc<AtomicU8>, mpsc::Receiver<()>);
 
-/// Starts the sending thread; compiled once for all record types.
+/// Start the sending thread; compiled once for all record types.
 fn spawn_sender(readers: Readers, frame: Frame, mut waiting: Box<dyn WaitingRecords>) -> io::Result<Sender> {
     let (notes, noted) = ring(NOTES);
     let counts = Arc::<Counts>::default();
@@ -126,7 +126,7 @@ fn spawn_sender(readers: Readers, frame: Frame, mut waiting: Box<dyn WaitingReco
 }
 
 impl<R> Telemetry<R> {
-    /// Passes a record on, or counts it as dropped if the thread is behind.
+    /// Pass a record on, or count it as dropped if the thread is behind.
     #[inline]
     pub(crate) fn take(&mut self, record: R) {
         if self.records.push(record).is_err() {
@@ -134,7 +134,7 @@ impl<R> Telemetry<R> {
         }
     }
 
-    /// Updates the counts of the link.
+    /// Update the counts of the link.
     #[inline]
     pub(crate) fn count_link(&self, link: &LinkStatistics) {
         self.counts.count_link(link);
@@ -145,7 +145,7 @@ impl<R> Telemetry<R> {
         let _ = self.notes.push((time_ns, diagnosis.copied()));
     }
 
-    /// Ends telemetry in good order; a drop without it sends no end line.
+    /// End telemetry in good order; a drop without it sends no end line.
     pub(crate) fn end(self) {
         self.state.store(ENDED, Ordering::Release);
     }
@@ -164,7 +164,7 @@ fn await_sender(state: &AtomicU8, sent: &mpsc::Receiver<()>) {
     let _ = sent.recv_timeout(PATIENCE);
 }
 
-/// Sends a frame every 1/60 s until the loop is over and all is sent.
+/// Send a frame every 1/60 s until the loop is over and all is sent.
 fn send_while_running(
     mut frame: Frame,
     mut readers: Readers,

@@ -32,7 +32,7 @@ struct Reader {
 }
 
 impl Reader {
-    /// Reports lost ticks, if any.
+    /// Report lost ticks, if any.
     fn count_lost(&mut self) {
         if self.lost > 0 {
             let lost = format!("{{\"kind\":\"lost\",\"ticks\":{}}}\n", std::mem::take(&mut self.lost));
@@ -40,7 +40,7 @@ impl Reader {
         }
     }
 
-    /// Sends as much backlog as possible. Returns whether the reader is there.
+    /// Send as much backlog as possible. Returns whether the reader is there.
     fn flush(&mut self) -> bool {
         let mut seen = [PollFd::new(&self.stream, PollFlags::empty())];
         let is_gone = poll(&mut seen, Some(&Timespec::default())).is_ok_and(|count| count > 0);
@@ -80,7 +80,7 @@ impl Readers {
         Ok(Self { socket, hello, cause: Vec::new(), connected: Vec::new() })
     }
 
-    /// Accepts waiting readers, a limited number per frame.
+    /// Accept waiting readers, a limited number per frame.
     pub(super) fn accept(&mut self) {
         for _ in 0..MAX_READERS {
             let Ok(Some(stream)) = self.socket.accept() else { return };
@@ -99,20 +99,20 @@ impl Readers {
         }
     }
 
-    /// Sends all readers the reason why the sides are not coupled.
+    /// Send all readers the reason why the sides are not coupled.
     pub(super) fn cause(&mut self, cause: Vec<u8>) {
         self.events(&cause);
         self.cause = cause;
     }
 
-    /// Sends all readers the end of the cause, if one was sent.
+    /// Send all readers the end of the cause, if one was sent.
     pub(super) fn cleared(&mut self, cleared: &[u8]) {
         if !std::mem::take(&mut self.cause).is_empty() {
             self.events(cleared);
         }
     }
 
-    /// Sends lines to all, closing readers more than a megabyte behind.
+    /// Send lines to all, closing readers more than a megabyte behind.
     pub(super) fn events(&mut self, lines: &[u8]) {
         self.connected.retain_mut(|reader| {
             reader.backlog.extend_from_slice(lines);
@@ -120,7 +120,7 @@ impl Readers {
         });
     }
 
-    /// Sends a sample of `ticks` ticks; a reader with a large backlog loses it.
+    /// Send a sample of `ticks` ticks; a reader with a large backlog loses it.
     pub(super) fn sample(&mut self, sample: &[u8], ticks: u64) {
         for reader in &mut self.connected {
             if reader.backlog.len() + sample.len() > MAX_BACKLOG {
@@ -132,12 +132,12 @@ impl Readers {
         }
     }
 
-    /// Sends as much backlog as possible to all.
+    /// Send as much backlog as possible to all.
     pub(super) fn flush(&mut self) {
         self.connected.retain_mut(Reader::flush);
     }
 
-    /// Removes the socket file, sends the last line, and waits up to `patience` for slow readers.
+    /// Remove the socket file, send the last line, and wait up to `patience` for slow readers.
     pub(super) fn end(mut self, last: &[u8], patience: Duration) {
         self.socket.remove();
         self.connected.iter_mut().for_each(Reader::count_lost);

@@ -20,7 +20,7 @@ use crate::{FaultText, LadderState, Reason, record::MasterRecord, wire::Role};
 
 type Record = MasterRecord<2>;
 
-/// Creates an empty folder for the test `name`.
+/// Create an empty folder for the test `name`.
 fn folder(name: &str) -> PathBuf {
     let path = std::env::temp_dir().join(format!("haptether-telemetry-{}-{name}", std::process::id()));
     let _ = std::fs::remove_dir_all(&path);
@@ -208,7 +208,7 @@ fn read_to_end(mut stream: &UnixStream) -> Vec<Json> {
     lines(&bytes)
 }
 
-/// Reads one line; a connected reader gets its first within a frame.
+/// Read one line; a connected reader gets its first within a frame.
 fn hello_of(stream: &UnixStream) -> Json {
     stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
     let mut line = String::new();

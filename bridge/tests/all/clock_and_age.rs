@@ -108,7 +108,7 @@ struct Truth {
 }
 
 impl Truth {
-    /// Checks what the side `own` knows.
+    /// Check what the side `own` knows.
     fn check(&mut self, own: usize, known: &Known) {
         let (now_ns, peer) = (known.time.now_ns, 1 - own);
         self.sent_ns[own].push(now_ns);

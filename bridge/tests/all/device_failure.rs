@@ -169,7 +169,7 @@ fn a_loop_keeps_a_failure<S: Seen>(side: S, role: Role) {
                 side.exchange_mut().device_failed(None);
             }
         };
-        let state = paced.step(before, |side| side.exchange().state());
+        let state = paced.step(None, before, |side| side.exchange().state());
         paced.wait();
         state
     };
@@ -200,7 +200,7 @@ fn only_a_start_of_the_last_seconds_is_a_press() {
     ] {
         let (mut paced, watch, _) = started(master(), Role::Master, Some(started_ns));
         paced.begin().unwrap();
-        paced.step(|_| {}, |_| {});
+        paced.step(None, |_| {}, |_| {});
         let void = (1, Some(Ineffective::OldStart));
         assert_eq!(
             watch.handle().ineffective_presses(),
@@ -216,7 +216,7 @@ fn only_a_start_of_the_last_seconds_is_a_press() {
 fn a_start_of_long_ago_is_not_void_where_a_button_can_press() {
     let (mut paced, watch, _) = started(master(), Role::Master, Some(0));
     paced.begin().unwrap();
-    paced.step(|side| side.plant.clutch = Some(true), |_| {});
+    paced.step(None, |side| side.plant.clutch = Some(true), |_| {});
     assert_eq!(watch.handle().ineffective_presses(), (1, Some(Ineffective::OldStart)));
     assert!(!watch.handle().is_start_void());
 }
@@ -228,7 +228,7 @@ fn a_press_beside_a_button_is_said_to_do_nothing_from_the_first_tick_on() {
         let (mut paced, watch, _) = started(master(), Role::Master, Some(now_ns()));
         paced.begin().unwrap();
         watch.handle().press_clutch();
-        paced.step(|side| side.plant.clutch = button, |_| {});
+        paced.step(None, |side| side.plant.clutch = button, |_| {});
         assert_eq!(watch.handle().ineffective_presses(), ineffective, "{button:?}");
     }
 }

@@ -31,7 +31,7 @@ impl Loop {
         }
     }
 
-    /// Takes what has arrived, and returns what it sends with the time at which it leaves.
+    /// Take what has arrived, and return what it sends with the time at which it leaves.
     fn step(&mut self, knows: bool) -> (u64, Vec<u8>) {
         let (now_ns, woken_ns) = (self.deadline_ns, self.woken_ns);
         let time = LinkTime { tick_ns: now_ns, by_ns: if knows { woken_ns } else { now_ns } };

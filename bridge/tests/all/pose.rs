@@ -304,7 +304,7 @@ fn what_a_bound_holds_does_not_go_on_turning() {
     }
 }
 
-/// Bounds hang on where the arm stood: at its first sample that can be, not at one that is none.
+/// Bound hang on where the arm stood: at its first sample that can be, not at one that is none.
 #[test]
 fn a_first_sample_that_is_none_leaves_the_bounds_in_force() {
     let bounds = RotationBounds { speed: 2.5, turn: 0.2 };

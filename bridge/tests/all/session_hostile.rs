@@ -12,7 +12,7 @@ use haptether_bridge::{
     wire::Role,
 };
 
-/// Gives `datagram` to the end of `role` and says why it was not taken; whatever else the end knows stays.
+/// Give `datagram` to the end of `role` and say why it was not taken; whatever else the end knows stays.
 fn refusal(pair: &mut Pair, role: Role, datagram: &[u8]) -> Option<Rejection> {
     let (before, now_ns) = (state(pair.end(role)), pair.now_ns);
     let refused = pair.end(role).receive(now_ns, &mut datagram.to_vec(), &mut Numbers(5)).err();

@@ -114,7 +114,7 @@ pub struct Bus {
 }
 
 impl Bus {
-    /// Opens a port at a rate in bit/s. An answer may take `timeout_ns` longer than its bytes take on the
+    /// Open a port at a rate in bit/s. An answer may take `timeout_ns` longer than its bytes take on the
     /// wire.
     pub fn open(path: &Path, baud: u32, timeout_ns: u64) -> Result<Self, BusError> {
         Ok(Self {
@@ -135,25 +135,25 @@ impl Bus {
         })
     }
 
-    /// Sets the stops for which calls end early.
+    /// Set the stops for which calls end early.
     pub(super) fn end_for(&mut self, stops: Arc<Stops>) {
         self.stops = stops;
     }
 
-    /// Reads model number and firmware version of a servo.
+    /// Read model number and firmware version of a servo.
     pub fn ping(&mut self, id: u8) -> Result<(u16, u8), BusError> {
         let mut answer = [0; 3];
         self.ask(&Instruction::Ping { id }, id, &mut answer)?;
         Ok((u16::from_le_bytes([answer[0], answer[1]]), answer[2]))
     }
 
-    /// Reads bytes from an address on; returns true if the servo has a hardware error.
+    /// Read bytes from an address on; return true if the servo has a hardware error.
     pub fn read(&mut self, id: u8, address: u16, bytes: &mut [u8]) -> Result<bool, BusError> {
         let length = u16::try_from(bytes.len()).map_err(|_| RequestError::TooLong { seen: bytes.len() })?;
         self.ask(&Instruction::Read { id, address, length }, id, bytes)
     }
 
-    /// Writes bytes from an address on; returns true if the servo has a hardware error. [`BROADCAST`] is not
+    /// Write bytes from an address on; return true if the servo has a hardware error. [`BROADCAST`] is not
     /// answered.
     pub fn write(&mut self, id: u8, address: u16, data: &[u8]) -> Result<bool, BusError> {
         self.ask(&Instruction::Write { id, address, data }, id, &mut [])
@@ -164,7 +164,7 @@ impl Bus {
         self.ask(&Instruction::Reboot { id }, id, &mut [])
     }
 
-    /// Reads several servos; [`SyncRead::replies`] then has the values of all, or none.
+    /// Read several servos; [`SyncRead::replies`] then has the values of all, or none.
     pub fn sync_read(&mut self, read: &mut SyncRead) -> Result<(), BusError> {
         // Discards previous values, even if this call fails.
         read.begin();
@@ -194,7 +194,7 @@ impl Bus {
         }
     }
 
-    /// Writes the same addresses of several servos; none answers. First waits until a failed answer is over:
+    /// Write the same addresses of several servos; none answers. First waits until a failed answer is over:
     /// as long as its bytes take, at most the timeout.
     pub fn sync_write(&mut self, address: u16, length: u16, ids: &[u8], data: &[u8]) -> Result<(), BusError> {
         self.packet.encode(&Instruction::SyncWrite { address, length, ids, data })?;
@@ -223,7 +223,7 @@ impl Bus {
         self.port.send(self.packet.bytes(), deadline_ns)
     }
 
-    /// Sends one instruction and receives the answer of one servo.
+    /// Send one instruction and receives the answer of one servo.
     fn ask(&mut self, instruction: &Instruction<'_>, id: u8, answer: &mut [u8]) -> Result<bool, BusError> {
         self.packet.encode(instruction)?;
         if id == BROADCAST {

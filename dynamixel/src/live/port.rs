@@ -44,7 +44,7 @@ pub(super) struct SerialPort {
 }
 
 impl SerialPort {
-    /// Opens it at a rate in bit/s; [`Errno::WOULDBLOCK`] if another process of ours has it.
+    /// Open it at a rate in bit/s; [`Errno::WOULDBLOCK`] if another process of ours has it.
     ///
     /// The peer that has bound a socket decides on exclusive access and on the rate.
     pub(super) fn open(path: &Path, baud: u32) -> Result<Self, Errno> {
@@ -66,7 +66,7 @@ impl SerialPort {
         Ok(Self { descriptor, is_socket: false })
     }
 
-    /// Discards received bytes; returns true if none remain. A socket is read up to the buffer size of a
+    /// Discard received bytes; return true if none remain. A socket is read up to the buffer size of a
     /// terminal.
     pub(super) fn discard(&self) -> Result<bool, Errno> {
         if !self.is_socket {
@@ -84,7 +84,7 @@ impl SerialPort {
         Ok(false)
     }
 
-    /// Sends all bytes before a deadline; [`Errno::TIMEDOUT`] otherwise.
+    /// Send all bytes before a deadline; [`Errno::TIMEDOUT`] otherwise.
     pub(super) fn send(&self, mut bytes: &[u8], deadline_ns: u64) -> Result<(), Errno> {
         while !bytes.is_empty() {
             match write(&self.descriptor, bytes) {

@@ -23,7 +23,7 @@ pub(super) struct Stops {
 }
 
 impl Stops {
-    /// Tests if a call must end for a waiting stop.
+    /// Test if a call must end for a waiting stop.
     pub(super) fn cut(&self, now_ns: u64) -> bool {
         self.waiting.load(Ordering::Acquire) > 0
             && now_ns >= self.since_ns.load(Ordering::Relaxed).saturating_add(GRACE_NS)
@@ -65,13 +65,13 @@ impl SharedBus {
         Self { calls: Mutex::new(()), next: Mutex::new(()), bus: Mutex::new(Some(bus)), stops }
     }
 
-    /// Runs calls on the bus, after calls of other threads and all stops.
+    /// Run calls on the bus, after calls of other threads and all stops.
     pub fn call<T>(&self, run: impl FnOnce(&mut Bus) -> Result<T, BusError>) -> Result<T, BusError> {
         let _call = locked(&self.calls);
         run(self.bus().as_mut().ok_or(BusError::Closed)?)
     }
 
-    /// Runs [`Bus::stop`] from any thread: waits a few ms for another call, or for another stop.
+    /// Run [`Bus::stop`] from any thread: waits a few ms for another call, or for another stop.
     pub fn stop(&self, address: u16, length: u16, ids: &[u8], data: &[u8]) -> Result<(), BusError> {
         self.stops.begin();
         let mut bus = self.bus();
@@ -79,7 +79,7 @@ impl SharedBus {
         bus.as_mut().ok_or(BusError::Closed)?.stop(address, length, ids, data)
     }
 
-    /// Closes the port; later calls return [`BusError::Closed`].
+    /// Close the port; later calls return [`BusError::Closed`].
     pub fn close(&self) {
         let _call = locked(&self.calls);
         self.bus().take();
@@ -91,7 +91,7 @@ impl SharedBus {
     }
 }
 
-/// Ignores poisoning: a stop must be sent even after a panic of another thread.
+/// Ignore poisoning: a stop must be sent even after a panic of another thread.
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

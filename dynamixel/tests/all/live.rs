@@ -130,7 +130,7 @@ fn serve(listener: &UnixListener, peer: Peer, over: &AtomicBool, full: &AtomicBo
     }
 }
 
-/// Runs a call that must end in time.
+/// Run a call that must end in time.
 fn ended<T>(call: impl FnOnce() -> T) -> T {
     let begin = Instant::now();
     let result = call();
@@ -157,7 +157,7 @@ fn flooded_line_fails_before_a_request_is_sent() {
     assert!(is_given_up);
 }
 
-/// Tests if a call on a line that floods after a request reports noise. On a busy machine the flood may have
+/// Test if a call on a line that floods after a request reports noise. On a busy machine the flood may have
 /// a gap, in which the call times out: retry.
 fn reports_noise(name: &str, call: impl Fn(&mut Bus) -> Option<BusError>) -> bool {
     (0..20).any(|_| {
@@ -203,7 +203,7 @@ fn discarding_received_bytes_ends_during_a_flood() {
     assert_eq!(line.heard(), asked);
 }
 
-/// Writes 0 to Torque Enable of two servos.
+/// Write 0 to Torque Enable of two servos.
 fn stop(bus: &SharedBus) -> Result<(), BusError> {
     bus.stop(64, 1, &[1, 2], &[0, 0])
 }

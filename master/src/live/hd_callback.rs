@@ -152,7 +152,7 @@ impl HdCallback {
         self
     }
 
-    /// Sets the force in N, in the vendor's frame, until the next write or the watchdog time. Only one thread
+    /// Set the force in N, in the vendor's frame, until the next write or the watchdog time. Only one thread
     /// may write.
     pub fn write(&self, force: [f64; 3]) {
         let [x, y, z] = force.map(f64::to_bits);
@@ -178,12 +178,12 @@ impl HdCallback {
         }
     }
 
-    /// Clears the first error, so that the next one is recorded.
+    /// Clear the first error, so that the next one is recorded.
     pub fn acknowledge(&self) {
         self.error.store(0, Release);
     }
 
-    /// Ends the callback with a last frame of zero force; returns true if that happens within `limit`.
+    /// End the callback with a last frame of zero force; return true if that happens within `limit`.
     pub fn end(&self, limit: Duration) -> bool {
         self.ending.store(true, Release);
         let begun = Instant::now();

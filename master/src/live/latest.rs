@@ -24,7 +24,7 @@ impl<const N: usize> Latest<N> {
         Self { version: AtomicU64::new(0), words: std::array::from_fn(|_| AtomicU64::new(0)) }
     }
 
-    /// Replaces the words. Only one thread may write.
+    /// Replace the words. Only one thread may write.
     pub(super) fn write(&self, words: &[u64; N]) {
         let version = self.version.load(Relaxed);
         self.version.store(version + 1, Relaxed);

@@ -49,7 +49,7 @@ impl RotationParameters {
         }
     }
 
-    /// Returns an error if a parameter is invalid.
+    /// Return an error if a parameter is invalid.
     pub fn check(&self) -> Result<(), ModelError> {
         for inertia in &self.inertia_kg_m2 {
             require("inertia_kg_m2", *inertia, *inertia > 0.0, "finite and above 0")?;
@@ -195,12 +195,12 @@ impl SimulatedRotation {
         Ok(Self { rate, ..self })
     }
 
-    /// Sets whether the hand waits at the start of its path; its time runs while it does not wait.
+    /// Set whether the hand waits at the start of its path; its time runs while it does not wait.
     pub fn set_waiting(&mut self, waits: bool) {
         self.waits = waits;
     }
 
-    /// Places the handle at R with w in rad/s in the base frame.
+    /// Place the handle at R with w in rad/s in the base frame.
     pub fn place(&mut self, quat_wxyz: [f64; 4], angular_velocity: &Axes<3>) -> Result<(), ModelError> {
         let orientation = hand::unit("orientation", quat_wxyz)?;
         for w in angular_velocity {
@@ -212,7 +212,7 @@ impl SimulatedRotation {
         Ok(())
     }
 
-    /// Sets the clock to `now_ns` without advancing the state.
+    /// Set the clock to `now_ns` without advancing the state.
     pub fn begin(&mut self, now_ns: u64) {
         self.now_ns = now_ns;
     }
@@ -239,7 +239,7 @@ impl SimulatedRotation {
         }
     }
 
-    /// Holds this torque in N m, in the base frame, within the motors' bound; a non-finite torque becomes
+    /// Hold this torque in N m, in the base frame, within the motors' bound; a non-finite torque becomes
     /// zero.
     pub fn write(&mut self, torque: &Axes<3>) {
         let commanded = if torque.iter().all(|t| t.is_finite()) { *torque } else { Axes::zeros() };

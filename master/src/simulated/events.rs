@@ -76,7 +76,7 @@ impl<const N: usize> SimulatedMaster<N> {
         }
     }
 
-    /// Follows one stretch for `wanted` s or until the next event, but at least `least` s. Returns its
+    /// Follow one stretch for `wanted` s or until the next event, but at least `least` s. Returns its
     /// length, and whether the reach of its series ended it.
     fn stretch(&mut self, wanted: f64, least: f64, clock: f64) -> (f64, bool) {
         let mut target = self.hand.target_series(self.time);
@@ -387,7 +387,7 @@ impl<const N: usize> SimulatedMaster<N> {
         first
     }
 
-    /// Sets the exact state after an event.
+    /// Set the exact state after an event.
     fn settle(&mut self, kind: EventKind, clock: f64) {
         match kind {
             EventKind::SetsOff => {}

@@ -86,13 +86,13 @@ struct Absence {
 }
 
 impl Absence {
-    /// Starts an absence, twice as long as the last unless the lane was used since.
+    /// Start an absence, twice as long as the last unless the lane was used since.
     fn begin(&mut self, was_used: bool) {
         self.whole = if was_used { 1 } else { (2 * self.whole).clamp(1, MAX_ABSENCE) };
         self.left = self.whole;
     }
 
-    /// Counts one tick; returns true once the absence is over.
+    /// Count one tick; return true once the absence is over.
     fn step(&mut self) -> bool {
         self.left = self.left.saturating_sub(1);
         self.left == 0
@@ -133,7 +133,7 @@ impl<const N: usize, S: Real> MasterLanes<N, S> {
         Some(lanes)
     }
 
-    /// Sets whether the hands wait at the start of their path; their time runs while they do not wait.
+    /// Set whether the hands wait at the start of their path; their time runs while they do not wait.
     #[inline(always)] // once per tick
     pub fn set_waiting(&mut self, waits: bool) {
         if self.masters.first().is_some_and(|master| master.waits != waits) {
@@ -142,7 +142,7 @@ impl<const N: usize, S: Real> MasterLanes<N, S> {
         }
     }
 
-    /// Advances the lanes in the mask `lanes` to `now_ns` (monotonic) and returns their measurements.
+    /// Advance the lanes in the mask `lanes` to `now_ns` (monotonic) and return their measurements.
     #[inline(always)] // once per tick, from one place
     pub fn read(&mut self, lanes: u64, now_ns: u64) -> MasterLanesSample<N, S> {
         let mut alone = lanes;
@@ -170,7 +170,7 @@ impl<const N: usize, S: Real> MasterLanes<N, S> {
         }
     }
 
-    /// Copies the visible state of a master into its lane.
+    /// Copy the visible state of a master into its lane.
     fn look(&mut self, lane: usize) {
         let master = &self.masters[lane];
         set(&mut self.motion.position, lane, &master.position);
@@ -178,7 +178,7 @@ impl<const N: usize, S: Real> MasterLanes<N, S> {
         set(&mut self.hand_force, lane, &master.hand_force());
     }
 
-    /// Holds this force in N for the lanes in the mask `lanes`, as [`SimulatedMaster::write`].
+    /// Hold this force in N for the lanes in the mask `lanes`, as [`SimulatedMaster::write`].
     #[inline(always)] // once per tick
     pub fn write(&mut self, lanes: u64, force: &Axes<N, S>) {
         let mut alone = lanes;
@@ -295,7 +295,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
         })
     }
 
-    /// Loads a master if its map matches the regime.
+    /// Load a master if its map matches the regime.
     fn load(&mut self, lane: usize, master: &SimulatedMaster<N>) {
         let (gain, has_let_go, duration) = self.regime;
         let impedance = [master.hand.stiffness(), master.hand.damping()];
@@ -315,7 +315,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
         self.loaded |= 1 << lane;
     }
 
-    /// Writes the state and time of a lane back to its master.
+    /// Write the state and time of a lane back to its master.
     fn give_back(&mut self, lane: usize, master: &mut SimulatedMaster<N>) {
         self.loaded &= !(1 << lane);
         (master.time, master.hand_ns, master.now_ns, master.last_ns) =
@@ -332,7 +332,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
         master.held_force = of_lane(&self.held_force, lane);
     }
 
-    /// Holds the force, as [`SimulatedMaster::write`].
+    /// Hold the force, as [`SimulatedMaster::write`].
     #[inline(always)] // once per tick
     fn write(&mut self, force: &Axes<N, S>) {
         let zero = S::zero();
@@ -345,7 +345,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
         self.held_force = exerted(&commanded, max_force_n, force_quantum_n, is_exact);
     }
 
-    /// Advances the lanes in `lanes` that can be advanced as lanes; returns their mask.
+    /// Advance the lanes in `lanes` that can be advanced as lanes; return their mask.
     #[inline(always)] // inlined into its caller
     fn read(&mut self, lanes: u64, now_ns: u64, masters: &mut [SimulatedMaster<N>]) -> u64 {
         let past_ns = now_ns.saturating_sub(self.now_ns);

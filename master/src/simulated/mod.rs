@@ -117,12 +117,12 @@ impl<const N: usize> SimulatedMaster<N> {
         Ok(Self { walls, ..self })
     }
 
-    /// Sets whether the hand waits at the start of its path; its time runs while it does not wait.
+    /// Set whether the hand waits at the start of its path; its time runs while it does not wait.
     pub fn set_waiting(&mut self, waits: bool) {
         self.waits = waits;
     }
 
-    /// Places the device at x in m with V in m/s.
+    /// Place the device at x in m with V in m/s.
     pub fn place(&mut self, position: Axes<N>, velocity: Axes<N>) -> Result<(), ModelError> {
         for (x, v) in position.iter().zip(&velocity) {
             require("position", *x, true, "finite")?;
@@ -133,7 +133,7 @@ impl<const N: usize> SimulatedMaster<N> {
         Ok(())
     }
 
-    /// Sets the clock to `now_ns` without advancing the state.
+    /// Set the clock to `now_ns` without advancing the state.
     pub fn begin(&mut self, now_ns: u64) {
         self.now_ns = now_ns;
     }
@@ -173,7 +173,7 @@ impl<const N: usize> SimulatedMaster<N> {
         }
     }
 
-    /// Holds this force in N within the motors' bound; a non-finite force becomes zero.
+    /// Hold this force in N within the motors' bound; a non-finite force becomes zero.
     pub fn write(&mut self, force: &Axes<N>) {
         let commanded = if force.iter().all(|f| f.is_finite()) { *force } else { Axes::zeros() };
         let quantum = self.device.force_quantum_n;
@@ -224,14 +224,14 @@ fn across<const N: usize>(direction: &Axes<N>, along: &Axes<N>) -> f64 {
     (along - direction * direction.dot(along)).norm()
 }
 
-/// Adds a small step per axis, with compensated rounding.
+/// Add a small step per axis, with compensated rounding.
 fn add<const N: usize>(sum: &mut Axes<N>, lost: &mut Axes<N>, step: &Axes<N>) {
     for axis in 0..N {
         add_one(&mut sum[axis], &mut lost[axis], step[axis]);
     }
 }
 
-/// Adds a small step with compensated rounding.
+/// Add a small step with compensated rounding.
 ///
 /// Source: Kahan 1965; the exact error of a sum, Knuth 1969, section 4.2.2.
 #[inline(always)] // a few operations, several times per tick

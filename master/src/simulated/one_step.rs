@@ -5,7 +5,7 @@ use super::{STOPPED, SimulatedMaster, across, add, bend::MAX_CHANGE};
 use crate::{Axes, axes::norm, propagator::Propagator};
 
 impl<const N: usize> SimulatedMaster<N> {
-    /// Advances a tick of `duration` in one step if bounds exclude an event and all laws are linear, except
+    /// Advance a tick of `duration` in one step if bounds exclude an event and all laws are linear, except
     /// for the direction of friction. Otherwise changes nothing and returns false. An unnecessary refusal
     /// costs time, never accuracy.
     #[inline]

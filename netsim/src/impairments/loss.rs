@@ -82,7 +82,7 @@ pub(crate) fn build(
     Ok(Some(Box::new(Bernoulli::new(loss, streams.of(Impairment::Loss)))))
 }
 
-/// Rejects two loss models; the error names the first two.
+/// Reject two loss models; the error names the first two.
 fn refuse_two_models(settings: &LinkSettings) -> Result<(), LinkSettingsError> {
     let models = [
         ("gilbert_elliott", settings.gilbert_elliott.is_some()),
@@ -139,7 +139,7 @@ struct Gilbert {
 }
 
 impl Gilbert {
-    /// Returns `None` if nothing or everything is lost, where bursts have no meaning.
+    /// Return `None` if nothing or everything is lost, where bursts have no meaning.
     fn new(loss: f64, mean_burst: f64, streams: &Streams) -> Result<Option<Self>, LinkSettingsError> {
         within("mean_burst", mean_burst, 1.0, MAX_BURST)?;
         if loss == 0.0 || loss == 1.0 {
@@ -181,7 +181,7 @@ struct GilbertInTime {
 }
 
 impl GilbertInTime {
-    /// Returns `None` if nothing or everything is lost, where bursts have no meaning.
+    /// Return `None` if nothing or everything is lost, where bursts have no meaning.
     fn new(loss: f64, mean_burst_s: f64, streams: &Streams) -> Result<Option<Self>, LinkSettingsError> {
         within("mean_burst_s", mean_burst_s, MIN_GAP_S, MAX_MEAN_S)?;
         if loss == 0.0 || loss == 1.0 {
@@ -318,7 +318,7 @@ struct Law<const N: usize> {
 }
 
 impl<const N: usize> Law<N> {
-    /// Requires probabilities that sum to 1 up to rounding.
+    /// Require probabilities that sum to 1 up to rounding.
     fn new(probabilities: [f64; N]) -> Self {
         let mut sum = 0.0;
         Self {

@@ -281,7 +281,7 @@ impl LinkSettings {
             .fold(0.0, f64::max)
     }
 
-    /// Tests if a packet can still be under way when the next one is sent.
+    /// Test if a packet can still be under way when the next one is sent.
     fn delays(&self) -> bool {
         self.delay_s > 0.0
             || self.jitter_s > 0.0

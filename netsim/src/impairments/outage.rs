@@ -72,7 +72,7 @@ pub enum OutageEffect {
     Hold,
 }
 
-/// Builds the dropping outages, which precede the bottleneck: dropped packets take no place there.
+/// Build the dropping outages, which precede the bottleneck: dropped packets take no place there.
 pub(crate) fn build_dropping(
     settings: &LinkSettings,
     streams: &Streams,
@@ -81,7 +81,7 @@ pub(crate) fn build_dropping(
     Ok((!schedules.is_empty()).then(|| Box::new(Dropping(schedules)) as Box<dyn Rule>))
 }
 
-/// Builds the holding outages, which follow the delay: the delay elapses while a packet is held.
+/// Build the holding outages, which follow the delay: the delay elapses while a packet is held.
 pub(crate) fn build_holding(
     settings: &LinkSettings,
     streams: &Streams,

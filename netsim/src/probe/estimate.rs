@@ -43,7 +43,7 @@ const WINDOWS: usize = 20;
 const MIN_WINDOW_S: f64 = 0.5;
 
 impl Offset {
-    /// Requires probes in sending order.
+    /// Require probes in sending order.
     pub(super) fn estimate(trips: &[RoundTrip]) -> Self {
         let (Some(first), Some(last)) = (trips.first(), trips.last()) else {
             return Self::default();

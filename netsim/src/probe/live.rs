@@ -89,7 +89,7 @@ struct Sent {
 /// Interval of requests to each address of a name.
 const ASK_EVERY: Duration = Duration::from_millis(100);
 
-/// Finds the address of a name at which an echo answers; a single address is returned unasked.
+/// Find the address of a name at which an echo answers; a single address is returned unasked.
 ///
 /// # Errors
 ///
@@ -119,7 +119,7 @@ pub fn answering(peers: &[SocketAddr], stop: &AtomicBool) -> Result<SocketAddr, 
     Err(ProbeError::NoneAnswers { peers: peers.to_vec() })
 }
 
-/// Measures a network for the duration or until `stop` is set, on the calling thread.
+/// Measure a network for the duration or until `stop` is set, on the calling thread.
 pub fn record(settings: &RecordSettings, stop: &AtomicBool) -> Result<Recording, ProbeError> {
     let RecordSettings { peer, rate_hz, duration_s, realtime } = *settings;
     let within = |key, seen: f64, least: f64, most: f64| {
@@ -332,7 +332,7 @@ struct Session {
 }
 
 impl Echo {
-    /// Binds an echo to an address; port 0 lets the system choose.
+    /// Bind an echo to an address; port 0 lets the system choose.
     pub fn bind(address: SocketAddr) -> io::Result<Self> {
         let socket = ReplySocket::bind(address)?;
         socket.socket().set_read_timeout(Some(PATIENCE))?;
@@ -394,7 +394,7 @@ impl Echo {
     }
 }
 
-/// Tests if the call may be retried: a timeout, or a network report about an earlier datagram, which anybody
+/// Test if the call may be retried: a timeout, or a network report about an earlier datagram, which anybody
 /// can cause. Only an invalid call, or lack of memory, is permanent.
 fn is_passing(kind: io::ErrorKind) -> bool {
     !matches!(kind, io::ErrorKind::InvalidInput | io::ErrorKind::OutOfMemory)

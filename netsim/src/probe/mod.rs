@@ -46,7 +46,7 @@ pub struct Recording {
 const HEADER: &str = "time_s,forward_delay_s,backward_delay_s";
 
 impl Recording {
-    /// Writes CSV with `#` comments on the measurement; an empty cell is a loss.
+    /// Write CSV with `#` comments on the measurement; an empty cell is a loss.
     pub fn write_csv(&self, out: &mut impl Write) -> io::Result<()> {
         let Self { probes, lost_forward, lost_backward, shortest_s, offset_s, drift, latest_s } = self;
         let sent = probes.len();

@@ -68,7 +68,7 @@ impl Request {
         words([MAGIC, PROBE, self.token, self.sequence, self.sent_ns, 0, 0, 0, 0])
     }
 
-    /// Returns `None` for other datagrams.
+    /// Return `None` for other datagrams.
     pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
         match read(bytes)? {
             [MAGIC, PROBE, token, sequence, sent_ns, 0, 0, 0, 0] => Some(Self { token, sequence, sent_ns }),
@@ -84,7 +84,7 @@ impl Answer {
         words([MAGIC, ANSWER, token, sequence, sent_ns, received_ns, answered_ns, newest, before])
     }
 
-    /// Returns `None` for other datagrams.
+    /// Return `None` for other datagrams.
     pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
         match read(bytes)? {
             [MAGIC, ANSWER, token, sequence, sent_ns, received_ns, answered_ns, newest, before] => {

@@ -91,7 +91,7 @@ impl Sender {
         Self { headers: reply::Outgoing::with_capacity(MAX_SENT) }
     }
 
-    /// Sends all, from the address `asked` if given; bit n of the result is set if datagram n was accepted.
+    /// Send all, from the address `asked` if given; bit n of the result is set if datagram n was accepted.
     pub(super) fn send(
         &mut self,
         socket: BorrowedFd<'_>,
@@ -164,7 +164,7 @@ impl<T> BufferPool<T> {
         }
     }
 
-    /// Copies a datagram of at most [`MAX_DATAGRAM`] bytes into a free cell; `None` if there is none.
+    /// Copy a datagram of at most [`MAX_DATAGRAM`] bytes into a free cell; `None` if there is none.
     /// `change` may edit the copy, and returns the length to keep.
     pub(super) fn store(
         &mut self,
@@ -190,7 +190,7 @@ impl<T> BufferPool<T> {
         self.about[slot.cell].as_ref()
     }
 
-    /// Frees the cell. A slot is consumed, so none is freed twice.
+    /// Free the cell. A slot is consumed, so none is freed twice.
     pub(super) fn release(&mut self, Slot { cell, .. }: Slot) {
         self.free.push(cell);
     }

@@ -30,7 +30,7 @@ pub(super) struct Record {
 }
 
 impl Record {
-    /// Writes a line; absent values are empty cells.
+    /// Write a line; absent values are empty cells.
     pub(super) fn write(&self, out: &mut impl Write) -> io::Result<()> {
         let Self { direction, index, kind, in_ns, due_ns, out_ns, cause, size } = self;
         write!(out, "{direction},{index},{kind},{in_ns},")?;
@@ -105,7 +105,7 @@ fn write_while_open(out: impl Write, mut records: rtrb::Consumer<Record>) -> io:
     out.flush()
 }
 
-/// Passes records to `write` until the producer is gone and the ring is empty; calls `rest` when it is empty.
+/// Pass records to `write` until the producer is gone and the ring is empty; calls `rest` when it is empty.
 pub(super) fn take_while_open<R>(
     records: &mut impl Waiting<R>,
     mut write: impl FnMut(R) -> io::Result<()>,

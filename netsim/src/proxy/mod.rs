@@ -87,7 +87,7 @@ struct Batches {
 }
 
 impl Proxy {
-    /// Opens the sockets, and reserves all memory the proxy will use.
+    /// Open the sockets, and reserve all memory the proxy will use.
     pub fn bind(settings: &ProxySettings) -> Result<Self, ProxyError> {
         let pipeline = |direction, link: &LinkSettings| {
             DirectionPipeline::new(direction, settings.seed, link)
@@ -194,7 +194,7 @@ impl Proxy {
         dues.into_iter().flatten().min()
     }
 
-    /// Sends what is due now. Datagrams that become due meanwhile wait for the next round, so that receiving
+    /// Send what is due now. Datagrams that become due meanwhile wait for the next round, so that receiving
     /// does not starve.
     fn release_due(&mut self, sender: &mut Sender) {
         let Self { ports, forward, backward, record, log, clock, .. } = self;

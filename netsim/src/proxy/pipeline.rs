@@ -85,7 +85,7 @@ impl DirectionPipeline {
         self.change.take_up(&mut self.link);
     }
 
-    /// Judges a datagram that arrived at `now_ns`, and keeps it and its extras until they are due.
+    /// Judge a datagram that arrived at `now_ns`, and keep it and its extras until they are due.
     pub(super) fn accept(
         &mut self,
         now_ns: u64,
@@ -149,7 +149,7 @@ impl DirectionPipeline {
         metrics.of(direction).overtaking.store(overtaking, Relaxed);
     }
 
-    /// Sends what is due by `now_ns`, with one call per run of datagrams for the same socket.
+    /// Send what is due by `now_ns`, with one call per run of datagrams for the same socket.
     pub(super) fn release(
         &mut self,
         now_ns: u64,
@@ -272,7 +272,7 @@ pub struct ProxyControl {
 }
 
 impl ProxyControl {
-    /// Applies new settings to later datagrams; those in flight keep their verdicts.
+    /// Apply new settings to later datagrams; those in flight keep their verdicts.
     ///
     /// Settings are checked and built on the caller's thread. The proxy adopts them when it next wakes,
     /// within 20 ms. A pending change is replaced.

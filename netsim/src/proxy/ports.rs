@@ -261,7 +261,7 @@ fn granted(socket: &UdpSocket) -> (u64, u64) {
     (receive as u64, send as u64)
 }
 
-/// Tests if the proxy would be its own peer.
+/// Test if the proxy would be its own peer.
 fn is_own(listen: SocketAddr, peer: SocketAddr) -> bool {
     // One address may be given as IPv4 and as IPv6.
     let (here, there) = (listen.ip().to_canonical(), peer.ip().to_canonical());
@@ -323,7 +323,7 @@ impl Flows {
         Some(FlowId { place, generation: flow.generation })
     }
 
-    /// Tests if another client can be admitted; if needed, closes the flow that has been silent longest.
+    /// Test if another client can be admitted; if needed, closes the flow that has been silent longest.
     pub(super) fn make_room(&mut self, now_ns: u64) -> bool {
         self.expire(now_ns);
         if self.len() < MAX_FLOWS {

@@ -34,7 +34,7 @@ impl fmt::Display for Scheduling {
     }
 }
 
-/// Makes timers of this thread exact, and requests real-time scheduling if `realtime` is set.
+/// Make timers of this thread exact, and requests real-time scheduling if `realtime` is set.
 pub(crate) fn prepare_thread(realtime: bool) -> Scheduling {
     // By default a normal thread wakes up to 50 us late, batched with others. A refusal costs accuracy, which
     // is measured anyway.
@@ -42,7 +42,7 @@ pub(crate) fn prepare_thread(realtime: bool) -> Scheduling {
     if realtime && schedule_fifo(PRIORITY).is_ok() { Scheduling::Fifo } else { Scheduling::Normal }
 }
 
-/// Sets `SCHED_FIFO` with `priority`, 1 to 99, for this thread; returns the priority that the kernel then
+/// Set `SCHED_FIFO` with `priority`, 1 to 99, for this thread; return the priority that the kernel then
 /// reports.
 pub fn schedule_fifo(priority: u8) -> io::Result<u8> {
     let fifo = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);

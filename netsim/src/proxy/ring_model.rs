@@ -134,7 +134,7 @@ fn push_all(mut records: Producer, lost: &AtomicU64) {
     }
 }
 
-/// Runs a loop concurrently with `write`, which returns the records it received.
+/// Run a loop concurrently with `write`, which returns the records it received.
 fn each_is_written_or_counted(without: Without, write: fn(Consumer) -> Vec<u64>) {
     loom::model(move || {
         let (producer, consumer) = Ring::ends(without);

@@ -74,7 +74,7 @@ impl Source {
 impl std::str::FromStr for Source {
     type Err = String;
 
-    /// Parses an address with an optional port and an optional zone.
+    /// Parse an address with an optional port and an optional zone.
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let socket = text.strip_prefix('[').and_then(|rest| rest.rsplit_once("]:"));
         let socket = socket.or_else(|| text.rsplit_once(':').filter(|(ip, _)| !ip.contains(':')));

@@ -91,7 +91,7 @@ fn a_sequence_that_is_ahead_wraps() {
     assert_eq!(beside, [(10_000_000, ExtraCause::SequenceLead, expected)]);
 }
 
-/// Sets the u64 at byte 8 to 5. Tests beside `Alteration` compare the checksum with its definition.
+/// Set the u64 at byte 8 to 5. Tests beside `Alteration` compare the checksum with its definition.
 fn to_five(inject: bool) -> Action {
     let edits = vec![Edit::U64 { offset: 8, operation: Operation::Set, value: 5 }];
     Action::Alter { edits, checksum: Some(Checksum::Crc32), inject }

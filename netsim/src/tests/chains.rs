@@ -60,7 +60,7 @@ impl<const N: usize> LossChain<N> {
         (sum.max(0.0) * packets as f64).sqrt()
     }
 
-    /// Checks the number of losses against the chain, within 3 sigma of the correlated process. `closed_form`
+    /// Check the number of losses against the chain, within 3 sigma of the correlated process. `closed_form`
     /// is the same rate by a formula.
     pub(super) fn check_rate(&self, lost: &[bool], closed_form: f64) {
         let rate = self.rate();

@@ -82,7 +82,7 @@ fn receive_number(socket: &UdpSocket) -> u64 {
     u64::from_be_bytes(number)
 }
 
-/// Sends `count` numbered datagrams, one per `period`; returns the sorted round-trip times.
+/// Send `count` numbered datagrams, one per `period`; return the sorted round-trip times.
 fn round_trips(proxy: SocketAddr, count: usize, period: Duration) -> Vec<Duration> {
     let client = socket();
     client.connect(proxy).unwrap();

@@ -111,7 +111,7 @@ fn log_of<'a>(log: &'a str, direction: &str) -> HashMap<(u64, &'a str), Vec<&'a 
     own.map(|cells| ((cells[1].parse().unwrap(), cells[2]), cells[3..].to_vec())).collect()
 }
 
-/// Judges the packets again, checks the log, and returns the expected arrivals in order.
+/// Judge the packets again, check the log, and return the expected arrivals in order.
 fn expected(
     direction: Direction,
     seed: u64,

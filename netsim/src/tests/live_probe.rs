@@ -9,7 +9,7 @@ use crate::{
     Recording, record,
 };
 
-/// Sends 500 probes through a proxy with these links.
+/// Send 500 probes through a proxy with these links.
 fn measure(
     forward_link: LinkSettings,
     backward_link: LinkSettings,

@@ -14,7 +14,7 @@ __all__ = ["main"]
 
 
 def main(arguments: "Sequence[str] | None" = None) -> int:
-    """Runs one command and returns its exit status."""
+    """Run one command and return its exit status."""
     if arguments is None:
         # A process of its own: in somebody else's, signals and streams are theirs.
         INTERRUPTS.begin()

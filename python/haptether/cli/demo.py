@@ -74,7 +74,7 @@ class Demo(PictureOptions):
     """Also write the table as JSON; - for standard output."""
 
     def run(self) -> int:
-        """Runs all controllers; 0 if protection held, 1 if not, 130 on Ctrl-C."""
+        """Run all controllers; 0 if protection held, 1 if not, 130 on Ctrl-C."""
         import msgspec
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -152,7 +152,7 @@ class Demo(PictureOptions):
         return bool(self._out.suffix) and not self._out.is_dir()
 
     def _make_folder(self) -> None:
-        """Makes the folder of the ticks.
+        """Make the folder of the ticks.
 
         Raises:
             FileExistsError: One of the user's, with something in it, without `--force`.

@@ -141,7 +141,7 @@ NEVER_WAITS = frozenset(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs one command and returns its exit status."""
+    """Run one command and return its exit status."""
     arguments = sys.argv[1:] if arguments is None else arguments
     _print_all_characters()
     # What a command writes is its user's alone: recordings say what a hand did.
@@ -279,7 +279,7 @@ def _delivered(command: Command, output: QueuedOutput, status: int) -> int:
 
 
 def _let_go_of_output() -> None:
-    """Keeps Python from waiting at its exit for somebody who reads what is still held back."""
+    """Keep Python from waiting at its exit for somebody who reads what is still held back."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
             if not select.select([], [stream], [], 0.0)[1]:
@@ -344,7 +344,7 @@ def _parsed(commands: CommandTable, prog: str, group: "type[object] | None", arg
 
 
 def refuse_repeated(command: type[Any], arguments: Sequence[str]) -> None:
-    """Refuses an option that is given twice: of most the parser takes the last and says nothing.
+    """Refuse an option that is given twice: of most the parser takes the last and says nothing.
 
     Raises:
         ValueError: With both.
@@ -390,7 +390,7 @@ def with_help(arguments: Sequence[str]) -> Sequence[str]:
 
 
 def check_command(arguments: Sequence[str], commands: Mapping[str, type[Any]]) -> None:
-    """Refuses a command that there is not.
+    """Refuse a command that there is not.
 
     Raises:
         ValueError: With the nearest.
@@ -403,7 +403,7 @@ def check_command(arguments: Sequence[str], commands: Mapping[str, type[Any]]) -
 
 
 def complete(arguments: Sequence[str]) -> int:
-    """Prints the script by which a shell completes commands and flags.
+    """Print the script by which a shell completes commands and flags.
 
     Raises:
         ValueError: Another shell.
@@ -519,7 +519,7 @@ def folded(text: str) -> str:
 
 
 def complain(error: Exception, status: int, *, debug: bool = False, remedy: str = "") -> int:
-    """Says what is wrong in one line, whatever it repeats; before it the traceback, if requested."""
+    """Say what is wrong in one line, whatever it repeats; before it the traceback, if requested."""
     if debug:
         lines = "".join(traceback.format_exception(error)).splitlines()
         print("\n".join(printable(line) for line in lines), file=sys.stderr)

@@ -83,7 +83,7 @@ def has_lost_output() -> bool:
 
 
 def open_standard_streams() -> None:
-    """Opens what is closed of standard input, output and error: the next file or socket would take its place.
+    """Open what is closed of standard input, output and error: the next file or socket would take its place.
 
     What is written to an output or error that was closed is lost; of output it is known, see `has_lost_output`.
     """

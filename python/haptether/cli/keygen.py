@@ -27,7 +27,7 @@ class Keygen:
     """Replace a file that is there; the key in it is lost."""
 
     def run(self) -> int:
-        """Writes the file."""
+        """Write the file."""
         from haptether.bridge import write_key
 
         if self.path.is_dir():

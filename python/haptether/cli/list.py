@@ -28,7 +28,7 @@ class List(FileOptions):
     """Write the same as JSON; - for standard output."""
 
     def run(self) -> int:
-        """Prints the names of each kind."""
+        """Print the names of each kind."""
         from rich.padding import Padding
 
         from haptether.bridge import (

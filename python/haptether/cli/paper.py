@@ -44,7 +44,7 @@ class Paper(PictureOptions):
     """Resolution of the device in m; 0 measures position and velocity exactly, a PHANTOM Desktop has 2.3e-5."""
 
     def run(self) -> int:
-        """Runs the experiments (about a second) and prints them."""
+        """Run the experiments (about a second) and print them."""
         from haptether.cli.shared.output import check_target, make_folder, require_matplotlib, write_json
         from haptether.cli.shared.picture import check_picture_options
         from haptether.cli.shared.progress import counted

@@ -37,7 +37,7 @@ class Raven(FileOptions):
     """Also write all rows as JSON; - for standard output."""
 
     def run(self) -> int:
-        """Runs every attack (a second or two) and prints what it did; 0, or 1 if that is not what is expected."""
+        """Run every attack (a second or two) and print what it did; 0, or 1 if that is not what is expected."""
         from haptether.cli.shared.output import check_target, write_json
         from haptether.cli.shared.progress import counted
         from haptether.cli.shared.screen import screen

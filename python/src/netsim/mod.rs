@@ -30,14 +30,14 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     probe::register(module)
 }
 
-/// Resolves a text `HOST:PORT` to all its addresses.
+/// Resolve a text `HOST:PORT` to all its addresses.
 pub(crate) fn addresses(key: &str, text: &str) -> PyResult<Vec<SocketAddr>> {
     haptether_netsim::addresses(text).map_err(|why| {
         PyValueError::new_err(format!("{key} = {text:?}: {why}; must be HOST:PORT, such as 127.0.0.1:9100"))
     })
 }
 
-/// Resolves a text `HOST:PORT` to all addresses of a peer; one machine answers at each.
+/// Resolve a text `HOST:PORT` to all addresses of a peer; one machine answers at each.
 pub(crate) fn peer_addresses(key: &str, text: &str) -> PyResult<Vec<SocketAddr>> {
     let mut found = addresses(key, text)?;
     let unsuited = found.iter().find_map(|&address| unsuited_peer(address).map(|why| (address, why)));
@@ -50,7 +50,7 @@ pub(crate) fn peer_addresses(key: &str, text: &str) -> PyResult<Vec<SocketAddr>>
     }
 }
 
-/// Returns the result of `open` for the first address at which it succeeds, or its error at the last.
+/// Return the result of `open` for the first address at which it succeeds, or its error at the last.
 pub(crate) fn first_of<T>(
     addresses: &[SocketAddr],
     mut open: impl FnMut(SocketAddr) -> PyResult<T>,
@@ -65,7 +65,7 @@ pub(crate) fn first_of<T>(
     opened
 }
 
-/// Reads the JSON settings of a link; the rules check the numbers.
+/// Read the JSON settings of a link; the rules check the numbers.
 pub(crate) fn link_settings(json: &str) -> PyResult<LinkSettings> {
     serde_json::from_str(json).map_err(|error| PyValueError::new_err(format!("link: {error}")))
 }
@@ -150,7 +150,7 @@ fn code<T: PartialEq>(of: &T, all: &[T]) -> u8 {
     all.iter().position(|one| one == of).unwrap_or(0) as u8
 }
 
-/// Returns an aligned array, copied if necessary.
+/// Return an aligned array, copied if necessary.
 fn aligned(array: PyReadonlyArray1<'_, i64>) -> PyResult<PyReadonlyArray1<'_, i64>> {
     if is_aligned(&array)? { Ok(array) } else { Ok(array.call_method0("copy")?.extract()?) }
 }

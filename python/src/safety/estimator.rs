@@ -163,7 +163,7 @@ impl PyEstimator {
     }
 }
 
-/// Requires finite, bounded values: an estimator has memory, and an invalid value would persist.
+/// Require finite, bounded values: an estimator has memory, and an invalid value would persist.
 fn checked<const N: usize>(signal: Signal, value: Axes<N>) -> PyResult<Axes<N>> {
     signal.check(&value).map_err(refuse)?;
     Ok(value)

@@ -98,14 +98,6 @@ impl<const N: usize, S: Real> Track<N, S> {
         of.iter().all(|one| one.bounds == bounds && one.path.anchor.is_none()).then(|| Self::of(bounds))
     }
 
-    /// Return the mask of samples on the path, `ticks` after its last sample and within `share` of dV.
-    ///
-    /// A late tick widens nothing but the rounding: a wrong sample after it is as wrong as at any other tick.
-    #[inline(always)]
-    pub(super) fn contains(&self, position: &Axes<N, S>, ticks: S, share: S) -> S::SimdBool {
-        self.path.contains(&self.bounds, position, ticks, share)
-    }
-
     /// Accept a sample, `ticks` after the last one; `samples` are those seen since, which repeat the last one, and this
     /// one.
     ///
@@ -146,14 +138,16 @@ impl<const N: usize, S: Real> Track<N, S> {
     /// In the other lanes the path is no longer usable.
     #[inline(always)]
     pub fn step(&mut self, position: &Axes<N, S>, ticks: S) -> S::SimdBool {
-        let on_path = self.contains(position, ticks, S::one());
+        let on_path = self.path.contains(&self.bounds, position, ticks, S::one());
         self.accept(position, ticks, S::one());
         on_path
     }
 }
 
 impl<const N: usize, S: Real> Path<N, S> {
-    /// Return the mask of samples on the path, as [`Track::contains`].
+    /// Return the mask of samples on the path, `ticks` after its last sample and within `share` of dV.
+    ///
+    /// A late tick widens nothing but the rounding: a wrong sample after it is as wrong as at any other tick.
     #[inline(always)]
     pub(super) fn contains(
         &self,

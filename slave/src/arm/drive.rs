@@ -125,7 +125,7 @@ impl<const N: usize> ArmDrive<N> {
         unsteady.fold(f64::INFINITY, |first, set_point| first.min(set_point.phase))
     }
 
-    /// Moves the set position on by `step` in s, no further than the present [unsteady phases](Self::unsteady_phase) last.
+    /// Move the set position on by `step` in s, no further than the present [unsteady phases](Self::unsteady_phase) last.
     pub(crate) fn advance(&mut self, step: f64) {
         if let Some(target) = self.command.position {
             let limits = self.model.limits();

@@ -79,7 +79,7 @@ impl<const N: usize> ForceSensor<N> {
         self.held
     }
 
-    /// Takes sample `index` and holds it.
+    /// Take sample `index` and hold it.
     pub(crate) fn take(&mut self, force: &Axes<N>, index: u64) -> Axes<N> {
         let measured = self.sample(force, index);
         self.held = Some((index, measured));

@@ -126,13 +126,13 @@ impl<const N: usize> Environment<N> {
         Some(self.objects.get(index)?.body()?.velocity)
     }
 
-    /// Steps so far that were too stiff to be followed to full accuracy and were taken by a stable method of
+    /// Step so far that were too stiff to be followed to full accuracy and were taken by a stable method of
     /// order 1.
     pub fn coarse_steps(&self) -> u64 {
         self.solver.coarse_steps
     }
 
-    /// Makes sure that all objects that could be touched here are among the near ones.
+    /// Make sure that all objects that could be touched here are among the near ones.
     pub(crate) fn keep_near(&mut self, position: &Axes<N>, velocity: &Axes<N>, time_s: f64) {
         if !self.reach.covers(position, time_s, 0.0) {
             self.look(position, velocity, time_s);

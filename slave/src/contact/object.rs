@@ -117,7 +117,7 @@ enum Kind<const N: usize> {
 }
 
 impl<const N: usize> Shape<N> {
-    /// Fills the side of a plane that `normal` points away from; `point` in m lies on it, `normal` need not have unit
+    /// Fill the side of a plane that `normal` points away from; `point` in m lies on it, `normal` need not have unit
     /// length.
     pub fn plane(point: Axes<N>, normal: Axes<N>) -> Result<Self, ModelError> {
         require_axes("plane point", &point, |_| true, "finite")?;

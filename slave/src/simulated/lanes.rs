@@ -115,7 +115,7 @@ impl<const N: usize, S: Real> SlaveLanes<N, S> {
         fits.then(|| Self { fast: Fast::gather(&slaves).map(Box::new), slaves, sample, has_started: false })
     }
 
-    /// Starts the time of the pushers of all, once.
+    /// Start the time of the pushers of all, once.
     #[inline(always)] // nearly always it has
     pub fn start(&mut self, now_ns: u64) {
         if !self.has_started {
@@ -153,7 +153,7 @@ impl<const N: usize, S: Real> SlaveLanes<N, S> {
         rests
     }
 
-    /// Advances those with a bit in `lanes` to `now_ns` (monotonic); returns what these measure there.
+    /// Advance those with a bit in `lanes` to `now_ns` (monotonic); return what these measure there.
     #[inline(always)] // once a tick, from one place
     pub fn read(&mut self, lanes: u64, now_ns: u64) -> &SlaveLanesSample<N, S> {
         let mut alone = lanes;
@@ -166,7 +166,7 @@ impl<const N: usize, S: Real> SlaveLanes<N, S> {
         &self.sample
     }
 
-    /// Reads each of these slaves by itself.
+    /// Read each of these slaves by itself.
     #[inline(never)] // seldom, and long
     fn read_alone(&mut self, lanes: u64, now_ns: u64) {
         for lane in lanes_of(lanes, self.slaves.len()) {
@@ -357,7 +357,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
         self.loaded |= 1 << lane;
     }
 
-    /// Gives a slave the state of its lane, if that has it.
+    /// Give a slave the state of its lane, if that has it.
     fn give_back(&mut self, lane: usize, slave: &mut SimulatedSlave<N>) {
         let Plant::Continuous(plant) = &mut slave.plant else { return };
         if self.loaded >> lane & 1 == 0 {
@@ -371,7 +371,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
         plant.drive.resume(command, stops.extract(lane) > 0.0, &of_lane(set_position, lane));
     }
 
-    /// Advances those with a bit in `lanes` that may be in their lanes; returns which these are.
+    /// Advance those with a bit in `lanes` that may be in their lanes; return which these are.
     #[inline(always)] // as its caller
     fn read(
         &mut self,

@@ -24,7 +24,7 @@ pub(crate) enum Drive<'a, const N: usize> {
 }
 
 impl<const N: usize> Environment<N> {
-    /// Moves the free bodies over a step in s that begins at `time_s`, while the tool moves from a position at a
+    /// Move the free bodies over a step in s that begins at `time_s`, while the tool moves from a position at a
     /// constant velocity.
     pub fn advance(&mut self, time_s: f64, step_s: f64, position: &Axes<N>, velocity: &Axes<N>) {
         if self.bodies > 0 && step_s > 0.0 {
@@ -33,7 +33,7 @@ impl<const N: usize> Environment<N> {
         }
     }
 
-    /// Advances tool and bodies by `span` in s from `from` in s on.
+    /// Advance tool and bodies by `span` in s from `from` in s on.
     pub(crate) fn solve(&mut self, drive: &mut Drive<'_, N>, tool: &mut Tool<N>, from: f64, span: f64) {
         // Time since `from`: late in a run, seconds since the start could not distinguish two short steps.
         let mut done = 0.0;

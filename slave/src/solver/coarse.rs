@@ -9,7 +9,7 @@ use crate::{
 };
 
 impl<const N: usize> Environment<N> {
-    /// Advances `state` by `step` in s to the time `now`, on the smooth piece that holds at `piece`.
+    /// Advance `state` by `step` in s to the time `now`, on the smooth piece that holds at `piece`.
     ///
     /// `(M + h B + h² K) dV = h F - h² K V`, with the slopes K, B >= 0 of all forces at the beginning. The matrix is
     /// symmetric and positive definite, so a passive environment only loses energy, at any step. Bodies follow the

@@ -259,7 +259,7 @@ impl<const N: usize> LinearArm<N> {
         stays_clear
     }
 
-    /// Advances the tool by `span` in s from `from` in s on.
+    /// Advance the tool by `span` in s from `from` in s on.
     pub(crate) fn advance(
         &mut self,
         drive: &mut ArmDrive<N>,
@@ -312,7 +312,7 @@ impl<const N: usize> LinearArm<N> {
     }
 }
 
-/// Adds an object to the axes on which it acts; false if it is not linear.
+/// Add an object to the axes on which it acts; false if it is not linear.
 fn sort<const N: usize>(lines: &mut [Line; N], object: &Object<N>) -> bool {
     let Some((stiffness, damping)) = object.contact().kelvin_voigt() else { return false };
     if !object.is_fixed() {
@@ -359,7 +359,7 @@ impl Line {
         (state, before && after)
     }
 
-    /// Adds a bound on how far a course goes in t in s on which no contact changes, with an `impulse` as for
+    /// Add a bound on how far a course goes in t in s on which no contact changes, with an `impulse` as for
     /// [`stays`](Self::stays).
     #[inline(always)]
     fn add_swing(&mut self, course: &Course, c: f64, t: f64, impulse: f64) {
@@ -395,7 +395,7 @@ impl Line {
         Some((course, map))
     }
 
-    /// Advances (x, V) by `step` in s under an arm of M, K, B and an input per kg that is quadratic in time; returns
+    /// Advance (x, V) by `step` in s under an arm of M, K, B and an input per kg that is quadratic in time; return
     /// whether every contact was located.
     #[inline(always)] // has one caller
     fn advance(&mut self, arm: [f64; 3], input: [f64; 3], state: [f64; 2], step: f64) -> ([f64; 2], bool) {

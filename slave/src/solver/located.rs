@@ -91,7 +91,7 @@ impl<const N: usize> Environment<N> {
         (state[0] - displacement, state[1] - velocity)
     }
 
-    /// Takes note on which piece of its law each near object is, and which body friction holds; returns whether a body
+    /// Take note on which piece of its law each near object is, and which body friction holds; return whether a body
     /// has come to rest just now.
     pub(crate) fn settle(&mut self, solver: &mut Solver<N>, piece: Piece, now: f64) -> bool {
         let mut came_to_rest = false;

@@ -347,7 +347,7 @@ impl<const N: usize> Pull<N> {
 }
 
 impl<const N: usize> Environment<N> {
-    /// Moves the tool over a piece without kinks, planned at its beginning, as far as its motion is such a series;
+    /// Move the tool over a piece without kinks, planned at its beginning, as far as its motion is such a series;
     /// returns until when.
     pub(crate) fn slide(&mut self, arm: &ArmDrive<N>, tool: &mut Tool<N>, piece: Piece, end: f64) -> f64 {
         let mut done = piece.planned;
@@ -368,7 +368,7 @@ impl<const N: usize> Environment<N> {
         done
     }
 
-    /// Moves the tool up to the next event, over `left` in s at most; returns how long that took.
+    /// Move the tool up to the next event, over `left` in s at most; return how long that took.
     fn slide_once(
         &mut self,
         arm: &ArmDrive<N>,

@@ -219,13 +219,13 @@ impl SimulatedTool {
         })
     }
 
-    /// Sets the clock to `now_ns` without advancing: all rests until then.
+    /// Set the clock to `now_ns` without advancing: all rests until then.
     pub fn begin(&mut self, now_ns: u64) {
         (self.begun_ns, self.now_ns) = (now_ns, now_ns);
         self.set.at_s = 0.0;
     }
 
-    /// Starts the time of pushers and torques, once. Without jaws the tool holds the nearest handle in reach from here on.
+    /// Start the time of pushers and torques, once. Without jaws the tool holds the nearest handle in reach from here on.
     pub fn start(&mut self, now_ns: u64) {
         if self.started_ns.is_some() {
             return;

@@ -30,7 +30,7 @@ pub(super) struct Load {
 }
 
 impl Load {
-    /// Adds a force that acts `lever` from the centre of mass.
+    /// Add a force that acts `lever` from the centre of mass.
     pub(super) fn add(&mut self, force: &Axes<3>, lever: &Axes<3>) {
         self.force += force;
         self.torque += lever.cross(force);

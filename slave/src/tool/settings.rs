@@ -149,7 +149,7 @@ pub(super) fn non_negative(name: &'static str, value: f64) -> Result<f64, ModelE
 }
 
 impl ToolSettings {
-    /// Refuses what no tool can have.
+    /// Refuse what no tool can have.
     pub(super) fn check(&self) -> Result<(), ModelError> {
         require_axes("tool inertia_kg_m2", &self.inertia_kg_m2, |one| one > 0.0, "finite and above 0")?;
         non_negative("tool rotational_stiffness", self.rotational_stiffness)?;

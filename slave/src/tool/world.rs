@@ -233,7 +233,7 @@ impl World {
         load
     }
 
-    /// Lets what the jaws cannot keep slip, and go where it has slipped out of them.
+    /// Let what the jaws cannot keep slip, and go where it has slipped out of them.
     pub(super) fn slip(&mut self, motion: &Motion) {
         let (Some(grip), Some(held)) = (self.grip, self.held) else { return };
         let tool = self.tool_frame(motion);

@@ -99,7 +99,7 @@ impl UrBranches {
         self.count += 1;
     }
 
-    /// Drops the others.
+    /// Drop the others.
     pub(crate) fn keep(&mut self, wanted: impl Fn(&[f64; 6]) -> bool) {
         let mut kept = 0;
         for index in 0..self.count {
@@ -111,7 +111,7 @@ impl UrBranches {
         self.count = kept;
     }
 
-    /// Keeps the reason that comes nearest to having been none.
+    /// Keep the reason that comes nearest to having been none.
     fn miss_elbow(&mut self, reach_m: f64, min_m: f64, max_m: f64) {
         let short = |reach: f64| (reach - max_m).max(min_m - reach);
         let closer = match self.unreached {

@@ -13,7 +13,7 @@ SCENARIOS: dict[str, Callable[..., Result]] = {}
 
 
 def scenario(function: Callable[..., Result]) -> Callable[..., Result]:
-    """Makes a function known by its name."""
+    """Make a function known by its name."""
     SCENARIOS[function.__name__] = function
     return function
 

@@ -97,7 +97,7 @@ def running() -> Iterator[list[subprocess.Popen[str]]]:
 
 
 def started(running: list[subprocess.Popen[str]], says: str, *arguments: str) -> str:
-    """Starts a command and gives the line that says that it is ready."""
+    """Start a command and give the line that says that it is ready."""
     child = subprocess.Popen(
         [*COMMAND, *arguments],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
@@ -114,7 +114,7 @@ def started(running: list[subprocess.Popen[str]], says: str, *arguments: str) ->
 
 
 def peg(folder: Path, running: list[subprocess.Popen[str]]) -> tuple[dict[str, Any], Array, Array]:
-    """Runs the scene with all its processes; gives the master's result, its force and its position over the ticks."""
+    """Run the scene with all its processes; gives the master's result, its force and its position over the ticks."""
     host = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
     started(running, "listening on", "ur-emulator", "--host", host, "--scene", "ur_peg", "--duration-s", "60")
     line = started(

@@ -36,7 +36,7 @@ def arm(shared: Emulated) -> Emulated:
 
 
 def sent(arm: Emulated, program: str) -> None:
-    """Sends a program as ur_rtde does."""
+    """Send a program as ur_rtde does."""
     with socket.create_connection((arm.host, SCRIPT_PORT), 5.0) as connection:
         connection.sendall(f"{program}\n".encode())
         # A connection that is closed with unread bytes is reset.
@@ -44,7 +44,7 @@ def sent(arm: Emulated, program: str) -> None:
 
 
 def written(arm: Emulated, command: int) -> None:
-    """Writes the command register, as a client that then dies."""
+    """Write the command register, as a client that then dies."""
     with Client(arm.host) as client:
         recipe, _ = client.inputs(["input_int_register_0", *(f"input_double_register_{n}" for n in range(8))])
         client.outputs(["timestamp"])

@@ -56,7 +56,7 @@ def memory_mb(emulated: Emulated, key: str = "VmHWM") -> float:
 
 
 def flood(host: str, port: int, content: bytes, *, reads: bool) -> None:
-    """Sends as much as is taken."""
+    """Send as much as is taken."""
     connections = [socket.create_connection((host, port), 5.0) for _ in range(CLIENTS)]
     try:
         for connection in connections:

@@ -36,7 +36,7 @@ def chromium() -> "Iterator[Browser]":
 
 
 def press(page: "Page") -> None:
-    """Presses Engage, and does not let go."""
+    """Press Engage, and does not let go."""
     box = page.locator("#engage").bounding_box()
     assert box is not None
     page.mouse.move(box["x"] + 10, box["y"] + 10)
@@ -44,7 +44,7 @@ def press(page: "Page") -> None:
 
 
 def hold(page: "Page", seconds: float) -> None:
-    """Presses Engage, and lets go after so long."""
+    """Press Engage, and let go after so long."""
     press(page)
     page.wait_for_timeout(seconds * 1e3)
     page.mouse.up()

@@ -25,7 +25,7 @@ def flood(port: int, count: int, sent: bytes) -> Iterator[list[socket.socket]]:
 
 
 def send(opened: list[socket.socket], sent: bytes) -> None:
-    """Sends the same at each that is still open."""
+    """Send the same at each that is still open."""
     for one in opened:
         with contextlib.suppress(OSError):
             one.send(sent)

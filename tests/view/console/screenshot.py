@@ -10,7 +10,7 @@ from tests.view.console.browser import chromium, hold
 
 
 def main(path: str) -> None:
-    """Writes a PNG of a scene that runs."""
+    """Write a PNG of a scene that runs."""
     with subprocess.Popen(
         [sys.executable, "-m", "haptether", "console", "--scene", "remote_push"], stdout=subprocess.PIPE, text=True
     ) as console:

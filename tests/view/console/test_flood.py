@@ -70,7 +70,7 @@ def page(port: int, token: str) -> ClientConnection:
 
 
 def stopped(one: ClientConnection) -> list[bool]:
-    """Sends STOP; for each side, true if it was stopped."""
+    """Send STOP; for each side, true if it was stopped."""
     one.send('{"do":"stop"}')
     end_s = time.monotonic() + 5.0
     while time.monotonic() < end_s:

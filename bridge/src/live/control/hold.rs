@@ -90,7 +90,7 @@ impl Hold {
         Held::Goes(now_ns)
     }
 
-    /// Ends the hold of connection `from`.
+    /// End the hold of connection `from`.
     pub(super) fn end(&mut self, from: u64) {
         self.0 = self.0.filter(|running| running.from != from);
     }

@@ -63,7 +63,7 @@ impl ControlSocket {
         Ok(Self { socket, path: path.to_owned() })
     }
 
-    /// Serves the loop until it is over. A driver also takes acknowledgements, by
+    /// Serve the loop until it is over. A driver also takes acknowledgements, by
     /// [`super::LiveHandle::take_acknowledgement`].
     pub fn serve(self, role: Role, port: ControlPort, has_driver: bool) -> io::Result<Control> {
         let is_over = Arc::<AtomicBool>::default();
@@ -128,7 +128,7 @@ struct Connection {
 }
 
 impl Connection {
-    /// Sends a line. Returns whether all was taken at once, as for a reading client.
+    /// Send a line. Returns whether all was taken at once, as for a reading client.
     fn send(&self, line: &[u8]) -> bool {
         loop {
             match send(&self.stream, line, SendFlags::NOSIGNAL | SendFlags::DONTWAIT) {
@@ -213,7 +213,7 @@ impl Server {
         }
     }
 
-    /// Accepts connections. Closes the idlest if too many, or without a free descriptor.
+    /// Accept connections. Closes the idlest if too many, or without a free descriptor.
     fn accept(&mut self) {
         for _ in 0..MAX_ACCEPTED {
             // Without a descriptor `accept` fails even if nobody waits, and would close a connection in vain.
@@ -240,7 +240,7 @@ impl Server {
         }
     }
 
-    /// Closes the idlest connection with a reason, after answering its request. False without any.
+    /// Close the idlest connection with a reason, after answering its request. False without any.
     fn displace(&mut self) -> bool {
         let idlest = (0..self.connected.len()).min_by_key(|at| self.connected[*at].active_us);
         let Some(mut idlest) = idlest.map(|at| self.connected.swap_remove(at)) else { return false };
@@ -253,7 +253,7 @@ impl Server {
         true
     }
 
-    /// Answers requests. Returns whether the connection stays.
+    /// Answer requests. Returns whether the connection stays.
     fn serve_one(&mut self, connection: &mut Connection) -> bool {
         let is_there = connection.receive();
         for _ in 0..MAX_AT_ONCE {
@@ -336,7 +336,7 @@ impl Server {
         self.command(OperatorCommand::Acknowledge, "what was wrong counts as mended", answer)
     }
 
-    /// Ends the loop and waits briefly for rest; no later request needs this thread.
+    /// End the loop and wait briefly for rest; no later request needs this thread.
     fn stop(&mut self) -> &'static str {
         self.port.handle().stop();
         let end = Instant::now() + REST;

@@ -84,7 +84,7 @@ impl Column {
         self.ticks
     }
 
-    /// Takes the value of the next tick.
+    /// Take the value of the next tick.
     pub(super) fn push(&mut self, cell: Cell<'_>) -> Result<(), Unfit> {
         match (&mut self.values, cell) {
             (Values::Unknown(ticks), Cell::Null) => *ticks += 1,
@@ -136,7 +136,7 @@ impl Column {
         Ok(())
     }
 
-    /// Takes the row of the next tick, number by number.
+    /// Take the row of the next tick, number by number.
     pub(super) fn push_row<E>(
         &mut self,
         mut next: impl FnMut() -> Result<Option<f64>, E>,
@@ -169,7 +169,7 @@ impl Column {
         Ok(Ok(()))
     }
 
-    /// Forgets what comes after the first `ticks`.
+    /// Forget what comes after the first `ticks`.
     pub(super) fn truncate(&mut self, ticks: usize) {
         if ticks == 0 {
             // The first value that is kept says of which kind they are.

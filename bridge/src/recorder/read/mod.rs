@@ -59,7 +59,7 @@ pub enum ReadError {
     Compressed(String),
 }
 
-/// Reads what a recorder wrote, until the end or until bytes are no record. Records that are not valid are left out.
+/// Read what a recorder wrote, until the end or until bytes are no record. Records that are not valid are left out.
 ///
 /// What it takes of memory is bounded by a multiple of the bytes that were read.
 pub fn read_recording(from: impl Read) -> Result<ReadRecording, ReadError> {
@@ -128,7 +128,7 @@ impl Reading {
         self.recording.about.contains_key("schema")
     }
 
-    /// Takes a record; whether it is one that a recorder may have written.
+    /// Take a record; whether it is one that a recorder may have written.
     fn take(&mut self, opcode: u8, data: &[u8]) -> bool {
         // Of the others, some parsers trust their lengths.
         if !matches!(opcode, op::METADATA | op::SCHEMA | op::CHANNEL | op::MESSAGE) {

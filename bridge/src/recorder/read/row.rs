@@ -29,7 +29,7 @@ impl Table {
         Self { columns, ticks: 0, places, time, order: Vec::new() }
     }
 
-    /// Takes the message of the next tick; nothing of one that does not fit. What it does not name is null.
+    /// Take the message of the next tick; nothing of one that does not fit. What it does not name is null.
     pub(super) fn push(&mut self, message: &[u8]) -> bool {
         let mut json = serde_json::Deserializer::from_slice(message);
         let is_taken =

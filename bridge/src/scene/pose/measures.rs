@@ -93,7 +93,7 @@ impl RotationMeasures {
         self.far = Some(*record);
     }
 
-    /// Adds what was measured of `metrics`.
+    /// Add what was measured of `metrics`.
     pub(crate) fn complete(&self, outcome: Outcome, metrics: Metrics) -> Outcome {
         let mean = |which: usize, metric: Metric| {
             let samples = self.samples[which];

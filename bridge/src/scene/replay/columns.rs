@@ -205,7 +205,7 @@ fn columns<const N: usize>(done: &[ReplayedTick<N>]) -> ReplayedColumns {
     columns
 }
 
-/// Steps the side of a hand, of a scene as JSON, through recorded ticks, as [`Replay`].
+/// Step the side of a hand, of a scene as JSON, through recorded ticks, as [`Replay`].
 ///
 /// # Errors
 ///

@@ -83,7 +83,7 @@ struct Member<const N: usize> {
 }
 
 impl<const N: usize> Member<N> {
-    /// Lets it decide on a tick of the leader; says whether it intervenes, or does anything else than a leader
+    /// Let it decide on a tick of the leader; says whether it intervenes, or does anything else than a leader
     /// that does not.
     fn intervenes(&mut self, record: &MasterRecord<N>) -> bool {
         let measured = record.measured_velocity;
@@ -156,7 +156,7 @@ fn begun<P: MasterPlant<N> + Clone, const N: usize>(
     Ok(run.map(|run| Group { start: Arc::new(Start { run, watched, unseen: 0 }), members }))
 }
 
-/// Runs a group, and whoever leaves it, to the end.
+/// Run a group, and whoever leaves it, to the end.
 fn run<P, A, const N: usize>(
     scene: &SceneSpec<N>,
     group: Option<Running<P, A, N>>,
@@ -185,7 +185,7 @@ where
     P: MasterPlant<N> + Clone,
     A: SlavePlant<N> + ModelArm + Clone,
 {
-    /// Runs all, and whoever leaves one, to the end.
+    /// Run all, and whoever leaves one, to the end.
     fn run(mut self) -> Result<(), SceneError> {
         while let Some(group) = self.waiting.pop() {
             self.follow(group)?;
@@ -193,7 +193,7 @@ where
         Ok(())
     }
 
-    /// Follows the leader of a group to its end; who leaves it waits then.
+    /// Follow the leader of a group to its end; who leaves it waits then.
     fn follow(&mut self, mut kept: Running<P, A, N>) -> Result<(), SceneError> {
         let stop = self.stop;
         let mut followers = kept.members.clone();
@@ -265,7 +265,7 @@ where
         Ok(())
     }
 
-    /// Lets followers go on from where `kept` stands: those that are `gone` each alone, and all others together where the
+    /// Let followers go on from where `kept` stands: those that are `gone` each alone, and all others together where the
     /// leader intervenes.
     fn part(
         &mut self,

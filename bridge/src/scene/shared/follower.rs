@@ -108,7 +108,7 @@ fn processor() -> Option<Processor> {
 type Abreast<const N: usize> = (Processor, Vec<LaneFollowers<N>>);
 
 impl<const N: usize> Runs<'_, N> {
-    /// Runs the scenes to their ends, side by side if they may; there is no outcome of one that cannot be built, as alone, or
+    /// Run the scenes to their ends, side by side if they may; there is no outcome of one that cannot be built, as alone, or
     /// whose link and ladders would have done something else.
     fn follow(&self, outcomes: &mut Outcomes) -> Result<(), SceneError> {
         let built = |row: usize| Follower::new(self.connection, row, self.scenes[row]).ok();
@@ -122,7 +122,7 @@ impl<const N: usize> Runs<'_, N> {
         Ok(())
     }
 
-    /// Runs all to their ends; returns those that have left the others.
+    /// Run all to their ends; return those that have left the others.
     fn follow_all(
         &self,
         abreast: Option<Abreast<N>>,
@@ -165,7 +165,7 @@ impl<const N: usize> Runs<'_, N> {
     }
 }
 
-/// Takes those of some runs before their first tick that may stand side by side.
+/// Take those of some runs before their first tick that may stand side by side.
 fn side_by_side<const N: usize>(runs: &mut Vec<Follower<N>>) -> Vec<LaneFollowers<N>> {
     let (mut abreast, mut alone) = (Vec::new(), Vec::new());
     while !runs.is_empty() {
@@ -203,7 +203,7 @@ struct Group<const N: usize> {
 }
 
 impl<const N: usize> Group<N> {
-    /// Lets all follow link and ladders from where these stand, after so many ticks of the master and the slave, until each has
+    /// Let all follow link and ladders from where these stand, after so many ticks of the master and the slave, until each has
     /// ended or goes another way.
     fn follow(
         &mut self,
@@ -282,7 +282,7 @@ impl<const N: usize> Group<N> {
     }
 }
 
-/// Lets runs side by side take some ticks, in the instructions of the processor. No operation is across lanes, and none is
+/// Let runs side by side take some ticks, in the instructions of the processor. No operation is across lanes, and none is
 /// fused: they are those of a run by itself, to the bit.
 #[cfg(target_arch = "x86_64")]
 fn take<const N: usize>(processor: Processor, followers: &mut LaneFollowers<N>, ticks: &[Tick]) {
@@ -398,7 +398,7 @@ impl<const N: usize> Follower<N> {
         Ok(Self { row, near, far, watched, done: [0, 0], pending: None, may_withhold })
     }
 
-    /// Takes some ticks, of which the first are of these numbers; those that it has done it passes over.
+    /// Take some ticks, of which the first are of these numbers; those that it has done it passes over.
     fn take(&mut self, first: [u64; 2], ticks: &[Tick]) -> Progress {
         let [mut near, mut far] = first;
         for tick in ticks {
@@ -446,7 +446,7 @@ struct Decided<const N: usize> {
 }
 
 impl<const N: usize> Near<N> {
-    /// Reads the device and decides, as [`MasterSide`](crate::MasterSide) does.
+    /// Read the device and decides, as [`MasterSide`](crate::MasterSide) does.
     #[inline(always)]
     fn decide(&mut self, step: &Step, far: &History<N>) -> Decided<N> {
         while let Some(command) = self.commands.due(step.now_ns) {
@@ -468,7 +468,7 @@ impl<const N: usize> Near<N> {
         Decided { position: self.hand.taken().position, safety }
     }
 
-    /// Writes the device and measures; none of what would change link and ladders in another way than `step` says.
+    /// Write the device and measures; none of what would change link and ladders in another way than `step` says.
     #[inline(always)]
     fn act(
         &mut self,

@@ -57,7 +57,7 @@ impl<const N: usize, S: Real> WatchedLanes<N, S> {
         self.states.iter().all(|state| state.is_coupled())
     }
 
-    /// Takes what the operator has changed by then; says whether it could be.
+    /// Take what the operator has changed by then; says whether it could be.
     #[inline(always)] // most ticks have none due
     fn change(&mut self, now_ns: u64) -> bool {
         if !self.tracking.coupling.is_due(now_ns) {
@@ -82,7 +82,7 @@ impl<const N: usize, S: Real> WatchedLanes<N, S> {
         }
     }
 
-    /// Takes a tick of the master as [`Watched::measure_near`]; returns where the loop has not diverged, and where nothing more
+    /// Take a tick of the master as [`Watched::measure_near`]; return where the loop has not diverged, and where nothing more
     /// will happen. What has diverged is not to be looked at any more.
     #[inline(always)] // once a tick, from one place
     pub(in crate::scene) fn near(&mut self, tick: &NearTick<'_, N, S>) -> [S::SimdBool; 2] {
@@ -112,7 +112,7 @@ impl<const N: usize, S: Real> WatchedLanes<N, S> {
         [stays, settled.filter(|_| self.has_engaged).unwrap_or(nowhere)]
     }
 
-    /// Takes a tick of the slave as [`Watched::measure_far`], with x and `F_e`; returns where the loop has not diverged.
+    /// Take a tick of the slave as [`Watched::measure_far`], with x and `F_e`; return where the loop has not diverged.
     #[inline(always)] // as of the master
     pub(in crate::scene) fn far(
         &mut self,

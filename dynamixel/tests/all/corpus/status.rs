@@ -21,7 +21,7 @@ fn contains(bytes: &[u8], part: &[u8]) -> bool {
     bytes.windows(part.len()).any(|window| window == part)
 }
 
-/// Parses the input in pieces; the first byte sets their size.
+/// Parse the input in pieces; the first byte sets their size.
 pub(crate) fn check(bytes: &[u8]) {
     let Some((&size, bytes)) = bytes.split_first() else { return };
     let size = usize::from(size).max(1);

@@ -67,7 +67,7 @@ impl Cells {
         (cell, place - cell as f64)
     }
 
-    /// Tests if the delay is linear in the variate, as for an untruncated normal distribution. Both then have
+    /// Test if the delay is linear in the variate, as for an untruncated normal distribution. Both then have
     /// the same correlation.
     pub(super) fn are_linear(&self) -> bool {
         let span = self.delay_ns[COUNT] - self.delay_ns[0];

@@ -95,7 +95,7 @@ fn shared_path(settings: &LinkSettings, law: &DelayLaw, tau_s: f64) -> Arc<Path>
     })
 }
 
-/// Rejects a mean delay that the jitter would take below zero: delays would be truncated silently.
+/// Reject a mean delay that the jitter would take below zero: delays would be truncated silently.
 fn check_timeline(settings: &LinkSettings, law: &DelayLaw) -> Result<(), LinkSettingsError> {
     let below_s = settings.delay_s - law.quantile_s(RARE);
     for (index, change) in settings.timeline.iter().enumerate() {
@@ -112,12 +112,12 @@ fn check_timeline(settings: &LinkSettings, law: &DelayLaw) -> Result<(), LinkSet
     Ok(())
 }
 
-/// Moves an arrival by the deviation of its delay from the mean, but not before the packet was sent.
+/// Move an arrival by the deviation of its delay from the mean, but not before the packet was sent.
 fn shifted(at_ns: u64, delay_ns: u64, mean_ns: u64, sent_ns: u64) -> u64 {
     at_ns.saturating_add(delay_ns).saturating_sub(mean_ns).max(sent_ns)
 }
 
-/// Rounds as `round` does, which is a function call if the target has no guaranteed rounding instruction.
+/// Round as `round` does, which is a function call if the target has no guaranteed rounding instruction.
 #[inline]
 fn whole(ns: f64) -> u64 {
     /// From here up to its double, floats are the consecutive integers, in value and in bits.
@@ -208,7 +208,7 @@ impl Wander {
         }
     }
 
-    /// Advances past an ended run, and draws the run after the new one.
+    /// Advance past an ended run, and draw the run after the new one.
     #[inline(never)] // about every second packet
     fn go_on_to_later_run(&mut self, time_ns: u64) {
         let end_ns = self.run().end_ns;
@@ -226,12 +226,12 @@ impl Wander {
         &self.runs[self.at & 1]
     }
 
-    /// Tests if a whole bin lies between the bins of two times.
+    /// Test if a whole bin lies between the bins of two times.
     fn forgets(&self, from_ns: u64, to_ns: u64) -> bool {
         to_ns - from_ns > self.bin_ns && to_ns / self.bin_ns > from_ns / self.bin_ns + 1
     }
 
-    /// Draws the first run after a silence from the distribution, and the next run.
+    /// Draw the first run after a silence from the distribution, and the next run.
     #[inline(never)] // rare
     fn begin_anew(&mut self, begin_ns: u64) {
         let [place, direction] = self.beginnings.pair(begin_ns / self.bin_ns);
@@ -248,7 +248,7 @@ impl Wander {
         self.draw(1 - self.at, !rises, end_ns, self.path.traversal(rises).mirrored(to));
     }
 
-    /// Draws a run in place; copying a value just written would stall.
+    /// Draw a run in place; copying a value just written would stall.
     #[inline(always)]
     fn draw(&mut self, at: usize, rises: bool, begin_ns: u64, from: Place) {
         let traversal = self.path.traversal(rises);

@@ -44,7 +44,7 @@ pub(super) struct Path {
 }
 
 impl Path {
-    /// Builds a path whose delay has correlation 1 / e over `tau_s`; with `keep_order`, over at least the
+    /// Build a path whose delay has correlation 1 / e over `tau_s`; with `keep_order`, over at least the
     /// minimum for order. Except for normal delays, delays decorrelate faster than z, so z gets a longer
     /// time.
     pub(super) fn new(cells: &Cells, tau_s: f64, sigma_s: f64, keep_order: bool) -> Self {

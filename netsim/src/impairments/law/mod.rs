@@ -74,7 +74,7 @@ enum Shape {
 }
 
 impl DelayLaw {
-    /// Builds the distribution from `delay_s`, `jitter_s`, `distribution` and `distribution_shape`.
+    /// Build the distribution from `delay_s`, `jitter_s`, `distribution` and `distribution_shape`.
     ///
     /// Fails if no such distribution has this mean and standard deviation without negative delays.
     pub fn new(settings: &LinkSettings) -> Result<Self, LinkSettingsError> {
@@ -134,7 +134,7 @@ impl DelayLaw {
     }
 }
 
-/// Rejects a standard deviation above the maximum at this mean.
+/// Reject a standard deviation above the maximum at this mean.
 fn at_most(sigma_s: f64, max_s: f64, law: &str, mean_s: f64, remedy: &str) -> Result<(), LinkSettingsError> {
     // Their quotient may round past a limit that the settings just meet.
     if sigma_s <= max_s * (1.0 + 1e-12) {

@@ -86,7 +86,7 @@ pub(super) const OPTIONS: [&str; 13] = [
 ];
 
 impl Arguments {
-    /// Parses the arguments, with or without the command before them, or the output of `tc qdisc show` for a
+    /// Parse the arguments, with or without the command before them, or the output of `tc qdisc show` for a
     /// netem.
     pub(super) fn read(text: &str) -> Result<Self, LinkSettingsError> {
         Self::parse(text).map_err(|error| {
@@ -151,7 +151,7 @@ impl Arguments {
         Ok(())
     }
 
-    /// Rejects combinations that `tc` rejects.
+    /// Reject combinations that `tc` rejects.
     fn check(mut self, end: Word<'_>) -> Result<Self, ParseError> {
         if self.reorder.probability > 0 {
             if self.latency_ns == 0 {
@@ -282,7 +282,7 @@ impl<'a> Words<'a> {
         Word { column: self.text.trim_end().len() + 1, text: "" }
     }
 
-    /// Skips any part of `tc qdisc add dev X root netem`; returns true if the text is output of
+    /// Skip any part of `tc qdisc add dev X root netem`; return true if the text is output of
     /// `tc qdisc show`.
     ///
     /// That output is `qdisc netem 8001: dev X root refcnt 2` and the options, one line per queue, with lines
@@ -321,7 +321,7 @@ impl<'a> Words<'a> {
         Err(self.end().error("a tc command without the word netem"))
     }
 
-    /// Skips the name of the next number, which `tc qdisc show` prints.
+    /// Skip the name of the next number, which `tc qdisc show` prints.
     fn skip_label(&mut self, label: &str) {
         if self.peek().is_some_and(|word| word.text == label) {
             self.next();

@@ -30,7 +30,7 @@ pub struct Asked {
 }
 
 impl Asked {
-    /// Parses arguments of `tc netem`.
+    /// Parse arguments of `tc netem`.
     pub fn read(text: &str) -> Result<Self, LinkSettingsError> {
         let Arguments { delay_rho, loss, duplicate, corrupt, reorder, limit, .. } = Arguments::read(text)?;
         let loss_rho = if let Loss::Random(chance) = loss { chance.rho } else { 0 };

@@ -64,7 +64,7 @@ impl Codel {
         may_drop
     }
 
-    /// Tests if the wait has exceeded the target for an interval.
+    /// Test if the wait has exceeded the target for an interval.
     fn may_drop(&mut self, wait_ns: u64, now_ns: u64, backlog: u64) -> bool {
         if wait_ns < TARGET_NS || backlog <= FULL_PACKET {
             self.first_above_ns = 0;

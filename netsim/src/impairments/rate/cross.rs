@@ -100,7 +100,7 @@ impl Cross {
         self.packet_bytes
     }
 
-    /// Skips traffic that the queue has forgotten by `now_ns`, which bounds the cost of a silence.
+    /// Skip traffic that the queue has forgotten by `now_ns`, which bounds the cost of a silence.
     pub(super) fn skip_silence(&mut self, now_ns: u64) {
         let silence_ns = now_ns.saturating_sub(self.judged_ns);
         self.judged_ns = now_ns;
@@ -201,7 +201,7 @@ impl Pauses {
         self.period += 1;
     }
 
-    /// Requires times that do not go back.
+    /// Require times that do not go back.
     fn sends_at(&mut self, now_ns: u64) -> bool {
         let bin = now_ns / self.bin_ns;
         if bin != self.bin {

@@ -108,7 +108,7 @@ impl Bottleneck {
         Verdict::Deliver { at_ns: self.server.send(arrival_ns, wire_bytes) }
     }
 
-    /// Removes packets whose transmission, or drop by `CoDel`, is due.
+    /// Remove packets whose transmission, or drop by `CoDel`, is due.
     fn take_out(&mut self, now_ns: u64) {
         while let Some(first) = self.waiting.front()
             && first.start_ns <= now_ns
@@ -170,7 +170,7 @@ impl Rule for Rate {
     }
 }
 
-/// Rejects queue settings without a bottleneck.
+/// Reject queue settings without a bottleneck.
 fn refuse_strays(settings: &LinkSettings) -> Result<(), LinkSettingsError> {
     let given = [
         ("queue_packets", settings.queue_packets.is_some()),

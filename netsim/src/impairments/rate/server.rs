@@ -70,7 +70,7 @@ impl Server {
         }
     }
 
-    /// Sends a packet; returns the departure of its last byte.
+    /// Send a packet; return the departure of its last byte.
     pub(super) fn send(&mut self, arrival_ns: u64, wire_bytes: u64) -> u64 {
         match self {
             Self::Rate { rate_bps, free_ns } => {

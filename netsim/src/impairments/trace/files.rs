@@ -23,7 +23,7 @@ impl ParseError {
     }
 }
 
-/// Reads delays of one direction from a CSV file.
+/// Read delays of one direction from a CSV file.
 ///
 /// The header is `time_s,delay_s`, or `time_s,forward_delay_s,backward_delay_s` for both directions; only
 /// then does `direction` matter. Names and numbers may be quoted. Times increase from any first time, which
@@ -141,7 +141,7 @@ impl Record {
 
 const MAX_TIME_MS: u64 = 1_000_000_000_000;
 
-/// Reads a mahimahi link trace: a whole number of ms per line, not decreasing, the last above 0.
+/// Read a mahimahi link trace: a whole number of ms per line, not decreasing, the last above 0.
 ///
 /// Like `mm-link`, it rejects empty lines and comments. At most ten million times.
 ///
@@ -182,7 +182,7 @@ pub fn parse_mahimahi(bytes: &[u8]) -> Result<Opportunities, ParseError> {
 /// Maximum of netem.
 const MAX_VALUES: usize = 16_384;
 
-/// Reads an iproute2 `.dist` table: an inverse distribution function in units of 1/8192 standard deviation.
+/// Read an iproute2 `.dist` table: an inverse distribution function in units of 1/8192 standard deviation.
 ///
 /// It consists of 2 to 16384 whole numbers from -32768 to 32767, not all equal, separated by blanks. Lines
 /// that begin with `#` are skipped. `tc` silently truncates larger numbers, and stops reading a line at an
@@ -251,7 +251,7 @@ impl<'a> Field<'a> {
         Self { column, text: text.trim_end(), ..self }
     }
 
-    /// Removes enclosing quotes, as spreadsheets write them.
+    /// Remove enclosing quotes, as spreadsheets write them.
     fn unquoted(self) -> Self {
         match self.text.strip_prefix('"').and_then(|text| text.strip_suffix('"')) {
             Some(text) => Self { column: self.column + 1, text, ..self }.trim(),

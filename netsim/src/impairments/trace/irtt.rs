@@ -39,7 +39,7 @@ fn shortened(problem: &str) -> String {
     }
 }
 
-/// Reads the output of `irtt client -o`.
+/// Read the output of `irtt client -o`.
 ///
 /// One-way delays are used if every reply has both and none is negative; otherwise half of the round trip. If
 /// IRTT knows the direction of a loss, the loss counts only there. The other direction then has no record:
@@ -155,7 +155,7 @@ enum Outcome {
 }
 
 impl Outcome {
-    /// Tests if the packet permits the use of one-way delays.
+    /// Test if the packet permits the use of one-way delays.
     fn has_one_way(&self) -> bool {
         match self {
             Self::LostForward | Self::LostBackward | Self::LostSomewhere => true,

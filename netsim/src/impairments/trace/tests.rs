@@ -45,7 +45,7 @@ fn csv_is_read() {
     assert_eq!((forward.delay_s, backward.delay_s), (vec![Some(0.01), None], vec![Some(0.02), Some(0.04)]));
 }
 
-/// Quotes as written by spreadsheets; first times from another clock, or before 0.
+/// Quote as written by spreadsheets; first times from another clock, or before 0.
 #[test]
 fn quotes_and_any_first_time_are_read() {
     let plain = parse_delay_csv(b"time_s,delay_s\n0,0.01\n0.5,lost\n1.5,\n", Direction::Forward).unwrap();

@@ -35,7 +35,7 @@ fn standard_error(values: &[f64]) -> f64 {
     (spread / PARTS as f64).sqrt()
 }
 
-/// Checks mean, standard deviation and 99th percentile, within 2 % or three standard errors, whichever is
+/// Check mean, standard deviation and 99th percentile, within 2 % or three standard errors, whichever is
 /// larger.
 ///
 /// No function of an Ornstein-Uhlenbeck process decorrelates more slowly than `exp(-t / tau)`. The mean of a

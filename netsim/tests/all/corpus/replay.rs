@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-/// Calls `target` with each file of `fuzz/corpus/<name>`, in name order.
+/// Call `target` with each file of `fuzz/corpus/<name>`, in name order.
 pub(crate) fn replay(name: &str, target: fn(&[u8])) {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/corpus").join(name);
     let entries = fs::read_dir(&folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));

@@ -123,7 +123,7 @@ class CheckDevice(DriverOptions):
     def _again(
         self, check: "DeviceCheck", side: Literal["master", "slave"], stopped: "Stopped"
     ) -> "tuple[Finding, list[str]]":
-        """Opens it a second time, and has an exception end that run; also the driver's texts of what was wrong."""
+        """Open it a second time, and has an exception end that run; also the driver's texts of what was wrong."""
         from haptether.bridge import DeviceError
         from haptether.bridge.devices.check.finding import Finding, messages
         from haptether.bridge.devices.check.report import SecondRun
@@ -151,7 +151,7 @@ class CheckDevice(DriverOptions):
         return found, messages(second.run.watched.failed)
 
     def _check(self, side: str) -> None:
-        """Refuses what cannot be, before anything is opened."""
+        """Refuse what cannot be, before anything is opened."""
         from haptether.cli.device.consent import check_terminal
 
         if not 0.1 <= self.duration_s <= MAX_DURATION_S:

@@ -22,7 +22,7 @@ PROMPT_S = 0.5
 
 
 def check_terminal(what: str, *, yes: bool) -> None:
-    """Refuses a force where nobody can be asked.
+    """Refuse a force where nobody can be asked.
 
     Raises:
         ValueError: Standard input is no terminal, and `--yes` was not given.
@@ -100,7 +100,7 @@ def says_yes(prompt: str, is_over: Callable[[], bool]) -> bool:
 
 
 def ask_before_open(name: str, device: object, stopped: "Stopped", *, yes: bool, again: bool = False) -> None:
-    """Says what a device will exert by itself as soon as it is open, and asks; nothing of one that does not.
+    """Say what a device will exert by itself as soon as it is open, and asks; nothing of one that does not.
 
     Args:
         name: Of the driver.
@@ -133,7 +133,7 @@ def ask_before_open(name: str, device: object, stopped: "Stopped", *, yes: bool,
 
 @contextmanager
 def announced(name: str, device: object) -> Iterator[list["StandaloneRun"]]:
-    """Says before a device is opened that it exerts by itself, and at the end whether it does not any more.
+    """Say before a device is opened that it exerts by itself, and at the end whether it does not any more.
 
     Yields:
         Where the run that opens it is to be put.

@@ -51,7 +51,7 @@ class Identify(DriverOptions):
     """Do not ask before it is opened or moves: whoever gives this flag stands beside it, and nobody holds it."""
 
     def run(self) -> int:
-        """Moves it, and says what was found.
+        """Move it, and say what was found.
 
         Raises:
             ValueError: A driver that there is not, or an option out of its bounds.
@@ -144,7 +144,7 @@ class Identify(DriverOptions):
         )
 
     def _check_end(self, lead: "Excitation", run: "StandaloneRun", *, ended: bool) -> None:
-        """Raises what the motion ended by, unless it came to its end."""
+        """Raise what the motion ended by, unless it came to its end."""
         if not ended:
             at = run.failed_at or "a call"
             message = f"{self.name}: {at}() does not return: its device keeps its last command, switch it off"

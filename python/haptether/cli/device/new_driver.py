@@ -44,7 +44,7 @@ class NewDriver:
     """Where to write it, a folder that is empty or not there; by default NAME, here."""
 
     def run(self) -> int:
-        """Writes the files.
+        """Write the files.
 
         Raises:
             ValueError: A name that no package can have, or a folder with something in it.

@@ -49,7 +49,7 @@ DrivenPart = Literal["master", "slave", "gripper"]
 
 
 def check_options(command: DriverOptions) -> None:
-    """Refuses numbers out of their bounds, and a file that cannot be written.
+    """Refuse numbers out of their bounds, and a file that cannot be written.
 
     Raises:
         ValueError: A number.

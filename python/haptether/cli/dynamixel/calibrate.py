@@ -62,7 +62,7 @@ class Calibrate(FileOptions):
     """A person answers, though standard input is no terminal."""
 
     def run(self) -> int:
-        """Asks step by step, and writes the file."""
+        """Ask step by step, and write the file."""
         import math
         import os
 
@@ -121,7 +121,7 @@ class Calibrate(FileOptions):
         return 0
 
     def _weigh(self) -> int:
-        """Measures one constant, and writes it into the file."""
+        """Measure one constant, and write it into the file."""
         from dataclasses import replace
 
         from haptether.cli.dynamixel.prompt import Operator

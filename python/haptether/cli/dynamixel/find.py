@@ -25,7 +25,7 @@ class Find:
     """The ids that are asked."""
 
     def run(self) -> int:
-        """Prints a line per servo; 1 if there is none."""
+        """Print a line per servo; 1 if there is none."""
         from haptether.cli.dynamixel.search import found_servos
 
         servos = found_servos(self.port, self.baud, self.ids)

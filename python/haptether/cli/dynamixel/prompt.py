@@ -16,7 +16,7 @@ class Operator:
         self._received = b""
 
     def say(self, line: str) -> None:
-        """Prints a line; one that begins with a carriage return replaces the last, and is for terminals alone."""
+        """Print a line; one that begins with a carriage return replaces the last, and is for terminals alone."""
         if not line.startswith("\r"):
             print(line, flush=True)
         elif sys.stdout.isatty():
@@ -44,7 +44,7 @@ class Operator:
         return line.decode(errors="replace")
 
     def forget(self) -> None:
-        """Drops what was typed so far: it answers no question that is asked next.
+        """Drop what was typed so far: it answers no question that is asked next.
 
         Raises:
             RuntimeError: There is no end of it.

@@ -20,7 +20,7 @@ class ServedDevice(Protocol):
         """Serves until it is so."""
 
     def close(self) -> None:
-        """Closes all that is open."""
+        """Close all that is open."""
 
 
 def serve(

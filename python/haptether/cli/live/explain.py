@@ -38,7 +38,7 @@ class Explain(FileOptions):
     """Write the same as JSON; - for standard output."""
 
     def run(self) -> int:
-        """Prints the file.
+        """Print the file.
 
         Raises:
             ValueError: The file is none of a flight recorder, and no recording.

@@ -138,7 +138,7 @@ class Master(LiveOptions):
     def _judge(
         self, result: "PushResult", *, answered: bool, stopped: bool, refused: str | None, cause: "Cause | None"
     ) -> None:
-        """Raises what a run that did not end well ended by."""
+        """Raise what a run that did not end well ended by."""
         if result.final_state == "fault":
             message = f"the run ended in fault: {cause.text if cause is not None else result.fault}"
             raise RuntimeError(message)

@@ -66,7 +66,7 @@ class PanelProcess:
             yield
 
     def end(self) -> None:
-        """Ends it, whatever its terminal does."""
+        """End it, whatever its terminal does."""
         self._writer.end(time.monotonic())
         with contextlib.suppress(OSError):
             self._pipe.close()
@@ -122,7 +122,7 @@ class _Said:
 
 
 def draw(telemetry: Path) -> None:
-    """Draws the panel until the side says nothing more."""
+    """Draw the panel until the side says nothing more."""
     from rich.live import Live
 
     from haptether.bridge import TelemetryReader

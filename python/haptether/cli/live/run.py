@@ -74,7 +74,7 @@ class SideWatch:
         self._is_engaged = False
 
     def until_end(self, headline: str, panel: "PanelProcess | None", *, quiet: bool) -> None:
-        """Says `headline` and what real time there is, then shows the side until its loop has ended or is stopped.
+        """Say `headline` and what real time there is, then shows the side until its loop has ended or is stopped.
 
         Where the process that draws its panel is not there, or not any more, that is a line.
         """
@@ -144,7 +144,7 @@ class SideWatch:
         return self._current_cause()
 
     def raise_error(self) -> None:
-        """Raises what ended the loop of a driver, if anything did."""
+        """Raise what ended the loop of a driver, if anything did."""
         if isinstance(self._side, DeviceRun) and self._side.error is not None:
             raise self._side.error
 
@@ -165,7 +165,7 @@ class SideWatch:
         return marked(status, insecure=self._insecure)
 
     def _acknowledge(self) -> None:
-        """Passes an acknowledgement on, and says whether there was anything to acknowledge."""
+        """Pass an acknowledgement on, and say whether there was anything to acknowledge."""
         cause = self._current_cause()
         awaited = cause is not None and ("acknowledge", self._name) in {(step.remedy, step.at) for step in cause.steps}
         # One that has ended meanwhile has nothing to acknowledge.
@@ -248,7 +248,7 @@ class FlightFile:
         self._written: str | None = None
 
     def write(self, flight: str | None) -> None:
-        """Writes them, if there are any and they are new; the file is never seen half written."""
+        """Write them, if there are any and they are new; the file is never seen half written."""
         if self._path is None or flight is None or flight == self._written:
             return
         # Tried once: a disk that is full, at the very stop that the file is to explain, must not end the run.

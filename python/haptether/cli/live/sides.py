@@ -192,7 +192,7 @@ def _say(lines: Iterable[str]) -> None:
 
 
 def _announce(name: str, device: object) -> None:
-    """Says before it is opened that a device will exert by itself."""
+    """Say before it is opened that a device will exert by itself."""
     from haptether.cli.shared.own_force import exerts_by_itself
 
     if exerts_by_itself(device):

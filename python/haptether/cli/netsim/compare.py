@@ -37,7 +37,7 @@ class Compare(FileOptions):
     """Write figures, quirks and settings as JSON; - for standard output."""
 
     def run(self) -> int:
-        """Sends the packets through both."""
+        """Send the packets through both."""
         import msgspec
 
         from haptether.cli.netsim.traffic import check_traffic, figures_table, sending_times

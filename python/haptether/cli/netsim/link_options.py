@@ -83,7 +83,7 @@ class LinkOptions:
         return _typed(raw, folder, seed, unusual_values(raw))
 
     def _refuse_twice(self) -> None:
-        """Refuses a setting that is given twice, be it by a flag of its own and by `--set`: the last would count.
+        """Refuse a setting that is given twice, be it by a flag of its own and by `--set`: the last would count.
 
         Raises:
             ValueError: With both.

@@ -27,7 +27,7 @@ class List(FileOptions):
     """Write the presets with all their settings as JSON; - for standard output."""
 
     def run(self) -> int:
-        """Prints a row per preset."""
+        """Print a row per preset."""
         import msgspec
 
         from haptether.cli.shared.output import check_target, write_report

@@ -130,7 +130,7 @@ class Log:
 
     @classmethod
     def checked(cls, target: Path, *, force: bool) -> Self:
-        """Refuses early what could not be written after the run.
+        """Refuse early what could not be written after the run.
 
         Raises:
             ValueError: Neither .csv nor .parquet.
@@ -154,7 +154,7 @@ class Log:
         return cls(target, csv)
 
     def end(self) -> None:
-        """Converts what was written, in pieces, and leaves only the target.
+        """Convert what was written, in pieces, and leave only the target.
 
         Raises:
             OSError: No place to write to; the CSV stays.
@@ -212,7 +212,7 @@ def _dropped(of: "DirectionStatistics") -> dict[str, int]:
 
 
 def report(statistics: "ProxyStatistics", max_error_s: float, json: Path | None) -> int:
-    """Prints what the proxy did and returns the exit status: an invalid run has failed."""
+    """Print what the proxy did and return the exit status: an invalid run has failed."""
     from haptether.cli.shared.output import write_report
     from haptether.cli.shared.screen import screen
 

@@ -144,7 +144,7 @@ def summarised(recording: "Recording") -> "dict[str, float | int | None]":
 
 @contextlib.contextmanager
 def _progress(peer: str, duration_s: float) -> Iterator[None]:
-    """Shows how far a measurement is, which goes on in this thread."""
+    """Show how far a measurement is, which goes on in this thread."""
     if not MIN_PROGRESS_S < duration_s < float("inf"):
         yield
         return

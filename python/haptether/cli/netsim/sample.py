@@ -53,7 +53,7 @@ class Sample(LinkOptions, PictureOptions):
     """Draw the delay of each packet over time, and how often each occurs, as .png, .pdf or .svg."""
 
     def run(self) -> int:
-        """Judges all packets."""
+        """Judge all packets."""
         from haptether.cli.shared.output import check_target, table_goes_to_stderr, write_report
         from haptether.cli.shared.picture import asked_picture
         from haptether.cli.shared.screen import screen

@@ -35,7 +35,7 @@ class Set(FileOptions):
     """Write settings and statistics as JSON; - for standard output."""
 
     def run(self) -> int:
-        """Sends the request and says what was answered."""
+        """Send the request and say what was answered."""
         from haptether.bridge.scene.unusual import unusual_values
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen

@@ -14,7 +14,7 @@ MAX_PACKETS = 50_000_000
 
 
 def check_traffic(packets: int, rate_hz: float, size: int) -> None:
-    """Refuses packets that nobody can send.
+    """Refuse packets that nobody can send.
 
     Raises:
         ValueError: With the bounds.

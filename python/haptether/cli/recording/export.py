@@ -52,7 +52,7 @@ class Export(FileOptions):
     """Write both sides into one MCAP file, with poses, frames and force arrows in Foxglove's schemas."""
 
     def run(self) -> int:
-        """Writes the files.
+        """Write the files.
 
         Raises:
             ValueError: No recording, nothing to write, a binary format for standard output, a side of no table, or one
@@ -99,7 +99,7 @@ class Export(FileOptions):
         return 0
 
     def _check_binary(self) -> None:
-        """Refuses standard output for what is no text.
+        """Refuse standard output for what is no text.
 
         Raises:
             ValueError: With the option.

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def check_files(*files: Path | None, what: str | None = None) -> None:
-    """Refuses what is no file that can be read; `what` is what to give, by default a recording.
+    """Refuse what is no file that can be read; `what` is what to give, by default a recording.
 
     Raises:
         ValueError: With what to give.

@@ -33,7 +33,7 @@ class Info(FileOptions):
     """Write the same as JSON, with the scene; - for standard output."""
 
     def run(self) -> int:
-        """Prints each file.
+        """Print each file.
 
         Raises:
             ValueError: A file is no recording.

@@ -41,7 +41,7 @@ class Plot(PictureOptions):
     """The picture: .png, .pdf or .svg; by default FILE with .png or --format."""
 
     def run(self) -> int:
-        """Draws the picture.
+        """Draw the picture.
 
         Raises:
             ValueError: No recording, or the name of no picture.

@@ -40,7 +40,7 @@ class Check(FileOptions):
     """Write all findings as JSON; - for standard output."""
 
     def run(self) -> int:
-        """Prints the findings; 0, or 1 if one is bad."""
+        """Print the findings; 0, or 1 if one is bad."""
         from haptether.bridge import load_scene
         from haptether.cli.shared.design import WORDS, summary
         from haptether.cli.shared.output import check_target, write_report

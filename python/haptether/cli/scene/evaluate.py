@@ -81,7 +81,7 @@ class Evaluate(FileOptions):
     """Write all cells as JSON; - for standard output."""
 
     def run(self) -> int:
-        """Runs all tasks; 0."""
+        """Run all tasks; 0."""
         from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.controller_time import controller_timed
         from haptether.cli.shared.numbers import check_random_seed
@@ -140,7 +140,7 @@ class Evaluate(FileOptions):
         return 0
 
     def _write_pages(self, console: "Console", found: "Evaluation", folder: Path) -> None:
-        """Writes both pages, and the worst release under a controller as a scene."""
+        """Write both pages, and the worst release under a controller as a scene."""
         import shlex
 
         from haptether.bridge import save_scene
@@ -172,7 +172,7 @@ class Evaluate(FileOptions):
 
     @staticmethod
     def _write_cells(found: "Evaluation", path: Path) -> None:
-        """Writes all cells, and what follows from them, as JSON."""
+        """Write all cells, and what follows from them, as JSON."""
         from haptether.cli.shared.output import write_report
 
         worst = [

@@ -59,7 +59,7 @@ class Simulate(PictureOptions):
     """Say which scenes there are, and end."""
 
     def run(self) -> int:
-        """Runs the scene; 0, or 1 if it diverged or the two sides never engaged."""
+        """Run the scene; 0, or 1 if it diverged or the two sides never engaged."""
         from haptether.bridge import SceneError, load_scene, simulate
         from haptether.cli.shared.controller_time import controller_timed
         from haptether.cli.shared.output import check_target, make_folder
@@ -177,7 +177,7 @@ class Simulate(PictureOptions):
             console.print(f"  and {len(events) - EVENTS_SHOWN} more; --json has all events")
 
     def _check_list(self) -> None:
-        """Refuses what `--list` would pass over.
+        """Refuse what `--list` would pass over.
 
         Raises:
             ValueError: With the first of it.

@@ -117,7 +117,7 @@ class Sweep(PictureOptions):
     """With --summary: each combination less that with this value, sample by sample, as safety.controllers=none."""
 
     def run(self) -> int:
-        """Runs all rows."""
+        """Run all rows."""
         from haptether import __version__
         from haptether.bridge.scene.sweep import labelled
         from haptether.bridge.scene.sweeps.design import design_of
@@ -364,7 +364,7 @@ class Sweep(PictureOptions):
         return drawn
 
     def _check_files(self) -> None:
-        """Refuses files that cannot be written, and options that need another, before a row is run."""
+        """Refuse files that cannot be written, and options that need another, before a row is run."""
         from haptether.bridge.scene.sweeps.table_file import check_suffix
         from haptether.cli.shared.output import check_distinct, check_target
 
@@ -383,7 +383,7 @@ class Sweep(PictureOptions):
             raise ValueError(message)
 
     def _check_rows(self, *, collect: bool) -> None:
-        """Refuses more rows than can be, by the counts that are given, before a value is made."""
+        """Refuse more rows than can be, by the counts that are given, before a value is made."""
         from haptether.bridge.scene.sweeps.limits import check_rows
         from haptether.bridge.scene.sweeps.table_file import STREAMED
 
@@ -412,7 +412,7 @@ class Sweep(PictureOptions):
         return path, value if isinstance(value, float) else label(value)
 
     def _check_columns(self, design: "Design") -> None:
-        """Refuses what cannot be measured, and what cannot be summed up or drawn of it, before a row is run."""
+        """Refuse what cannot be measured, and what cannot be summed up or drawn of it, before a row is run."""
         from haptether.bridge.scene.sweep import METRICS, labelled
         from haptether.studies.sampled import check_summary, metric_of
         from haptether.view.figures.sweep import METRICS as DRAWN
@@ -433,7 +433,7 @@ class Sweep(PictureOptions):
             raise ValueError(message)
 
     def _check_samples(self) -> None:
-        """Refuses a number of samples or a seed that cannot be, and what is drawn without samples."""
+        """Refuse a number of samples or a seed that cannot be, and what is drawn without samples."""
         from haptether.bridge.scene.sweep import thread_count
         from haptether.cli.shared.numbers import check_random_seed
 

@@ -55,7 +55,7 @@ class Thresholds(PictureOptions):
     """Draw missed releases over false trips as .png, .pdf or .svg."""
 
     def run(self) -> int:
-        """Runs all tasks and prints, for each law, its thresholds over round trips."""
+        """Run all tasks and prints, for each law, its thresholds over round trips."""
         from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.numbers import check_random_seed
         from haptether.cli.shared.output import check_target, write_report

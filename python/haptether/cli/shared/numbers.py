@@ -9,7 +9,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 
 def check_seed(seed: int) -> None:
-    """Refuses a seed that is no 64-bit number.
+    """Refuse a seed that is no 64-bit number.
 
     Raises:
         ValueError: With the bounds.
@@ -20,7 +20,7 @@ def check_seed(seed: int) -> None:
 
 
 def check_random_seed(seed: int) -> None:
-    """Refuses what is no seed of `numpy.random.default_rng`.
+    """Refuse what is no seed of `numpy.random.default_rng`.
 
     Raises:
         ValueError: A seed below 0.
@@ -31,7 +31,7 @@ def check_random_seed(seed: int) -> None:
 
 
 def check_duration(key: str, seconds: float | None) -> None:
-    """Refuses a time that no run can last.
+    """Refuse a time that no run can last.
 
     Raises:
         ValueError: With the bounds.

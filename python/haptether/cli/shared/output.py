@@ -19,7 +19,7 @@ from haptether.private_file import is_stream, refuse_existing, refuse_link, writ
 
 
 def write_report(target: Path | None, report: object) -> None:
-    """Writes what msgspec can encode as indented JSON; nothing without a target."""
+    """Write what msgspec can encode as indented JSON; nothing without a target."""
     import msgspec
 
     if target is not None:
@@ -27,7 +27,7 @@ def write_report(target: Path | None, report: object) -> None:
 
 
 def write_json(target: Path, text: bytes) -> None:
-    """Writes JSON to a file, or to standard output for `-`."""
+    """Write JSON to a file, or to standard output for `-`."""
     if str(target) == "-":
         sys.stdout.buffer.write(_inert(text) + b"\n")
         sys.stdout.buffer.flush()
@@ -49,7 +49,7 @@ def table_goes_to_stderr(json: Path | None) -> bool:
 
 
 def require_matplotlib() -> None:
-    """Refuses early where pictures cannot be drawn.
+    """Refuse early where pictures cannot be drawn.
 
     Raises:
         ImportError: With what to install.
@@ -66,7 +66,7 @@ class FileOptions:
 
 
 def check_target(*targets: Path | None, force: bool) -> None:
-    """Refuses files that cannot be written, before the run rather than after it.
+    """Refuse files that cannot be written, before the run rather than after it.
 
     Args:
         targets: Paths of files; `-` is standard output.
@@ -97,7 +97,7 @@ def check_target(*targets: Path | None, force: bool) -> None:
 
 
 def check_distinct(**files: Path | None) -> None:
-    """Refuses arguments that name one file twice: what is written last would destroy the other, be it a key.
+    """Refuse arguments that name one file twice: what is written last would destroy the other, be it a key.
 
     Args:
         files: By the names of options; in capitals, as the help has them, those without one.
@@ -117,7 +117,7 @@ def check_distinct(**files: Path | None) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Makes a folder for pictures, before the run rather than after it.
+    """Make a folder for pictures, before the run rather than after it.
 
     Raises:
         ValueError: It has the name of a picture, or is standard output.
@@ -167,7 +167,7 @@ class QueuedWriter:
         threading.Thread(target=self._run, name=f"haptether-{name}", daemon=True).start()
 
     def put(self, message: bytes) -> None:
-        """Hands a message over."""
+        """Hand a message over."""
         with self._lock:
             if self._waiting >= MAX_WAITING:
                 self.dropped += 1
@@ -246,7 +246,7 @@ class QueuedBuffer(io.RawIOBase):
         return os.isatty(self._descriptor)
 
     def write(self, message: object) -> int:
-        """Hands bytes over."""
+        """Hand bytes over."""
         held = bytes(message)  # type: ignore[call-overload]  # whatever has bytes
         self._writer.put(held)
         return len(held)

@@ -9,7 +9,7 @@ def exerts_by_itself(device: object) -> bool:
 
 
 def announce_end(name: str, *, closed: bool) -> None:
-    """Says whether a device that exerts by itself is closed."""
+    """Say whether a device that exerts by itself is closed."""
     said = "is closed: its force has ended, but for what the driver names above"
     if not closed:
         said = "is NOT known to be closed: it may still exert, switch it off"

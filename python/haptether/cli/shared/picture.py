@@ -50,7 +50,7 @@ def picture_file(path: Path, form: "PictureFormat | None", *, force: bool) -> Pa
 
 
 def check_picture_options(plot: Path | None, options: PictureOptions) -> None:
-    """Refuses options of pictures where `--plot` asks for none.
+    """Refuse options of pictures where `--plot` asks for none.
 
     Raises:
         ValueError: With the option.

@@ -8,7 +8,7 @@ AFTER_S = 2.0
 
 @contextlib.contextmanager
 def counted(text: str) -> Iterator[Callable[[int, int], None]]:
-    """Shows a bar beside the text after two seconds. Yields a call that takes how many are done, and of how many."""
+    """Show a bar beside the text after two seconds. Yields a call that takes how many are done, and of how many."""
     import threading
 
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn

@@ -31,7 +31,7 @@ class Screen(Console):
         return super().status(plain(status) if isinstance(status, str) else status, **how)
 
     def on_broken_pipe(self) -> None:
-        """Leaves the exit status to whoever runs the command.
+        """Leave the exit status to whoever runs the command.
 
         Raises:
             BrokenPipeError: Always.

@@ -113,7 +113,7 @@ def wait(
     *,
     shown: bool = True,
 ) -> None:
-    """Says `headline`, if any, then asks for `status` until the run has finished, is stopped, or `duration_s` is over.
+    """Say `headline`, if any, then asks for `status` until the run has finished, is stopped, or `duration_s` is over.
 
     Where it is `shown` and there is a terminal, that is a line beside a spinner.
     """

@@ -59,7 +59,7 @@ class Rows:
         self._rows: list[list[Text]] = []
 
     def add(self, *cells: str | Text) -> None:
-        """Adds a row, one cell a column."""
+        """Add a row, one cell a column."""
         if len(cells) != len(self.columns):
             message = f"{len(cells)} cells for {len(self.columns)} columns"
             raise ValueError(message)

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def ask_units(console: "Screen", scenes: Iterable["Scene"], values: Iterable[tuple[str, object]] = ()) -> None:
-    """Prints one line for each unusual number, each line once.
+    """Print one line for each unusual number, each line once.
 
     Args:
         console: Where they are printed.
@@ -28,7 +28,7 @@ def ask_units(console: "Screen", scenes: Iterable["Scene"], values: Iterable[tup
 
 
 def check_times(option: str, values: Iterable[float], most_s: float) -> None:
-    """Refuses times of an option outside 0 to `most_s`.
+    """Refuse times of an option outside 0 to `most_s`.
 
     Raises:
         ValueError: With the option, the first such value, the bounds, and the unit that it may have been meant in.

@@ -53,7 +53,7 @@ def sides_here() -> tuple[Path, ...]:
 
 
 def connected(path: Path, wait_s: float) -> "TelemetryReader":
-    """Reads the telemetry of a side, for which it waits up to `wait_s`.
+    """Read the telemetry of a side, for which it waits up to `wait_s`.
 
     Raises:
         OSError: Nobody sends there.
@@ -78,7 +78,7 @@ def checked_wait_s(wait_s: float) -> float:
 
 
 def wait_for(path: Path, option: str, until_s: float) -> None:
-    """Returns once a side listens at a socket, whose `option` names it.
+    """Return once a side listens at a socket, whose `option` names it.
 
     Raises:
         OSError: Nobody listens there by `until_s` of the monotonic clock.

@@ -56,7 +56,7 @@ class Console(WaitOptions):
     """Where the page is served on 127.0.0.1; a free one by default."""
 
     def run(self) -> int:
-        """Serves the page until Ctrl-C.
+        """Serve the page until Ctrl-C.
 
         Raises:
             ValueError: Nothing to show, or too much.
@@ -114,7 +114,7 @@ class Console(WaitOptions):
         server.serve(lambda: bool(stopped))
 
     def _start(self, folder: Path, stack: contextlib.ExitStack, stopped: "Stopped") -> None:
-        """Starts slave and master of the scene on loopback, with a key of this run."""
+        """Start slave and master of the scene on loopback, with a key of this run."""
         from haptether.bridge import write_key
         from haptether.cli.live.sides import live_scene
         from haptether.studies.processes import Interrupted, child_process

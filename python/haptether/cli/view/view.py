@@ -107,7 +107,7 @@ class View(WaitOptions, FileOptions):
     """Write as JSON what is shown and what is not; - for standard output."""
 
     def run(self) -> int:
-        """Shows it, or writes it."""
+        """Show it, or write it."""
         from haptether.cli.shared.output import check_distinct, check_target
         from haptether.cli.shared.screen import screen
         from haptether.view.film import require_film
@@ -241,7 +241,7 @@ class View(WaitOptions, FileOptions):
         return 0
 
     def _check_what(self) -> None:
-        """Refuses what cannot be shown, before a display is looked for."""
+        """Refuse what cannot be shown, before a display is looked for."""
         from haptether.bridge import SceneError, load_scene
         from haptether.cli.recording.files import check_files
 

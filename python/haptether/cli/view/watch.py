@@ -43,7 +43,7 @@ class Watch(WaitOptions):
     """End after this time in s; without it, with the run."""
 
     def run(self) -> int:
-        """Shows the side until its end.
+        """Show the side until its end.
 
         Raises:
             OSError: Nobody sends there, or it ended in the middle.

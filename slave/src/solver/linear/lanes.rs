@@ -88,7 +88,7 @@ impl<S: Real> LineLanes<S> {
         self.map.sine.replace(lane, map.sine);
     }
 
-    /// Makes the maps over a piece of `step` in s, unless they are.
+    /// Make the maps over a piece of `step` in s, unless they are.
     #[inline(always)] // nearly always they are
     pub(crate) fn prepare(&mut self, step: f64) {
         if self.step.to_bits() != step.to_bits() {

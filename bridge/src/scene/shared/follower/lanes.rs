@@ -144,7 +144,7 @@ impl<const N: usize> LaneFollowers<N> {
         })
     }
 
-    /// Takes some ticks, in the instructions of the function that it is compiled into.
+    /// Take some ticks, in the instructions of the function that it is compiled into.
     #[inline(always)]
     pub(super) fn take(&mut self, ticks: &[Tick]) {
         for tick in ticks {

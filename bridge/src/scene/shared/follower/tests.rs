@@ -64,7 +64,7 @@ fn here(rows: usize) -> usize {
     if processor().is_some() { rows } else { 0 }
 }
 
-/// Runs rows together, each by itself and side by side; each must be run so, and be as alone.
+/// Run rows together, each by itself and side by side; each must be run so, and be as alone.
 fn followed<const N: usize>(rows: &[SceneSpec<N>]) -> Followed {
     let connection = Connection::of(&rows[0]).unwrap();
     assert!(rows.iter().all(|row| Connection::of(row).unwrap() == connection));
