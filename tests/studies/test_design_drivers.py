@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from haptether.bridge import load_scene
+from haptether.bridge.devices.scene import slave_drivers
 from haptether.cli import main
 from haptether.master import MasterSample
 from haptether.studies import check_scene
@@ -151,3 +152,16 @@ def test_the_bounds_of_a_driver_are_those_that_are_judged() -> None:
     assert "master driver" not in found
     models = check_scene(load_scene("remote_push"), remedies=False).findings
     assert not [finding for finding in models if finding.name.endswith("driver")]
+
+
+@pytest.mark.parametrize(
+    ("asked", "expected"), [("3.0", 0.2), ('"unbounded"', 0.2), ("0.1", 0.1)], ids=["faster", "unbounded", "slower"]
+)
+def test_commands_are_no_faster_than_the_arm(asked: str, expected: float) -> None:
+    scene = load_scene(
+        THREE, [*OF_UR, "slave.options={host='a', axes=3, max_speed=0.2}", f"coupling.command_speed={asked}"]
+    )
+    bounded, device, _ = slave_drivers(scene)
+    assert device is not None
+    assert bounded.coupling is not None
+    assert bounded.coupling.command_speed == expected

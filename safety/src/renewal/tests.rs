@@ -131,6 +131,38 @@ fn a_device_at_rest_is_not_measured_but_by_its_own_times() {
     assert_eq!(renewal.map(|renewal| renewal.total_share()), [None, Some(0.5)]);
 }
 
+/// Two coarse encoders with noise, at about half a quantum per tick, repeat samples and have a few alike changes.
+#[test]
+fn noisy_coarse_encoders_are_not_slow() {
+    for quanta_per_s in [500.0, 550.0, 600.0] {
+        let mut renewal = Renewal::default();
+        for tick in 0..8000_u32 {
+            let t = f64::from(tick) * 1e-3;
+            let encoder = |n: f64| {
+                // Noise within half a quantum, the same at each run.
+                let noise =
+                    ((f64::from(tick) * (12.9898 + 7.1 * n)).sin() * 43758.5453).rem_euclid(1.0) - 0.5;
+                ((quanta_per_s + 30.0 * n) * (t + 0.1 * (3.0 * t + n).sin()) + noise).round() * 1e-4
+            };
+            let position = [encoder(0.0), encoder(1.0)];
+            renewal.step(Some(Stamped { position: &position, orientation: None, time_s: None }), false);
+        }
+        let share = renewal.total_share();
+        assert!(share.is_none_or(|share| share >= MIN_RENEWAL), "{quanta_per_s}: {share:?}");
+    }
+}
+
+/// Steps at constant speed are equal, but no slow device has a new sample at each tick.
+#[test]
+fn device_at_constant_speed_is_as_fast_as_its_loop() {
+    let mut renewal = Renewal::default();
+    for tick in 0..1000_u32 {
+        let position = [f64::from(tick) * 0.125];
+        renewal.step(Some(Stamped { position: &position, orientation: None, time_s: None }), false);
+    }
+    assert_eq!(renewal.total_share(), Some(1.0));
+}
+
 #[test]
 fn late_ticks_and_ticks_without_a_sample_do_not_count() {
     // Every other tick is late, and the device renews its sample as often.
