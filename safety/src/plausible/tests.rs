@@ -333,30 +333,77 @@ fn coarse_joint_in_slow_motion_bears_outliers() {
     }
 }
 
+/// Pass samples by tick until a fault; a tick that lacks a sample is late. Return the tick of the fault.
+fn fault_tick(turns: bool, x: impl Fn(u32) -> Option<f64>) -> Option<u32> {
+    let bounds = SampleBounds { speed: 10.0, quantum: QUANTUM, ..SampleBounds::LINEAR };
+    let [point, turn] =
+        if turns { [SampleBounds::UNBOUNDED, bounds] } else { [bounds, SampleBounds::UNBOUNDED] };
+    let mut guard = Guard::<1>::new(point, turn, PERIOD);
+    let mut last = 0;
+    for n in 1..1000 {
+        let Some(x) = x(n) else { continue };
+        let orientation = UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.0, 0.0, x));
+        let rotation = turns.then_some(Turned { orientation, angular_velocity: None });
+        let sample = Sample { rotation, ..at(if turns { 0.0 } else { x }) };
+        if guard.pass(&sample, f64::from(n - last)).is_err() {
+            return Some(n);
+        }
+        last = n;
+    }
+    None
+}
+
 /// An outlier or a late tick says nothing about the rate of the device, so a later step is a fault.
 #[test]
 fn step_is_a_fault_after_outliers_and_late_ticks() {
-    let bounds = SampleBounds { speed: 10.0, quantum: QUANTUM, ..SampleBounds::LINEAR };
-    for v in [0.0, 0.01, 0.02, 0.03] {
+    for (turns, v) in [(false, 0.0), (false, 0.01), (false, 0.02), (false, 0.03), (true, 0.01), (true, 0.02)]
+    {
         for (outliers, late) in [(0, 0), (1, 0), (2, 0), (3, 0), (0, 1), (0, 2), (0, 3), (2, 2)] {
             for step in [0.012, 0.018, 0.028, 0.035, 0.039] {
-                let mut guard = Guard::<1>::new(bounds, SampleBounds::UNBOUNDED, PERIOD);
-                let (mut ticks, mut fault) = (1.0, None);
-                for n in (0..1000).filter(|n| !(310..310 + late).contains(n)) {
+                let x = |n: u32| {
                     let wrong = if (300..300 + outliers).contains(&n) { 0.05 } else { 0.0 };
-                    let x = rounded(v * f64::from(n) * PERIOD, QUANTUM)
-                        + wrong
-                        + if n < 700 { 0.0 } else { step };
-                    ticks = if n == 310 + late { 1.0 + f64::from(late) } else { ticks };
-                    if guard.pass(&at(x), ticks).is_err() {
-                        fault = Some(n);
-                        break;
-                    }
-                    ticks = 1.0;
-                }
-                let case = format!("{v} m/s, {outliers} outliers, {late} late ticks, {step} m");
+                    let x = rounded(v * f64::from(n) * PERIOD, QUANTUM) + wrong;
+                    (!(310..310 + late).contains(&n)).then_some(x + if n < 700 { 0.0 } else { step })
+                };
+                let fault = fault_tick(turns, x);
+                let case = format!("{turns}, {v} m/s, {outliers} outliers, {late} late ticks, {step} m");
                 assert!(fault.is_some_and(|n| (702..706).contains(&n)), "{case}: {fault:?}");
             }
+        }
+    }
+}
+
+/// A late tick among the samples of a change says nothing about the rate of the device.
+#[test]
+fn step_is_a_fault_after_a_change_with_a_late_tick() {
+    let moved = [0.004, 0.008, 0.012, 0.013];
+    for turns in [false, true] {
+        for late in [1, 2] {
+            let x = |n: u32| match n {
+                0..300 => Some(0.0),
+                300..304 => Some(moved[n as usize - 300]),
+                _ if n < 304 + late => None,
+                304..700 => Some(0.014),
+                _ => Some(0.032),
+            };
+            let fault = fault_tick(turns, x);
+            assert!(fault.is_some_and(|n| (702..706).contains(&n)), "{turns}, {late}: {fault:?}");
+        }
+    }
+}
+
+/// An outlier at a step does not hide it.
+#[test]
+fn step_is_a_fault_after_an_outlier() {
+    for turns in [false, true] {
+        for outliers in 1..=2_u32 {
+            let x = |n: u32| match n {
+                0..300 => Some(0.0),
+                _ if n < 300 + outliers => Some(-0.2),
+                _ => Some(0.3),
+            };
+            let fault = fault_tick(turns, x);
+            assert!(fault.is_some_and(|n| (302..307).contains(&n)), "{turns}, {outliers}: {fault:?}");
         }
     }
 }
