@@ -208,6 +208,34 @@ fn accepted_stop_leaves_no_trace_of_the_held_ticks() {
     }
 }
 
+/// While samples are held, the damping of the last tick remains beside a changing F_v: F_c = d - g F_v with
+/// d = F_c + g F_v of the last tick. It fades with the authority and does not grow again.
+#[test]
+fn damping_of_held_ticks_fades_with_the_authority() {
+    let safety = SafetySettings { controllers: [ControllerKind::Vfc].into(), ..SafetySettings::default() };
+    let mut layer = SafetyLayer::new(&settings(safety)).unwrap();
+    let mut tick = |n: u32, outlier: f64, push: f64, authority| {
+        let x = Axes::<1>::new(3e-4 * f64::from(n) + outlier);
+        layer.tick_with_authority(&x, None, &Axes::<1>::new(push), authority)
+    };
+    for n in 0..200 {
+        tick(n, 0.0, 3.0, 1.0);
+    }
+    let before = tick(200, 0.0, 3.0, 1.0);
+    assert!(before.intervention.tripped.any());
+    // VFC lets nothing of F_v through, so g = 1.
+    let damping = (before.intervention.safety_force + before.rendered_force)[0];
+    assert!(damping < -0.1, "{damping}");
+    for (n, push, authority, share) in [(201, 2.5, 0.5, 0.5), (202, 1.0, 0.8, 0.5), (203, 2.0, 0.4, 0.4)] {
+        let held = tick(n, 0.02, push, authority);
+        assert_eq!(held.rendered_force[0], push, "F_v continues");
+        assert_eq!(held.motion, before.motion, "held");
+        let expected = damping * share;
+        assert!((held.device_force[0] - expected).abs() < 1e-12, "{n}: {} instead of {expected}", held.device_force);
+        assert!((held.intervention.safety_force[0] - (expected - push)).abs() < 1e-12, "{n}");
+    }
+}
+
 /// A step within the bound causes no velocity, before and after it is accepted.
 #[test]
 fn step_causes_no_velocity() {
