@@ -20,6 +20,7 @@ from haptether.bridge import (
     LiveMaster,
     LiveSlave,
     LoopReport,
+    MasterLoop,
     MasterTrace,
     load_scene,
     read_recording,
@@ -118,6 +119,18 @@ def test_a_processor_that_is_not_there_is_refused_politely_or_not(peer: str) -> 
     assert "refused (the processor: Invalid argument" in report.realtime
     with pytest.raises(OSError, match="real time is required: refused"):
         start(peer, cpu=1023, realtime="require")
+
+
+def test_a_refused_start_of_a_driver_closes_its_recording(peer: str, tmp_path: Path) -> None:
+    scene = scene_json(two_sides(operator={"clutch": []}))
+    record = tmp_path / "hand.mcap"
+    loop = MasterLoop(scene, peer=peer, run_id=1, insecure=True, record=record, cpu=1023, realtime="require")
+    with pytest.raises(OSError, match="real time is required: refused"):
+        loop.begin()
+    _, report = loop.finish()
+    assert report.recording is not None
+    assert "refused (the processor" in report.realtime
+    assert read_recording(record).whole
 
 
 @pytest.mark.skipif(os.geteuid() != 0 or shutil.which("setpriv") is None, reason="takes rights away from root")

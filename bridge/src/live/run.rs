@@ -332,12 +332,13 @@ impl DriverLoop for Pacing {
                 // Allocated before the memory is locked.
                 let room = Box::new(MaybeUninit::zeroed());
                 let (realtime, kept) = system::prepare(self.settings.realtime, LaterMemory::Locked);
+                self.realtime = realtime;
                 if let Err(refused) = realtime.check(self.settings.realtime.demand) {
                     // The end closes the recording.
                     self.stage = Stage::Ready(parts);
                     return Err(refused.into());
                 }
-                (self.realtime, self.kept) = (realtime, Some(kept));
+                self.kept = Some(kept);
                 let (plant, socket, channel, channels) = *parts;
                 let now_ns = system::now_ns();
                 self.pace.begin(now_ns);
