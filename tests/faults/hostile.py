@@ -132,10 +132,9 @@ def replayed_session(limits: Limits) -> Row:
         master.end()
         relay.close()
         time.sleep(0.3)
-        again_at_s = time.monotonic()
+        again_at_s = time.time()
         # Slowly: a busy system drops of a burst what does not fit into the socket's buffer.
         answers = send_all(slave.address, relay.recorded, every=5)
-        since_s = time.monotonic() - again_at_s
         slave.end()
         fresh = stage.slave("fresh")
         fresh_answers = send_all(fresh.address, relay.recorded, every=5)
@@ -145,10 +144,9 @@ def replayed_session(limits: Limits) -> Row:
     judged = Judged(limits)
     if not at_slave.ticks.coupled.any():
         raise DisturbedError("never engaged")
-    after = at_slave.ticks.between(at_slave.ticks.time_s[-1] - since_s)
     judged.slave(at_slave)
     judged.slave(at_fresh)
-    for ticks in (after, at_fresh.ticks):
+    for ticks in (at_slave.ticks.between(again_at_s - at_slave.begun_s), at_fresh.ticks):
         judged.wrong.check(not ticks.coupled.any(), "a replay engaged")
         judged.wrong.check(np.ptp(ticks.output) == 0.0, "the command travelled")
     # First messages of handshakes are answered, within their budget: without the key an answer is of no use.

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import re
 import signal
 import subprocess
@@ -159,6 +160,7 @@ class Stage:
             ticks=Ticks.of_signals(recording.side, recording.signals),
             reasons=[str(reason) for reason in recording.signals["reason"]],
             overshoot_s=[float(late) for late in recording.signals["overshoot_s"]],
+            begun_s=recording.begun_ns * 1e-9,
         )
 
 
@@ -169,6 +171,8 @@ class Recorded:
     ticks: Ticks
     reasons: list[str]
     overshoot_s: list[float]
+    begun_s: float = math.nan
+    """Wall-clock time at tick time 0; NaN where unknown."""
 
     def last(self, seconds: float) -> Self:
         """Its last seconds."""
