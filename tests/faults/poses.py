@@ -200,7 +200,8 @@ class Rig:
         later = np.array([turned for ordered_s, turned in self.arm.orders if ordered_s > at_s and turned is not None])
         if not len(later):
             return 0.0
-        return float(2.0 * np.arccos(np.minimum(np.abs(later @ later[0]), 1.0)).max())
+        apart = [np.linalg.norm(later - sign * later[0], axis=1) for sign in (1.0, -1.0)]
+        return float(4.0 * np.arcsin(np.minimum(*apart) / 2.0).max())
 
 
 @contextmanager
