@@ -28,7 +28,7 @@ def run(environment: dict[str, str], *arguments: str, timeout: float = 100.0) ->
     )  # fmt: skip
 
 
-@pytest.mark.alone
+@pytest.mark.live
 @pytest.mark.timeout(300)
 @anew_after_stalls
 def test_a_device_that_moves_in_real_time_is_identified_and_left_without_force(

@@ -182,6 +182,7 @@ def test_a_weight_that_says_too_little_is_refused(change_a: float, scatter_a: fl
 
 
 @pytest.mark.live
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("true_nm_per_a", [1.3, 2.48])
 def test_calibrate_measures_a_constant_with_a_weight(tmp_path: Path, true_nm_per_a: float) -> None:
     path, mass, lever = tmp_path / "arm.toml", 0.5, 0.12

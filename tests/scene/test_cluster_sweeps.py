@@ -30,7 +30,6 @@ def local(tmp_path: Path) -> bytes:
     return path.read_bytes()
 
 
-@pytest.mark.alone
 @pytest.mark.timeout(120)
 def test_a_cluster_that_loses_a_worker_writes_the_same_bytes(
     local: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -54,7 +53,6 @@ def test_a_cluster_that_loses_a_worker_writes_the_same_bytes(
     assert path.read_bytes() == local
 
 
-@pytest.mark.alone
 @pytest.mark.timeout(120)
 def test_without_an_address_workers_are_processes_of_this_machine(local: bytes, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
@@ -88,7 +86,6 @@ def test_a_batch_says_what_its_controllers_took_and_no_more() -> None:
     assert again.ticks == taken.ticks
 
 
-@pytest.mark.alone
 @pytest.mark.timeout(120)
 def test_what_controllers_in_python_take_on_workers_is_counted_here(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

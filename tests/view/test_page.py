@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pytest
 from PIL import Image
 from tests.view.console.browser import chromium
 from tests.view.shown import shown
@@ -14,9 +13,6 @@ from haptether.view.page.page import write_page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
-
-# It draws on all processors.
-pytestmark = pytest.mark.alone
 
 
 def picture(page: "Page") -> np.ndarray:

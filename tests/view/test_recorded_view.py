@@ -85,7 +85,7 @@ def test_a_slave_alone_is_one_end() -> None:
     assert np.array_equal(described.part("tool").pose(2.5), whole.part("tool").pose(2.5))  # type: ignore[arg-type]
 
 
-@pytest.mark.alone
+@pytest.mark.live
 def test_the_recording_of_a_master_alone(tmp_path: Path) -> None:
     path, picture = tmp_path / "master.mcap", tmp_path / "a.png"
     spec = scene_json(load_scene("remote_push"))
