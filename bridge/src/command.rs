@@ -1,8 +1,9 @@
 //! Commands of an operator to a running side.
 
 use crate::{
-    coupling::{CouplingError, FrameMap, PositionForce, RotationCoupling},
-    wire::MAX_AXES,
+    coupling::{CouplingError, FrameMap, PositionForce, RotationCoupling, ScaleRanges},
+    port::MAX_AXES,
+    wire::Role,
 };
 
 /// A command of the operator at one side, never from the network. Commands for the other side are ignored.
@@ -46,5 +47,23 @@ impl OperatorCommand {
             Self::TorqueScale(scale) => RotationCoupling::new(1.0, *scale).map(|_| ()),
             Self::Frame { quat_wxyz, locked } => FrameMap::<N>::rotated(*quat_wxyz, locked).map(|_| ()),
         }
+    }
+
+    /// Check a scale against the ranges of the side `role`. Scales of the other side pass.
+    ///
+    /// `is_open` is true if the clutch is open and no force is left.
+    ///
+    /// # Errors
+    ///
+    /// [`CouplingError::Change`] and [`CouplingError::NoScale`].
+    pub fn check_scale(&self, role: Role, ranges: &ScaleRanges, is_open: bool) -> Result<(), CouplingError> {
+        let (range, name, scale) = match (role, *self) {
+            (Role::Master, Self::ForceScale(scale)) => (&ranges.translation, "force_scale", scale),
+            (Role::Slave, Self::PositionScale(scale)) => (&ranges.translation, "position_scale", scale),
+            (Role::Master, Self::TorqueScale(scale)) => (&ranges.rotation, "torque_scale", scale),
+            (Role::Slave, Self::RotationScale(scale)) => (&ranges.rotation, "rotation_scale", scale),
+            _ => return Ok(()),
+        };
+        range.as_ref().ok_or(CouplingError::NoScale(name))?.check(scale, is_open).map(|_| ())
     }
 }

@@ -3,79 +3,10 @@
 //! The loop of such a driver is `read -> tick -> write -> wait`. It stores its sample here before the tick, and takes
 //! force or order afterwards.
 
-use haptether_master::RotationSample;
 use haptether_safety::Axes;
 use nalgebra::{Unit, UnitQuaternion};
 
-use crate::{
-    buttons::ButtonWord,
-    coupling::RotationState,
-    plant::{MasterPlant, SlavePlant},
-};
-
-/// A haptic device whose driver is elsewhere.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DrivenMaster<const N: usize> {
-    /// Measured position in m.
-    pub position: Axes<N>,
-    /// Velocity in m/s, if the device measures it.
-    pub velocity: Option<Axes<N>>,
-    /// Clutch state, if the device has a button; true if pressed.
-    pub clutch: Option<bool>,
-    /// Buttons of the device.
-    pub buttons: ButtonWord,
-    /// Force in N for the device to exert.
-    pub force: Axes<N>,
-    /// Measured orientation and angular velocity, if the device turns.
-    pub rotation: Option<RotationSample>,
-    /// Torque in N m for the device to exert.
-    pub torque: Axes<3>,
-}
-
-impl<const N: usize> Default for DrivenMaster<N> {
-    fn default() -> Self {
-        let (position, force, torque) = (Axes::zeros(), Axes::zeros(), Axes::zeros());
-        Self {
-            position,
-            velocity: None,
-            clutch: None,
-            buttons: ButtonWord::UNKNOWN,
-            force,
-            rotation: None,
-            torque,
-        }
-    }
-}
-
-impl<const N: usize> MasterPlant<N> for DrivenMaster<N> {
-    fn read(&mut self, _now_ns: u64) -> (Axes<N>, Option<Axes<N>>) {
-        (self.position, self.velocity)
-    }
-
-    fn write(&mut self, force: &Axes<N>) {
-        self.force = *force;
-    }
-
-    fn clutch(&self) -> Option<bool> {
-        self.clutch
-    }
-
-    fn buttons(&self) -> Option<ButtonWord> {
-        Some(self.buttons)
-    }
-
-    fn rotation(&self) -> Option<RotationSample> {
-        self.rotation
-    }
-
-    fn write_torque(&mut self, torque: &Axes<3>) {
-        self.torque = *torque;
-    }
-
-    fn driven(&mut self) -> Option<&mut Self> {
-        Some(self)
-    }
-}
+use crate::{coupling::RotationState, plant::SlavePlant};
 
 /// Order to an arm's driver.
 #[derive(Clone, Copy, Debug, PartialEq)]

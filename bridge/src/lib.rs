@@ -21,6 +21,7 @@ mod pace;
 pub mod path;
 mod plant;
 pub mod playout;
+mod port;
 mod record;
 pub mod recorder;
 mod ring;
@@ -33,7 +34,7 @@ pub mod wire;
 
 pub use buttons::{ButtonError, ButtonSettings, ButtonWord};
 pub use command::OperatorCommand;
-pub use driven::{DrivenMaster, DrivenSlave, DrivenSlaveError, SlaveOrder};
+pub use driven::{DrivenSlave, DrivenSlaveError, SlaveOrder};
 pub use endpoint::{
     EndpointError, Exchange, HandInput, MasterEndpoint, MasterReading, MasterRotationSettings,
     MasterSettings, MasterTick, Past, SideCounts, SlaveEndpoint, SlaveReading, SlaveRotationSettings,
@@ -47,11 +48,14 @@ pub use ladder::{
     History, Ladder, LadderError, LadderInput, LadderInputs, LadderSettings, LadderState, LinkView, Observed,
     PeerCause, PeerFrame, PeerReport, Reason, Remedy, Step, Transition,
 };
-pub use link::{FrameLink, LinkStatistics, LinkTime, PortState, RejectReason, Status};
+pub use link::{FrameLink, LinkStatistics, LinkTime, RejectReason, Status};
 pub use local::{DelayLine, LocalLoop, LocalTick, Rendering, SceneRendering, TrueWatch, Watch, Watched};
 pub use pace::TickTime;
 pub use path::{PathReport, PeerPath};
-pub use plant::{MasterPlant, ModelArm, ModelPlant, RotationTruth, SlavePlant, Truth, TurningMaster};
+pub use plant::{
+    DrivenMaster, MasterPlant, ModelArm, ModelPlant, RotationTruth, SlavePlant, Truth, TurningMaster,
+};
+pub use port::{MAX_ENERGY_J, PortEnergy, PortState};
 pub use record::{
     Column, Feeling, FingerTick, MasterRecord, MasterRotation, MasterTurn, SlaveRecord, SlaveRotation,
     SlaveTurn, Trace,

@@ -1,14 +1,12 @@
 //! One end of the frame exchange: sequence numbers, strictly newest wins, statistics, round trip.
 
-use haptether_safety::Axes;
-
 use crate::{
     SideKind,
-    coupling::{GripperState, PortEnergy, RotationState},
     fault_text::TextPiece,
     path::PeerPath,
+    port::PortState,
     session::{Arrival, Rejection, Rejections, ReplayWindow},
-    wire::{Echo, Frame, FrameLayout, MAX_FRAME, Padded, Role, WireError},
+    wire::{Echo, Frame, FrameLayout, MAX_FRAME, Role, WireError},
 };
 
 /// Counts of one end since it started.
@@ -65,56 +63,6 @@ impl LinkTime {
     /// Tick that is `late_ns` late.
     pub const fn late(tick_ns: u64, late_ns: u64) -> Self {
         Self { tick_ns, by_ns: tick_ns.saturating_add(late_ns) }
-    }
-}
-
-/// Plant state in a frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PortState {
-    /// Position in m.
-    pub position: Padded,
-    /// Velocity in m/s.
-    pub velocity: Padded,
-    /// Force in N.
-    pub force: Padded,
-    /// Energy into and out of the link.
-    pub energy: PortEnergy,
-    /// Orientation, angular velocity and torque; only for kind `pose`.
-    pub rotation: Option<RotationState>,
-    /// Gripper or trigger, if the session has a gripper.
-    pub gripper: Option<GripperState>,
-    /// Buttons of the master, if the session has buttons.
-    pub buttons: Option<u32>,
-}
-
-impl PortState {
-    /// Store the measured state; other fields stay.
-    #[inline]
-    pub(crate) fn report<const N: usize>(
-        &mut self,
-        position: &Axes<N>,
-        velocity: &Axes<N>,
-        force: &Axes<N>,
-        rotation: Option<RotationState>,
-    ) {
-        // In place: values beyond the axes stay zero.
-        for (part, values) in
-            [(&mut self.position, position), (&mut self.velocity, velocity), (&mut self.force, force)]
-        {
-            part.as_mut_slice()[..N].copy_from_slice(values.as_slice());
-        }
-        // A point has no rotation, so skip the write.
-        if rotation.is_some() || self.rotation.is_some() {
-            self.rotation = rotation;
-        }
-    }
-}
-
-impl Default for PortState {
-    fn default() -> Self {
-        let [position, velocity, force] = [Padded::zeros(); 3];
-        let energy = PortEnergy::default();
-        Self { position, velocity, force, energy, rotation: None, gripper: None, buttons: None }
     }
 }
 
@@ -515,7 +463,7 @@ mod tests {
                         LinkTime::at(n * MS),
                         HEARD,
                         PortState {
-                            position: padded(&Axes::<1>::repeat(n as f64 * 1e-3)),
+                            position: padded(&haptether_safety::Axes::<1>::repeat(n as f64 * 1e-3)),
                             ..PortState::default()
                         },
                         &mut buffer,

@@ -5,7 +5,7 @@ use haptether_safety::{Axes, Real};
 use haptether_slave::{GripperSample, SimulatedSlave, SimulatedTool};
 use nalgebra::UnitQuaternion;
 
-use crate::{buttons::ButtonWord, coupling::RotationState, driven::DrivenMaster};
+use crate::{buttons::ButtonWord, coupling::RotationState};
 
 /// A master device; time is an argument.
 pub trait MasterPlant<const N: usize> {
@@ -181,6 +181,70 @@ impl<P: MasterPlant<N> + ?Sized, const N: usize> MasterPlant<N> for Box<P> {
 
     fn driven(&mut self) -> Option<&mut DrivenMaster<N>> {
         (**self).driven()
+    }
+}
+
+/// A haptic device whose driver is elsewhere.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DrivenMaster<const N: usize> {
+    /// Measured position in m.
+    pub position: Axes<N>,
+    /// Velocity in m/s, if the device measures it.
+    pub velocity: Option<Axes<N>>,
+    /// Clutch state, if the device has a button; true if pressed.
+    pub clutch: Option<bool>,
+    /// Buttons of the device.
+    pub buttons: ButtonWord,
+    /// Force in N for the device to exert.
+    pub force: Axes<N>,
+    /// Measured orientation and angular velocity, if the device turns.
+    pub rotation: Option<RotationSample>,
+    /// Torque in N m for the device to exert.
+    pub torque: Axes<3>,
+}
+
+impl<const N: usize> Default for DrivenMaster<N> {
+    fn default() -> Self {
+        let (position, force, torque) = (Axes::zeros(), Axes::zeros(), Axes::zeros());
+        Self {
+            position,
+            velocity: None,
+            clutch: None,
+            buttons: ButtonWord::UNKNOWN,
+            force,
+            rotation: None,
+            torque,
+        }
+    }
+}
+
+impl<const N: usize> MasterPlant<N> for DrivenMaster<N> {
+    fn read(&mut self, _now_ns: u64) -> (Axes<N>, Option<Axes<N>>) {
+        (self.position, self.velocity)
+    }
+
+    fn write(&mut self, force: &Axes<N>) {
+        self.force = *force;
+    }
+
+    fn clutch(&self) -> Option<bool> {
+        self.clutch
+    }
+
+    fn buttons(&self) -> Option<ButtonWord> {
+        Some(self.buttons)
+    }
+
+    fn rotation(&self) -> Option<RotationSample> {
+        self.rotation
+    }
+
+    fn write_torque(&mut self, torque: &Axes<3>) {
+        self.torque = *torque;
+    }
+
+    fn driven(&mut self) -> Option<&mut Self> {
+        Some(self)
     }
 }
 

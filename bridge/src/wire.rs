@@ -55,10 +55,12 @@ use zerocopy::{
 
 use crate::{
     SideKind,
-    coupling::{GripperState, MAX_ENERGY_J, PortEnergy, RotationState, canonical, checked, is_canonical},
+    coupling::{GripperState, RotationState, canonical, checked, is_canonical},
     fault_text::{PIECE, TextPiece},
-    link::PortState,
+    port::{MAX_ENERGY_J, PortEnergy, PortState},
 };
+
+pub use crate::port::{MAX_AXES, Padded, padded, unpadded};
 
 /// Magic bytes at the start of a frame.
 pub const MAGIC: [u8; 2] = *b"HT";
@@ -74,28 +76,9 @@ const BUTTONS: usize = 4;
 /// Bytes of reason, fault and fault text.
 const CAUSE: usize = 4 + PIECE;
 const CHECKSUM: usize = 4;
-/// Largest number of axes of a device or an arm.
-pub const MAX_AXES: usize = 7;
 /// Bytes of the longest frame: seven joints need more than three axes with an orientation.
 pub const MAX_FRAME: usize =
     FrameLayout { axes: MAX_AXES, kind: SideKind::Joints, has_gripper: true, has_buttons: true }.length();
-
-/// One value per axis of a side; zero beyond its axes.
-pub type Padded = Axes<MAX_AXES>;
-
-/// Pad the values of a side with zeros.
-#[inline]
-pub fn padded<const N: usize>(values: &Axes<N>) -> Padded {
-    let mut padded = Padded::zeros();
-    padded.as_mut_slice()[..N].copy_from_slice(values.as_slice());
-    padded
-}
-
-/// Return the first `N` values.
-#[inline]
-pub fn unpadded<const N: usize>(values: &Padded) -> Axes<N> {
-    Axes::from_column_slice(&values.as_slice()[..N])
-}
 
 /// Parts of every frame of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,7 +3,6 @@
 use haptether_safety::Real;
 
 use super::CouplingError;
-use crate::{command::OperatorCommand, wire::Role};
 
 /// Largest factor, up and down, of a scale change with a closed clutch, unless the scene states another.
 pub const CHANGE_FACTOR: f64 = 2.0;
@@ -84,39 +83,6 @@ pub struct ScaleRanges {
     pub translation: Option<ScaleRange>,
     /// Range of `lambda_r` at a slave, of `lambda_tau` at a master; none unless the side turns.
     pub rotation: Option<ScaleRange>,
-}
-
-impl ScaleRanges {
-    /// Check an operator command at the side `role`. Scales of the other side pass.
-    ///
-    /// # Errors
-    ///
-    /// [`CouplingError::Change`] and [`CouplingError::NoScale`].
-    pub fn check(&self, role: Role, command: &OperatorCommand, is_open: bool) -> Result<(), CouplingError> {
-        let (range, name, scale) = match (role, *command) {
-            (Role::Master, OperatorCommand::ForceScale(scale)) => (&self.translation, "force_scale", scale),
-            (Role::Slave, OperatorCommand::PositionScale(scale)) => {
-                (&self.translation, "position_scale", scale)
-            }
-            (Role::Master, OperatorCommand::TorqueScale(scale)) => (&self.rotation, "torque_scale", scale),
-            (Role::Slave, OperatorCommand::RotationScale(scale)) => (&self.rotation, "rotation_scale", scale),
-            _ => return Ok(()),
-        };
-        range.as_ref().ok_or(CouplingError::NoScale(name))?.check(scale, is_open).map(|_| ())
-    }
-}
-
-/// Round to six digits for messages, because a factor turns short decimal numbers into long ones.
-pub(super) fn rounded(number: f64) -> f64 {
-    format!("{number:.5e}").parse().unwrap_or(number)
-}
-
-pub(super) fn remedy(name: &str, seen: f64, [least, most]: [f64; 2]) -> String {
-    if (least..=most).contains(&seen) {
-        "release the clutch first, or state a larger coupling.change_factor in the scene".to_owned()
-    } else {
-        format!("set coupling.{name} in the scene")
-    }
 }
 
 /// Linear ramp of a number to another, one step per tick.

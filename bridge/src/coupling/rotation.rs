@@ -3,7 +3,12 @@
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 use std::f64::consts::{PI, TAU};
 
-use super::{CouplingError, UNIT, canonical, change::Changing, normalised, position_force::check};
+use super::{
+    CouplingError, canonical,
+    change::Changing,
+    frame_map::{UNIT, normalised},
+    position_force::check,
+};
 
 /// Angle in rad from the anchor beyond which a scaled rotation sets a new anchor.
 pub const ANCHOR_REACH_RAD: f64 = 1.5 * PI;

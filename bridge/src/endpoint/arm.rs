@@ -12,7 +12,7 @@ use crate::{
     command::OperatorCommand,
     coupling::{AlignmentStep, CouplingError, Limited, RotationState},
     ladder::{AlignmentState, LadderState},
-    link::PortState,
+    port::PortState,
     wire::Padded,
 };
 

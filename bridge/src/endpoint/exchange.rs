@@ -13,7 +13,8 @@ use crate::{
         LadderInputs, LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame, Reason,
         thresholds,
     },
-    link::{FrameHead, FrameLink, LinkStatistics, LinkTime, PortState, RejectReason, Status},
+    link::{FrameHead, FrameLink, LinkStatistics, LinkTime, RejectReason, Status},
+    port::PortState,
     wire::{Frame, FrameLayout, MAX_FRAME, Role},
 };
 

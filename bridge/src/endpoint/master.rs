@@ -311,7 +311,7 @@ impl<const N: usize> MasterEndpoint<N> {
             self.exchange.acknowledge(now_ns);
             return Ok(true);
         }
-        self.ranges.check(Role::Master, &command, self.exchange.is_open())?;
+        command.check_scale(Role::Master, &self.ranges, self.exchange.is_open())?;
         self.change(command, self.exchange.fade_ticks())
     }
 

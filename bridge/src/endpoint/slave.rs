@@ -198,7 +198,7 @@ impl<const N: usize> SlaveEndpoint<N> {
         if command == OperatorCommand::Acknowledge {
             self.exchange.acknowledge(now_ns);
         }
-        self.ranges.check(Role::Slave, &command, self.exchange.is_open())?;
+        command.check_scale(Role::Slave, &self.ranges, self.exchange.is_open())?;
         self.arm.command(command, self.exchange.fade_ticks())
     }
 

@@ -7,6 +7,7 @@
 mod diagnosis;
 mod flight;
 mod input;
+mod inputs;
 mod machine;
 mod operator;
 mod report;
@@ -15,7 +16,8 @@ pub mod table;
 pub use diagnosis::{Diagnosis, Explanation, PeerCause, Remedy, Step};
 pub use flight::{FlightEntry, FlightRecorder, FlightValues, LAYERS, Observed, thresholds};
 pub(crate) use flight::{ROTATION, TRANSLATION, TRIGGER};
-pub use input::{AlignmentState, LadderInput, LadderInputs, LinkView, PeerFrame, PeerReport};
+pub use input::{AlignmentState, LadderInput, LinkView, PeerFrame, PeerReport};
+pub use inputs::LadderInputs;
 pub use machine::{History, Ladder, LadderError, LadderSettings, Transition};
 pub(crate) use operator::Button;
 pub use operator::{Clutch, ClutchError, ClutchOperator, PRESS_NS};

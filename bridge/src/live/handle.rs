@@ -9,7 +9,7 @@ use std::{
     },
 };
 
-use super::{handshakes::SecurityEvent, live_loop::PROMPT_NS, newest::Newest, system};
+use super::{handshakes::SecurityEvent, newest::Newest, system};
 use crate::{
     LinkStatistics,
     command::OperatorCommand,
@@ -20,6 +20,10 @@ use crate::{
     telemetry::Telemetry,
     wire::Role,
 };
+
+/// Maximum age in ns of a command, and time after a stall without presses. Signals sent during a suspend arrive after
+/// it.
+pub(super) const PROMPT_NS: u64 = 250_000_000;
 
 /// Lock-free handle to a loop, for any thread.
 #[derive(Clone, Debug)]
@@ -311,7 +315,7 @@ impl Shared {
         commands: &mut rtrb::Producer<(u64, OperatorCommand)>,
         command: OperatorCommand,
     ) -> Result<(), CommandError> {
-        self.ranges.check(self.role, &command, self.is_open.load(Ordering::Relaxed))?;
+        command.check_scale(self.role, &self.ranges, self.is_open.load(Ordering::Relaxed))?;
         commands.push((system::now_ns(), command)).map_err(|_| CommandError::Full)
     }
 

@@ -4,7 +4,7 @@ use std::{any::Any, ops::ControlFlow, sync::atomic::Ordering};
 
 use super::{
     channel::{LiveChannel, RELEASES},
-    handle::{Ineffective, LoopChannels, MAX_COMMANDS, RecordSinks, Shared},
+    handle::{Ineffective, LoopChannels, MAX_COMMANDS, PROMPT_NS, RecordSinks, Shared},
     handshakes::SecurityEvent,
     slow_device::{SlowDevice, SlowWatch},
     socket::PeerSocket,
@@ -83,9 +83,6 @@ const RECEIVE_SHARE: u64 = 4;
 /// Waits in ns after each of the last frames and releases: 20 ms in all, since losses occur in bursts.
 const END_NS: [u64; 9] =
     [1_000_000, 1_000_000, 2_000_000, 4_000_000, 1_000_000, 1_000_000, 2_000_000, 8_000_000, 0];
-/// Maximum age in ns of a command, and time after a stall without presses. Signals sent during a suspend arrive after
-/// it.
-pub(super) const PROMPT_NS: u64 = 250_000_000;
 
 /// Return whether a command of `at_ns` is still valid at `now_ns`. `stalled_ns` is the end of the last stall,
 /// `failed_ns` the time of the present fault.

@@ -5,6 +5,7 @@
 
 mod fields;
 mod file;
+mod queue;
 mod read;
 mod waiting;
 
@@ -22,13 +23,11 @@ use std::{
 
 pub use fields::{Field, Recorded, Value};
 use file::{FreeSpace, McapFile};
+pub(crate) use queue::WaitingRecords;
 pub use read::{Column, ReadError, ReadRecording, Values, read_recording};
 pub(crate) use waiting::WaitingRecorder;
 
-use crate::{
-    ladder::Diagnosis,
-    ring::{WaitingRecords, ring},
-};
+use crate::{ladder::Diagnosis, ring::ring};
 
 /// Whether frames are sealed; a recording of an unsealed run says so in every record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -15,7 +15,7 @@ use super::{
     pose,
     record::SceneRun,
     research::ResearchFactory,
-    sides::{coupled, master_endpoint, simulated_arm, simulated_gripper, slave_endpoint, trigger},
+    sides::{master_endpoint, simulated_arm, simulated_gripper, slave_endpoint, trigger, waiting_master},
     spec::{SceneSpec, SignalsSpec},
     timed::Timed,
     watched::Watched,
@@ -29,7 +29,6 @@ use crate::{
     run_virtual,
     virtual_time::run_virtual_ahead,
 };
-use haptether_master::SimulatedMaster;
 use haptether_netsim::{ClockSettings, EndpointClock};
 use haptether_safety::{Axes, SafetyTick};
 
@@ -66,7 +65,7 @@ fn simulate_in<const N: usize>(
 ) -> Result<Option<SceneRun>, SceneError> {
     let slave = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, SESSIONS.1)?)
         .with_gripper(simulated_gripper(scene)?);
-    run(scene, master(scene, waiting(exact_master(scene)?), kept)?, slave, stop, kept, order)
+    run(scene, master(scene, waiting_master(exact_master(scene)?), kept)?, slave, stop, kept, order)
 }
 
 /// The same of a hand and an arm that turn.
@@ -93,9 +92,9 @@ fn simulate_pose_in(
 ) -> Result<Option<SceneRun>, SceneError> {
     let slave = SlaveSide::new(pose::simulated_tool(scene)?, slave_endpoint(scene, SESSIONS.1)?)
         .with_gripper(simulated_gripper(scene)?)
-        .about(pose::reference_point(coupled(scene)?.1)?)
+        .about(pose::reference_point(scene.coupled()?.1)?)
         .turning();
-    let plant = pose::turning_master(scene, waiting(exact_master(scene)?))?;
+    let plant = pose::turning_master(scene, waiting_master(exact_master(scene)?))?;
     run(scene, master(scene, plant, kept)?.turning(), slave, stop, kept, order)
 }
 
@@ -141,11 +140,6 @@ pub(super) fn check<const N: usize>(scene: &SceneSpec<N>) -> Result<(), SceneErr
     Ok(())
 }
 
-pub(super) fn waiting<const N: usize>(mut plant: SimulatedMaster<N>) -> SimulatedMaster<N> {
-    plant.set_waiting(true);
-    plant
-}
-
 pub(super) fn master<P: MasterPlant<N>, const N: usize>(
     scene: &SceneSpec<N>,
     plant: P,
@@ -168,7 +162,7 @@ fn clock(name: &str, settings: Option<ClockSettings>) -> Result<Option<EndpointC
 }
 
 pub(super) fn settings<const N: usize>(scene: &SceneSpec<N>) -> Result<VirtualSettings, SceneError> {
-    let (slave, _) = coupled(scene)?;
+    let (slave, _) = scene.coupled()?;
     let links = scene.link.as_ref();
     Ok(VirtualSettings {
         period_ns: period_ns("run.period_s", scene.run.period_s)?,
@@ -203,7 +197,7 @@ where
     let files = kept.files;
     let (mut master, mut slave, mut watched) = prepared(scene, &settings, master, slave, kept)?;
     let security = if settings.secure { SecurityMark::Secure } else { SecurityMark::Insecure };
-    let is_felt = trigger_feedback(scene, coupled(scene)?.0)?.is_some();
+    let is_felt = trigger_feedback(scene, scene.coupled()?.0)?.is_some();
     let needs_sides = !kept.outcome_only;
     // Set in a row alone: in turn no side is ahead of what was observed.
     let mut ended_early = false;
@@ -269,7 +263,7 @@ where
     R: MasterTurn,
     Q: SlaveTurn,
 {
-    let commands = commands::<N>(coupled(scene)?.1)?;
+    let commands = commands::<N>(scene.coupled()?.1)?;
     let start = master.plant.truth().map_or(Axes::zeros(), |truth| truth.position);
     let mut master = Timed::new(master, commands.clone());
     let mut slave = Timed::new(slave, commands.clone());

@@ -4,12 +4,7 @@ mod columns;
 
 use haptether_safety::{Axes, SafetyTick};
 
-use super::{
-    assemble::SceneError,
-    coupling::commands,
-    sides::{coupled, master_endpoint},
-    spec::SceneSpec,
-};
+use super::{assemble::SceneError, coupling::commands, sides::master_endpoint, spec::SceneSpec};
 use crate::{
     OperatorCommand,
     endpoint::{HandInput, MasterEndpoint, MasterReading},
@@ -92,7 +87,7 @@ impl<const N: usize> Replay<N> {
         recouples: bool,
         hand: Option<HandImpedance>,
     ) -> Result<Self, SceneError> {
-        let (_, coupling) = coupled(scene)?;
+        let (_, coupling) = scene.coupled()?;
         Ok(Self {
             endpoint: master_endpoint(scene, RUN_ID, None)?,
             commands: commands::<N>(coupling)?,

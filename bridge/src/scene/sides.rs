@@ -1,14 +1,14 @@
 //! The two sides of a scene, each by itself: what a run in virtual time couples, and what runs live.
 
+use haptether_master::SimulatedMaster;
 use haptether_safety::SampleBounds;
-use haptether_slave::{ArmSettings, SimulatedSlave, SimulatedTool};
+use haptether_slave::{SimulatedSlave, SimulatedTool};
 
 use super::{
     assemble::{
         SceneError, device_model, driven_clutch, environment, exact_master, limiter, live_clutch, period_ns,
         simulated_trigger, trigger_feedback,
     },
-    bilateral::waiting,
     coupling::commands,
     pose,
     research::{ResearchFactory, research_controller},
@@ -25,21 +25,11 @@ use crate::{
 /// How a driven arm brakes where it is no longer led, in m/s^2, unless the scene bounds its acceleration.
 const DECELERATION: f64 = 5.0;
 
-/// The arm and the coupling that a scene with two sides has.
-pub(super) fn coupled<const N: usize>(
-    scene: &SceneSpec<N>,
-) -> Result<(&ArmSettings<N>, &CouplingSpec), SceneError> {
-    let missing = |text: &str| SceneError::Contradiction(text.to_owned());
-    let slave = scene.slave.as_ref().ok_or_else(|| missing("slave: is missing"))?;
-    let coupling = scene.coupling.as_ref().ok_or_else(|| missing("coupling: a [slave] must be coupled"))?;
-    Ok((slave, coupling))
-}
-
 fn master_settings<const N: usize>(
     scene: &SceneSpec<N>,
     run_id: u64,
 ) -> Result<MasterSettings<N>, SceneError> {
-    let (_, coupling) = coupled(scene)?;
+    let (_, coupling) = scene.coupled()?;
     pose::check_kind(scene)?;
     Ok(MasterSettings {
         period_ns: period_ns("run.period_s", scene.run.period_s)?,
@@ -98,7 +88,7 @@ pub(super) fn master_endpoint<const N: usize>(
     run_id: u64,
     research: Option<&dyn ResearchFactory>,
 ) -> Result<MasterEndpoint<N>, SceneError> {
-    let (arm, coupling) = coupled(scene)?;
+    let (arm, coupling) = scene.coupled()?;
     let settings = master_settings(scene, run_id)?;
     let endpoint = match scene.master.kind {
         SideKind::Pose => {
@@ -135,7 +125,7 @@ pub(super) fn master_endpoint<const N: usize>(
 }
 
 fn slave_settings<const N: usize>(scene: &SceneSpec<N>, run_id: u64) -> Result<SlaveSettings, SceneError> {
-    let (slave, coupling) = coupled(scene)?;
+    let (slave, coupling) = scene.coupled()?;
     pose::check_kind(scene)?;
     Ok(SlaveSettings {
         period_ns: period_ns("slave.period_s", slave.period_s)?,
@@ -157,7 +147,7 @@ pub(super) fn slave_endpoint<const N: usize>(
     scene: &SceneSpec<N>,
     run_id: u64,
 ) -> Result<SlaveEndpoint<N>, SceneError> {
-    let (_, coupling) = coupled(scene)?;
+    let (_, coupling) = scene.coupled()?;
     let settings = slave_settings(scene, run_id)?;
     let endpoint = match scene.master.kind {
         SideKind::Pose => {
@@ -193,7 +183,7 @@ pub(super) fn trigger<const N: usize>(
     scene: &SceneSpec<N>,
     is_driven: bool,
 ) -> Result<Option<Trigger>, SceneError> {
-    let (arm, _) = coupled(scene)?;
+    let (arm, _) = scene.coupled()?;
     if arm.gripper.is_none() {
         return Ok(None);
     }
@@ -207,12 +197,12 @@ pub(super) fn trigger<const N: usize>(
 pub(super) fn simulated_gripper<const N: usize>(
     scene: &SceneSpec<N>,
 ) -> Result<Option<LedGripper>, SceneError> {
-    Ok(coupled(scene)?.0.gripper.map(LedGripper::simulated).transpose()?)
+    Ok(scene.coupled()?.0.gripper.map(LedGripper::simulated).transpose()?)
 }
 
 /// The scene's arm in its environment.
 pub(super) fn simulated_arm<const N: usize>(scene: &SceneSpec<N>) -> Result<SimulatedSlave<N>, SceneError> {
-    let (slave, _) = coupled(scene)?;
+    let (slave, _) = scene.coupled()?;
     Ok(SimulatedSlave::in_environment(
         slave.model()?,
         environment(scene.environment.as_ref())?,
@@ -222,12 +212,17 @@ pub(super) fn simulated_arm<const N: usize>(scene: &SceneSpec<N>) -> Result<Simu
     )?)
 }
 
+pub(super) fn waiting_master<const N: usize>(mut plant: SimulatedMaster<N>) -> SimulatedMaster<N> {
+    plant.set_waiting(true);
+    plant
+}
+
 /// A model of a device and its hand.
 pub type LiveDevice<const N: usize> = Box<dyn MasterPlant<N> + Send>;
 
 /// The scene's device in the scene's hand, which waits for the engagement.
 fn simulated_device<const N: usize>(scene: &SceneSpec<N>) -> Result<LiveDevice<N>, SceneError> {
-    Ok(Box::new(waiting(exact_master(scene)?)))
+    Ok(Box::new(waiting_master(exact_master(scene)?)))
 }
 
 /// The side of the hand with the scene's device in the scene's hand; `run_id` is drawn anew at every start.
@@ -243,7 +238,7 @@ pub fn simulated_master<const N: usize>(
     let side = MasterSide::new(plant, master_endpoint(scene, run_id, None)?, live_clutch(scene))?
         .with_trigger(trigger(scene, false)?)
         .with_buttons(scene.master.buttons)?;
-    Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
+    Ok(Timed::new(side, commands::<N>(scene.coupled()?.1)?))
 }
 
 /// The same with a device that turns.
@@ -260,7 +255,7 @@ pub fn simulated_pose_master(
         .with_trigger(trigger(scene, false)?)
         .with_buttons(scene.master.buttons)?
         .turning();
-    Ok(Timed::new(side, commands::<3>(coupled(scene)?.1)?))
+    Ok(Timed::new(side, commands::<3>(scene.coupled()?.1)?))
 }
 
 /// The side of the robot with the scene's arm in the scene's environment.
@@ -275,7 +270,7 @@ pub fn simulated_slave<const N: usize>(
     research_controller(scene, None)?; // what its master refuses, too
     let side = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, run_id)?)
         .with_gripper(simulated_gripper(scene)?);
-    Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
+    Ok(Timed::new(side, commands::<N>(scene.coupled()?.1)?))
 }
 
 /// The same with an arm that turns.
@@ -287,7 +282,7 @@ pub fn simulated_pose_slave(
     scene: &SceneSpec<3>,
     run_id: u64,
 ) -> Result<Timed<SlaveSide<SimulatedTool, 3, SlaveRotation>>, SceneError> {
-    let (_, coupling) = coupled(scene)?;
+    let (_, coupling) = scene.coupled()?;
     let side = SlaveSide::new(pose::simulated_tool(scene)?, slave_endpoint(scene, run_id)?)
         .with_gripper(simulated_gripper(scene)?)
         .about(pose::reference_point(coupling)?)
@@ -314,7 +309,7 @@ pub fn driven_master<const N: usize>(
     )?
     .with_trigger(trigger(scene, true)?)
     .with_buttons(scene.master.buttons)?;
-    Ok(Timed::new(side, commands::<N>(coupled(scene)?.1)?))
+    Ok(Timed::new(side, commands::<N>(scene.coupled()?.1)?))
 }
 
 /// The side of the robot with an arm whose driver is elsewhere.
@@ -326,7 +321,7 @@ pub fn driven_slave<const N: usize>(
     scene: &SceneSpec<N>,
     run_id: u64,
 ) -> Result<Timed<SlaveSide<DrivenSlave<N>, N>>, SceneError> {
-    let (slave, coupling) = coupled(scene)?;
+    let (slave, coupling) = scene.coupled()?;
     research_controller(scene, None)?; // what its master refuses, too
     let plant = DrivenSlave::new(slave.max_acceleration.unwrap_or(DECELERATION))
         .map_err(|error| SceneError::Contradiction(format!("slave.max_acceleration: {error}")))?;

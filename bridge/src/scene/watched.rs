@@ -12,7 +12,6 @@ use super::{
     measures::{Divergence, DivergenceCause, Ending, MeasureSettings, Measures, Outcome},
     pose::{self, RotationMeasures},
     record::{EventLog, Recorder, Sample, SceneRun},
-    sides::coupled,
     spec::SceneSpec,
     timed::Timed,
     tracking::Tracking,
@@ -75,7 +74,7 @@ impl<const N: usize> Watched<N> {
         start: &Axes<N>,
         has_gripper: bool,
     ) -> Result<Self, SceneError> {
-        let (_, coupling) = coupled(scene)?;
+        let (_, coupling) = scene.coupled()?;
         let rotation = match scene.master.kind {
             SideKind::Pose => {
                 let lock = pose::rotation_lock(coupling).map_err(EndpointError::from)?;

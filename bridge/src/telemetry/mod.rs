@@ -26,8 +26,8 @@ use readers::Readers;
 use crate::{
     LinkStatistics,
     ladder::Diagnosis,
-    recorder::{Recorded, SecurityMark},
-    ring::{WaitingRecords, ring},
+    recorder::{Recorded, SecurityMark, WaitingRecords},
+    ring::ring,
 };
 
 /// Settings of telemetry.

@@ -231,7 +231,11 @@ fn damping_of_held_ticks_fades_with_the_authority() {
         assert_eq!(held.rendered_force[0], push, "F_v continues");
         assert_eq!(held.motion, before.motion, "held");
         let expected = damping * share;
-        assert!((held.device_force[0] - expected).abs() < 1e-12, "{n}: {} instead of {expected}", held.device_force);
+        assert!(
+            (held.device_force[0] - expected).abs() < 1e-12,
+            "{n}: {} instead of {expected}",
+            held.device_force
+        );
         assert!((held.intervention.safety_force[0] - (expected - push)).abs() < 1e-12, "{n}");
     }
 }

@@ -7,9 +7,9 @@ mod trigger;
 
 use haptether_master::ModelError as MasterError;
 use haptether_safety::ParameterError;
-use haptether_slave::ModelError as SlaveError;
+use haptether_slave::{ArmSettings, ModelError as SlaveError};
 
-use super::spec::SceneSpec;
+use super::spec::{CouplingSpec, SceneSpec};
 
 pub use touched::scene_environment;
 
@@ -54,6 +54,17 @@ pub enum SceneError {
     /// Tables or keys that contradict each other.
     #[error("{0}")]
     Contradiction(String),
+}
+
+impl<const N: usize> SceneSpec<N> {
+    /// Return the arm and the coupling of a scene with two sides.
+    pub(super) fn coupled(&self) -> Result<(&ArmSettings<N>, &CouplingSpec), SceneError> {
+        let missing = |text: &str| SceneError::Contradiction(text.to_owned());
+        let slave = self.slave.as_ref().ok_or_else(|| missing("slave: is missing"))?;
+        let coupling =
+            self.coupling.as_ref().ok_or_else(|| missing("coupling: a [slave] must be coupled"))?;
+        Ok((slave, coupling))
+    }
 }
 
 impl From<serde_json::Error> for SceneError {

@@ -15,7 +15,6 @@ pub(super) use measures::RotationMeasures;
 
 use super::{
     assemble::{SceneError, contradiction, limiter},
-    sides::coupled,
     spec::{CouplingSpec, EnvironmentSpec, SceneSpec, TorqueKind, TorqueSpec},
 };
 use crate::{
@@ -170,7 +169,7 @@ pub(super) fn reference_point(coupling: &CouplingSpec) -> Result<Option<Referenc
 
 /// The scene's tool in its world.
 pub(super) fn simulated_tool(scene: &SceneSpec<3>) -> Result<SimulatedTool, SceneError> {
-    let (slave, _) = coupled(scene)?;
+    let (slave, _) = scene.coupled()?;
     let Some(tool) = &slave.tool else {
         return contradiction("slave.tool: is missing, kind = \"pose\" needs it");
     };

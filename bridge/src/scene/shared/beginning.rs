@@ -16,7 +16,7 @@ use super::super::{
     assemble::{SceneError, exact_master},
     bilateral::{self, Keeping, SESSIONS, Sides},
     measures::Outcome,
-    sides::{hand_alone, simulated_arm, slave_endpoint},
+    sides::{hand_alone, simulated_arm, slave_endpoint, waiting_master},
     spec::SceneSpec,
     timed::Timed,
     watched::Watched,
@@ -64,7 +64,7 @@ pub(super) fn outcomes<const N: usize>(
         return Ok(vec![None; scenes.len()]);
     };
     let shared = exact_master(built)
-        .and_then(|plant| begun(built, bilateral::waiting(plant), members))
+        .and_then(|plant| begun(built, waiting_master(plant), members))
         .and_then(|group| run(built, group, stop, &mut outcomes));
     match shared {
         Err(SceneError::Stopped) => Err(SceneError::Stopped),

@@ -27,12 +27,11 @@ use crate::{
     coupling::PositionForce,
     endpoint::{Arm, ArmInput, Hand, HandInput, MasterReading, MasterState, Past},
     lanes::WIDTH,
-    link::PortState,
+    port::PortState,
     scene::{
         assemble::{SceneError, exact_master},
-        bilateral::waiting,
         coupling::commands,
-        sides::{arm_alone, coupled, hand_alone, simulated_arm},
+        sides::{arm_alone, hand_alone, simulated_arm, waiting_master},
         spec::SceneSpec,
         timed::Commands,
         watched::Watched,
@@ -369,8 +368,8 @@ impl<const N: usize> Follower<N> {
         row: usize,
         scene: &SceneSpec<N>,
     ) -> Result<Self, SceneError> {
-        let mut plant = waiting(exact_master(scene)?);
-        let list = commands::<N>(coupled(scene)?.1)?;
+        let mut plant = waiting_master(exact_master(scene)?);
+        let list = commands::<N>(scene.coupled()?.1)?;
         let start = *plant.position();
         let mut arm = simulated_arm(scene)?;
         let (hand, coupling) = hand_alone(scene)?;

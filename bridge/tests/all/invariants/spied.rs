@@ -7,8 +7,9 @@ use std::{
 
 use haptether_bridge::{
     ButtonWord, Exchange, Feeling, LadderState, LinkTime, MasterPlant, MasterRecord, MasterSide, MasterTurn,
-    OperatorCommand, Reason, RejectReason, Side, SlavePlant, SlaveRecord, SlaveSide, SlaveTurn, TickTime,
-    coupling::{CommandBounds, CouplingError, PortEnergy, RotationState},
+    OperatorCommand, PortEnergy, Reason, RejectReason, Side, SlavePlant, SlaveRecord, SlaveSide, SlaveTurn,
+    TickTime,
+    coupling::{CommandBounds, CouplingError, RotationState},
     wire::{Frame, FrameLayout, MAX_FRAME, Role},
 };
 use haptether_safety::{Acted, Axes, LimiterSettings};
