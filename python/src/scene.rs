@@ -274,7 +274,7 @@ fn outcome_table(
     let asked = asked.map_or_else(|| of_all.collect(), <[Metric]>::to_vec);
     for metric in asked {
         let of = |(index, row): (usize, &Result<Outcome, Refused>)| {
-            row.as_ref().ok().and_then(|one| metric.of(one, period(index))).unwrap_or(f64::NAN)
+            row.as_ref().ok().and_then(|one| one.value(metric, period(index))).unwrap_or(f64::NAN)
         };
         table.set_item(metric.name(), column(py, rows.iter().enumerate().map(of).collect::<Vec<f64>>()))?;
     }

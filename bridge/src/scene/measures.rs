@@ -479,6 +479,26 @@ impl<const N: usize, S: Real> Measures<N, S> {
 }
 
 impl Outcome {
+    /// Return the value of a metric, with the master's period in s; none where it was not measured.
+    pub fn value(&self, metric: Metric, period_s: f64) -> Option<f64> {
+        let count = |count: Option<u64>| count.map(|count| count as f64);
+        match metric {
+            Metric::MaxEjectionVelocity => self.max_ejection_velocity,
+            Metric::PeakDeviceForce => self.peak_device_force,
+            Metric::TimeToTrip => self.time_to_trip_s,
+            Metric::FalseTrips => count(self.false_trips),
+            Metric::InterventionTime => count(self.intervention_ticks).map(|ticks| ticks * period_s),
+            Metric::InterventionTicks => count(self.intervention_ticks),
+            Metric::PositionError => self.position_rmse_m,
+            Metric::ForceError => self.force_rmse_n,
+            Metric::MaxEjectionRate => self.max_ejection_rate,
+            Metric::PeakDeviceTorque => self.peak_device_torque,
+            Metric::OrientationError => self.orientation_rmse_rad,
+            Metric::TorqueError => self.torque_rmse_n_m,
+            Metric::PassivityMin => self.passivity_min_j,
+        }
+    }
+
     /// The same without what needs two sides that have engaged.
     pub(crate) fn never_engaged(self) -> Self {
         Self {

@@ -1,36 +1,34 @@
-//! Which metrics there are, and which of them a run measures.
-
-use super::measures::Outcome;
+//! Metrics of a run, and the set of those that a run measures.
 
 /// A metric of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Metric {
-    /// [`Outcome::max_ejection_velocity`].
+    /// [`max_ejection_velocity`](super::Outcome::max_ejection_velocity).
     MaxEjectionVelocity,
-    /// [`Outcome::peak_device_force`].
+    /// [`peak_device_force`](super::Outcome::peak_device_force).
     PeakDeviceForce,
-    /// [`Outcome::time_to_trip_s`].
+    /// [`time_to_trip_s`](super::Outcome::time_to_trip_s).
     TimeToTrip,
-    /// [`Outcome::false_trips`].
+    /// [`false_trips`](super::Outcome::false_trips).
     FalseTrips,
-    /// [`Outcome::intervention_ticks`] times the period of the master.
+    /// [`intervention_ticks`](super::Outcome::intervention_ticks) times the period of the master.
     InterventionTime,
-    /// [`Outcome::intervention_ticks`].
+    /// [`intervention_ticks`](super::Outcome::intervention_ticks).
     InterventionTicks,
-    /// [`Outcome::position_rmse_m`].
+    /// [`position_rmse_m`](super::Outcome::position_rmse_m).
     PositionError,
-    /// [`Outcome::force_rmse_n`].
+    /// [`force_rmse_n`](super::Outcome::force_rmse_n).
     ForceError,
-    /// [`Outcome::max_ejection_rate`].
+    /// [`max_ejection_rate`](super::Outcome::max_ejection_rate).
     MaxEjectionRate,
-    /// [`Outcome::peak_device_torque`].
+    /// [`peak_device_torque`](super::Outcome::peak_device_torque).
     PeakDeviceTorque,
-    /// [`Outcome::orientation_rmse_rad`].
+    /// [`orientation_rmse_rad`](super::Outcome::orientation_rmse_rad).
     OrientationError,
-    /// [`Outcome::torque_rmse_n_m`].
+    /// [`torque_rmse_n_m`](super::Outcome::torque_rmse_n_m).
     TorqueError,
-    /// [`Outcome::passivity_min_j`].
+    /// [`passivity_min_j`](super::Outcome::passivity_min_j).
     PassivityMin,
 }
 
@@ -78,29 +76,9 @@ impl Metric {
             Self::MaxEjectionRate | Self::PeakDeviceTorque | Self::OrientationError | Self::TorqueError
         )
     }
-
-    /// Its value in a run whose master has a period of `period_s`; none where it was not measured.
-    pub fn of(self, outcome: &Outcome, period_s: f64) -> Option<f64> {
-        let count = |count: Option<u64>| count.map(|count| count as f64);
-        match self {
-            Self::MaxEjectionVelocity => outcome.max_ejection_velocity,
-            Self::PeakDeviceForce => outcome.peak_device_force,
-            Self::TimeToTrip => outcome.time_to_trip_s,
-            Self::FalseTrips => count(outcome.false_trips),
-            Self::InterventionTime => count(outcome.intervention_ticks).map(|ticks| ticks * period_s),
-            Self::InterventionTicks => count(outcome.intervention_ticks),
-            Self::PositionError => outcome.position_rmse_m,
-            Self::ForceError => outcome.force_rmse_n,
-            Self::MaxEjectionRate => outcome.max_ejection_rate,
-            Self::PeakDeviceTorque => outcome.peak_device_torque,
-            Self::OrientationError => outcome.orientation_rmse_rad,
-            Self::TorqueError => outcome.torque_rmse_n_m,
-            Self::PassivityMin => outcome.passivity_min_j,
-        }
-    }
 }
 
-/// The metrics that a run measures: by default all. What is measured has the same value whatever else is.
+/// Set of the metrics that a run measures, by default all. The value of a metric does not depend on the set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Metrics(u16);
 

@@ -349,8 +349,6 @@ const REPEATED_NS: u64 = 10_000 * MS;
 const ANSWERS: usize = 48;
 /// Capacity in ephemeral keys remembered against replay.
 const SEEN: usize = 256;
-/// Largest number of failed handshakes of a session between two answered ones.
-pub(super) const MAX_SKIPPED: u32 = 1024;
 /// Capacity in tickets of refusals that have not been returned.
 const TICKETS: usize = 4;
 

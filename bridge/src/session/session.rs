@@ -4,7 +4,6 @@ use std::collections::VecDeque;
 
 use super::{
     epochs::{Arrival, Epochs, KeyChange, Slot},
-    handshake::MAX_SKIPPED,
     keys::{Chain, Epoch, EpochId, MacKey, PreSharedKey},
     settings::{SessionSettings, SettingsError},
     wire::{Header, Kind, MAX_DATAGRAM, Rejection, Rejections, SESSION_HEADER, mac_fits, sealed_length},
@@ -488,6 +487,9 @@ impl Standing {
         is_renewal(self.live.as_ref().map(|live| live.id), id)
     }
 }
+
+/// Largest number of failed handshakes of a session between two answered ones.
+const MAX_SKIPPED: u32 = 1024;
 
 /// See [`Standing::is_renewal`].
 pub(super) fn is_renewal(living: Option<EpochId>, id: EpochId) -> Result<bool, Rejection> {

@@ -83,14 +83,14 @@ fn a_metric_alone_has_the_bits_that_it_has_beside_all_others() {
             for metric in Metric::ALL {
                 let alone = outcomes(scene, path, values, lanes, [metric].into_iter().collect());
                 for (alone, whole) in alone.iter().zip(&whole) {
-                    let bits = |outcome: &Outcome, one: Metric| one.of(outcome, 1e-3).map(f64::to_bits);
+                    let bits = |outcome: &Outcome, one: Metric| outcome.value(one, 1e-3).map(f64::to_bits);
                     assert_eq!(bits(alone, metric), bits(whole, metric), "{name} {metric:?} {lanes}");
                     assert_eq!(ending(alone), ending(whole), "{name} {metric:?} {lanes}");
                     for other in Metric::ALL {
                         // Both are of the same ticks.
                         let is_ticks = |metric: Metric| metric.name().starts_with("intervention");
                         let is_same = other == metric || is_ticks(other) && is_ticks(metric);
-                        assert!(is_same || other.of(alone, 1e-3).is_none(), "{name} {metric:?}: {other:?}");
+                        assert!(is_same || alone.value(other, 1e-3).is_none(), "{name} {metric:?}: {other:?}");
                     }
                 }
                 // Something is compared: it is there, and not 0 in all rows.
@@ -98,7 +98,7 @@ fn a_metric_alone_has_the_bits_that_it_has_beside_all_others() {
                 let is_late =
                     matches!(metric, Metric::TimeToTrip | Metric::FalseTrips) || zeros.contains(&metric);
                 if !metric.is_of_rotation() && !is_late && (!is_remote || path == "run.seed") {
-                    let seen = whole.iter().filter_map(|one| metric.of(one, 1e-3));
+                    let seen = whole.iter().filter_map(|one| one.value(metric, 1e-3));
                     assert!(seen.clone().any(|value| value != 0.0), "{name} {metric:?}");
                 }
             }

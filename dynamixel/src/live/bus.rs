@@ -6,7 +6,7 @@ use rustix::io::Errno;
 
 use super::{
     port::{SerialPort, now_ns, sleep_ns},
-    shared::Stops,
+    stops::Stops,
 };
 use crate::{
     error::StatusError,

@@ -3,6 +3,7 @@
 mod bus;
 mod port;
 mod shared;
+mod stops;
 
 pub use bus::{Bus, BusError};
 pub use shared::SharedBus;
