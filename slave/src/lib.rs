@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_a_number_is_passed_over() {
+    fn nan_is_ignored() {
         let found = [[f64::NAN, -2.0, 1.0], [1.0, f64::NAN, -2.0], [-2.0, 1.0, f64::NAN]]
             .map(|v| amax(&Axes::<3>::from(v)));
         assert_eq!(found, [2.0; 3]);

@@ -446,7 +446,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_looked_for_once_for_each_stretch_and_anew_for_another_beginning() {
+    fn stretch_is_kept_until_its_origin_changes() {
         let mut environment = Environment::new(Vec::new(), vec![pusher(0, 0.1, 0.2, 0.0)]);
         environment.push_from(1.0);
         for (at, until, push) in

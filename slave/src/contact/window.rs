@@ -72,7 +72,7 @@ mod tests {
 
     /// 0.1 + 0.2 is above 0.3 in binary, and 3 x 0.1 too; 0.1 + 0.7 is below 0.8.
     #[test]
-    fn a_window_has_as_many_ticks_as_its_length_in_ns_says() {
+    fn a_window_has_the_ticks_of_its_length_in_ns() {
         for period_ns in [1_000_000_u64, 500_000, 700_000, 125_000, 8_000_000] {
             let period_s = period_ns as f64 * 1e-9;
             for (begin, lasts) in [(100_u64, 200_u64), (100, 700), (7, 13), (1000, 1), (3, 999)] {

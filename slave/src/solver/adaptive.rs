@@ -231,7 +231,7 @@ impl<const N: usize> Environment<N> {
 /// Attempts for a piece of `span` in s: in proportion to it, so that short ticks do not each get the attempts of a long
 /// one.
 fn allowed_attempts(span: f64) -> u32 {
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 0 to MAX_ATTEMPTS; the cast saturates
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 0 to MAX_ATTEMPTS, and saturates
     let share = (f64::from(MAX_ATTEMPTS) * (span / LONGEST)) as u32;
     share.clamp(MIN_ATTEMPTS, MAX_ATTEMPTS)
 }

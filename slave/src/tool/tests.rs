@@ -392,7 +392,7 @@ fn a_sliding_box_is_slowed_by_friction() {
 }
 
 #[test]
-fn what_the_jaws_hold_slips_at_the_cone() {
+fn held_body_slips_at_the_friction_cone() {
     for (share, slips) in [(0.95, false), (1.05, true)] {
         let mut tool = gripping(9.81);
         let meet = tool.between_jaws().unwrap();
@@ -465,7 +465,7 @@ fn gripped_forces_cancel() {
 }
 
 #[test]
-fn a_peg_in_a_hole_feels_what_lies_beyond_its_clearance() {
+fn a_peg_in_a_hole_is_loaded_beyond_its_clearance() {
     let ring = |z: f64| [[0.01, 0.0, z], [-0.01, 0.0, z], [0.0, 0.01, z], [0.0, -0.01, z]];
     let points = [ring(0.0), ring(-0.02)].concat();
     let world = ToolWorldSettings { holes: vec![hole(0.0101, 0.0)], ..nothing() };
@@ -544,7 +544,7 @@ fn torques_and_pushers_begin_once() {
 }
 
 #[test]
-fn what_is_no_number_changes_nothing() {
+fn nan_and_infinity_change_nothing() {
     let world = ToolWorldSettings { bodies: vec![brick(0.0)], ..nothing() };
     let mut one = tool(&servoed(vec![[0.0; 3]]), &world);
     one.grip(0.5, 30.0);
@@ -568,7 +568,7 @@ fn what_is_no_number_changes_nothing() {
 }
 
 #[test]
-fn settings_that_nothing_can_have_are_refused() {
+fn invalid_settings_are_refused() {
     let good = || servoed(vec![[0.0; 3]]);
     let refused = |name: &str, (arm, tool): Made, world: ToolWorldSettings| {
         let error = SimulatedTool::new(&arm, &tool, &world, 0).unwrap_err();

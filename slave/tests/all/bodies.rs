@@ -90,7 +90,7 @@ fn friction_holds_a_body_up_to_its_limit() {
 }
 
 #[test]
-fn a_bystander_is_moved_by_the_tool_as_the_step_says() {
+fn a_body_is_moved_alike_in_one_step_and_in_many() {
     // The same push in one step of 20 ms and in 20 steps of 1 ms.
     let run = |steps: u32| {
         let shape = Shape::sphere(Axes::<2>::new(0.012, 0.003), 0.01).unwrap();

@@ -81,7 +81,7 @@ fn restitution(chi: f64, v: f64) -> f64 {
 }
 
 #[test]
-fn hunt_and_crossley_give_back_what_the_theory_says() {
+fn hunt_and_crossley_restitution_matches_the_theory() {
     for (exponent, chi, v) in [(1.5, 0.05, 0.2), (1.5, 0.3, 0.2), (1.0, 0.2, 0.5), (2.0, 1.0, 0.3)] {
         let law = ContactLaw::HuntCrossley { stiffness: 1e5, exponent, damping: chi };
         let shape = Shape::plane(Axes::<1>::new(-0.001), Axes::<1>::new(1.0)).unwrap();

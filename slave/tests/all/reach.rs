@@ -114,7 +114,7 @@ fn ball(centre: V3, radius: f64) -> Object<3> {
 }
 
 #[test]
-fn an_arm_moves_as_if_what_is_out_of_reach_were_not_there() {
+fn objects_out_of_reach_do_not_change_the_motion() {
     for period_ns in [500_000, 1_000_000, 8_000_000] {
         let (alone, touched) = drawn(Vec::new(), Vec::new(), period_ns);
         assert!(touched > 20);
@@ -132,7 +132,7 @@ fn an_arm_moves_as_if_what_is_out_of_reach_were_not_there() {
 
 /// Near is not in contact: 3 or 4 mm from a ball, a fixed box and an approaching box.
 #[test]
-fn an_arm_moves_as_if_what_it_comes_near_but_does_not_touch_were_not_there() {
+fn near_objects_without_contact_do_not_change_the_motion() {
     for period_ns in [500_000, 1_000_000] {
         let (alone, touched) = drawn(Vec::new(), Vec::new(), period_ns);
         assert!(touched > 20);

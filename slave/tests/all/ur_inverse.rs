@@ -244,7 +244,7 @@ fn at_the_wrists_singularity_the_last_joint_stays_where_it_was() {
 }
 
 #[test]
-fn what_is_out_of_reach_is_said_to_be() {
+fn pose_out_of_reach_has_a_reason() {
     let rows = models()[1];
     let inverse = free(&rows);
     let mut place = Matrix4::identity();
@@ -308,7 +308,7 @@ fn a_joint_that_may_not_get_there_is_named() {
 }
 
 #[test]
-fn what_cannot_be_is_refused() {
+fn invalid_rows_limits_and_poses_are_refused() {
     let rows = models()[1];
     let refused = |rows: &UrRows| UrInverse::new(rows, None, [-TURN; 6], [TURN; 6]).unwrap_err().name;
     assert_eq!(refused(&UrRows { theta: [1e-6; 6], ..rows }), "theta");

@@ -143,7 +143,7 @@ fn check<const N: usize>(
 
 proptest! {
     #[test]
-    fn slaves_in_lanes_are_as_alone(
+    fn lanes_match_separate_slaves(
         mut of in [drawn(), drawn(), drawn(), drawn()],
         kinds in 0..8u8,
         springs in prop::option::of([-0.03..0.03f64, 1.0..5e3, 0.0..50.0]),
@@ -189,7 +189,7 @@ fn nearly_all_ticks_are_taken_in_lanes() {
 
 /// A plane that leans by less than the rounding of its length pushes along the other axes too: not for lanes.
 #[test]
-fn a_plane_that_leans_by_next_to_nothing_is_not_for_lanes() {
+fn slightly_leaning_plane_is_not_for_lanes() {
     let drawn = |lean: f64| {
         let arm = ArmModel::new(ArmControl::Position { bandwidth_hz: 15.0 }, 4.0, Some(1.0), None).unwrap();
         let plane = Shape::plane(Axes::<3>::zeros(), Axes::<3>::new(lean, 1.0, 0.0)).unwrap();
