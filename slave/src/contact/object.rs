@@ -187,8 +187,8 @@ impl<const N: usize> Shape<N> {
         }
     }
 
-    /// Largest coordinate in m, by absolute value, of the shape; for a plane, of its point. It bounds the rounding of
-    /// points on the shape.
+    /// Bound in m on the absolute coordinates of the shape; for a plane, of its point. It scales the rounding of points
+    /// on the shape.
     pub(crate) fn extent(&self) -> f64 {
         let size = match &self.kind {
             Kind::Plane { .. } | Kind::Spring { .. } => 0.0,
