@@ -1,23 +1,23 @@
-//! A gripper: jaws that close at a bounded speed until something is in between.
+//! A gripper: jaws that close at a bounded speed until an object stops them.
 
 use crate::{ModelError, require};
 
-/// `[slave.gripper]`: what a gripper can do, and what is between its jaws.
+/// `[slave.gripper]`: the capabilities of a gripper, and the object between its jaws.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct GripperSettings {
-    /// Where it starts, 0 open to 1 closed.
+    /// Initial position, 0 open to 1 closed.
     pub position: f64,
-    /// Fastest motion of the jaws in 1/s.
+    /// Maximum speed of the jaws in 1/s.
     pub speed: f64,
-    /// With which it closes on what is in between, in N.
+    /// Grip force on an object, in N.
     pub force_n: f64,
-    /// Position at which the jaws meet an object from outside; none with nothing in between. Of a model.
+    /// Position at which the jaws meet an object from outside; none without an object. Simulated grippers only.
     pub object: Option<f64>,
 }
 
 impl GripperSettings {
-    /// The settings, if a gripper can have them.
+    /// Validate and return the settings.
     pub fn checked(self) -> Result<Self, ModelError> {
         let is_share = |x: f64| (0.0..=1.0).contains(&x);
         require("gripper.position", self.position, is_share(self.position), "0 (open) to 1 (closed)")?;
@@ -44,33 +44,34 @@ impl GripperSettings {
     pub const MAX_FORCE_N: f64 = 10_000.0;
 }
 
-/// Where a gripper is to go.
+/// Target of a gripper.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GripperCommand {
     /// 0 open to 1 closed.
     pub position: f64,
-    /// At most so fast, in 1/s.
+    /// Maximum speed in 1/s.
     pub speed: f64,
-    /// With which it closes on what is in between, in N.
+    /// Grip force on an object, in N.
     pub force_n: f64,
 }
 
-/// What a gripper measures.
+/// Measurement of a gripper.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GripperSample {
     /// 0 open to 1 closed.
     pub position: f64,
     /// In 1/s; positive closes.
     pub velocity: f64,
-    /// Between the jaws in N.
+    /// Force between the jaws in N.
     pub force_n: f64,
-    /// Whether something stops the jaws.
+    /// True if an object stops the jaws.
     pub holds_object: bool,
 }
 
-/// Jaws whose position moves to the command at constant speed, and no further than a rigid object lets them:
-/// `p(t + T) = p(t) + clamp(p_cmd - p(t), -v T, v T)`, `p <= object`; while the object stops them, the force is that
-/// of the command.
+/// Jaws whose position moves to the command at constant speed and stops at a rigid object.
+///
+/// `p(t + T) = p(t) + clamp(p_cmd - p(t), -v T, v T)`, `p <= object`. While the object stops them, the force is that of
+/// the command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulatedGripper {
     settings: GripperSettings,
@@ -80,14 +81,14 @@ pub struct SimulatedGripper {
 }
 
 impl SimulatedGripper {
-    /// Jaws at rest where they start.
+    /// Jaws at rest at their initial position.
     pub fn new(settings: GripperSettings) -> Result<Self, ModelError> {
         let settings = settings.checked()?;
         let sample = GripperSample { position: settings.position, ..GripperSample::default() };
         Ok(Self { settings, command: None, sample, now_ns: None })
     }
 
-    /// Moves on to `now_ns` under the last command.
+    /// Advance to `now_ns` under the last command.
     pub fn read(&mut self, now_ns: u64) -> GripperSample {
         let elapsed_s = now_ns.saturating_sub(self.now_ns.replace(now_ns).unwrap_or(now_ns)) as f64 * 1e-9;
         let before = self.sample.position;
@@ -107,17 +108,17 @@ impl SimulatedGripper {
         self.sample
     }
 
-    /// Take a command.
+    /// Set the command.
     pub fn write(&mut self, command: GripperCommand) {
         self.command = Some(command);
     }
 
-    /// From now on the jaws meet something rigid there, 0 open to 1 closed, or nothing.
+    /// Place a rigid object at this position, 0 open to 1 closed, or remove it.
     pub fn set_object(&mut self, object: Option<f64>) {
         self.settings.object = object.filter(|position| (0.0..=1.0).contains(position));
     }
 
-    /// Stop the jaws and keep the force on what they hold.
+    /// Stop the jaws and keep the force on a held object.
     pub fn hold(&mut self) {
         if self.sample.holds_object {
             return;

@@ -1,7 +1,7 @@
 //! The remote side: arm and environment models, advanced in time.
 //!
-//! [`SimulatedSlave`] is an arm in an [`Environment`]; an environment also stands alone, where its force is rendered on
-//! the device itself. Everything is a pure state machine: time is an argument, and nothing is allocated after
+//! [`SimulatedSlave`] is an arm in an [`Environment`]. An environment can also be used alone, where its force is
+//! rendered on the device itself. Everything is a pure state machine: time is an argument, and nothing allocates after
 //! construction.
 
 mod arm;
@@ -41,15 +41,15 @@ pub use ur::nearest::UrInverse;
 /// One value along each of N axes: m, m/s or N.
 pub type Axes<const N: usize> = nalgebra::SVector<f64, N>;
 
-/// A parameter that a model cannot have.
+/// An invalid parameter of a model.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{name} = {seen}: must be {allowed}")]
 pub struct ModelError {
-    /// The field.
+    /// Name of the field.
     pub name: &'static str,
-    /// The value that was refused.
+    /// Rejected value.
     pub seen: f64,
-    /// What would have been accepted.
+    /// Allowed values.
     pub allowed: &'static str,
 }
 
@@ -62,7 +62,7 @@ pub(crate) fn require(
     if seen.is_finite() && holds { Ok(()) } else { Err(ModelError { name, seen, allowed }) }
 }
 
-/// Requires of every axis what `require` requires of a number.
+/// Apply `require` to each axis.
 pub(crate) fn require_axes<const N: usize>(
     name: &'static str,
     seen: &Axes<N>,
@@ -72,19 +72,19 @@ pub(crate) fn require_axes<const N: usize>(
     seen.iter().try_for_each(|&value| require(name, value, holds(value), allowed))
 }
 
-/// The Euclidean norm; along one axis without a root, to the same bits unless the square leaves the range of numbers.
+/// Euclidean norm. Along one axis it needs no root and is bit-identical unless the square overflows or underflows.
 #[inline]
 pub(crate) fn norm<const N: usize>(values: &Axes<N>) -> f64 {
     if N == 1 { values[0].abs() } else { values.norm() }
 }
 
-/// The largest absolute value, by one instruction each; NaN is passed over.
+/// Largest absolute value, with one instruction per axis; NaN is ignored.
 #[inline]
 pub(crate) fn amax<const N: usize>(values: &Axes<N>) -> f64 {
     values.iter().fold(0.0, |largest, value| larger(value.abs(), largest))
 }
 
-/// The larger of two; the second where the first is NaN.
+/// The larger of two numbers; `other` if `one` is NaN.
 #[inline]
 pub(crate) fn larger(one: f64, other: f64) -> f64 {
     if one > other { one } else { other }
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_a_number_is_passed_over() {
+    fn nan_is_ignored() {
         let found = [[f64::NAN, -2.0, 1.0], [1.0, f64::NAN, -2.0], [-2.0, 1.0, f64::NAN]]
             .map(|v| amax(&Axes::<3>::from(v)));
         assert_eq!(found, [2.0; 3]);

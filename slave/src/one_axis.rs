@@ -1,4 +1,4 @@
-//! Arm, wall and pusher along one axis, advanced exactly under a command and a push that are held.
+//! Arm, wall and pusher along one axis, advanced exactly under a held command and a held push.
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -42,8 +42,8 @@ impl Wall {
 /// Arm, wall and pusher along one axis.
 ///
 /// Between contact and release of the wall the motion is linear and time-invariant, `s' = A (s - s_rest)` with
-/// `s = (x, V)`, so a step is `s_rest + e^{A h} (s - s_rest)`: exact. Contact is located inside a step. Set position
-/// and push are held over a step of at most one millisecond.
+/// `s = (x, V)`. A step is therefore `s_rest + e^{A h} (s - s_rest)`, which is exact. Contact is located inside a step.
+/// Set position and push are held over a step of at most one millisecond.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct HeldArm {
     arm: ArmParameters,
@@ -55,14 +55,14 @@ pub(crate) struct HeldArm {
     commanded: f64,
     set_position: f64,
     now_ns: u64,
-    /// When the pusher's time began.
+    /// Origin of the pusher's time, once started.
     started_ns: Option<u64>,
 }
 
 /// Longest step in s: a push or a set position is sampled at least this often.
 const LONGEST_STEP: f64 = 1e-3;
 
-/// One of the two linear motions, with `e^{A h}` for the longest step at hand.
+/// One of the two linear motions, with a stored `e^{A h}` for the longest step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Regime {
     stiffness: f64,
@@ -108,13 +108,13 @@ impl HeldArm {
         })
     }
 
-    /// Start the pusher's time, once.
+    /// Start the pusher's time; later calls have no effect.
     pub(crate) fn start(&mut self, now_ns: u64) {
         self.started_ns.get_or_insert(now_ns);
     }
 
-    /// Commands a position in m; the set position moves there no faster than the arm may. What is not finite is
-    /// ignored.
+    /// Command a position in m; the set position moves there within the arm's speed limit. Values that are not finite
+    /// are ignored.
     pub(crate) fn write(&mut self, position: f64) {
         if position.is_finite() {
             self.commanded = position;
@@ -126,13 +126,13 @@ impl HeldArm {
         self.now_ns = now_ns;
     }
 
-    /// Commands the set position that has been reached, and returns it in m: the arm stays where it is.
+    /// Command the present set position and return it in m: the arm stays.
     pub(crate) fn stop(&mut self) -> f64 {
         self.commanded = self.set_position;
         self.commanded
     }
 
-    /// Advances to `now_ns` (monotonic) and returns x in m, V in m/s and `F_e` in N there.
+    /// Advance to `now_ns` (monotonic) and return x in m, V in m/s and `F_e` in N there.
     pub(crate) fn read(&mut self, now_ns: u64) -> [f64; 3] {
         let mut left = now_ns.saturating_sub(self.now_ns) as f64 * 1e-9;
         let mut time = self.pusher_time(self.now_ns);
@@ -143,7 +143,7 @@ impl HeldArm {
             left -= LONGEST_STEP;
         }
         if left > 0.0 {
-            // A tick of one millisecond reaches here with rounding in it: take the transition at hand.
+            // A tick of one millisecond arrives here with rounding: use the stored transition.
             let step = if (left - LONGEST_STEP).abs() < 1e-12 { LONGEST_STEP } else { left };
             self.advance(time, step);
         }
@@ -151,7 +151,7 @@ impl HeldArm {
         [self.state.x, self.state.y, self.wall.force(self.state.x) + push]
     }
 
-    /// Whether the tool is inside the wall.
+    /// True if the tool is inside the wall.
     pub(crate) fn touches(&self) -> bool {
         self.wall.force(self.state.x) != 0.0
     }
@@ -172,7 +172,7 @@ impl HeldArm {
         self.set_position += (self.commanded - self.set_position).clamp(-limit, limit);
         let pull = self.arm.stiffness() * self.set_position + self.push(time);
         let mut left = step;
-        // In and out of a wall within one step is two crossings; more would need a pole above the step rate.
+        // Entry and exit of a wall within one step are two crossings; more would need a pole above the step rate.
         for _ in 0..4 {
             let inside = self.state.x < self.wall.surface()
                 || (self.state.x == self.wall.surface() && self.state.y < 0.0);

@@ -1,4 +1,4 @@
-//! What laws are computed with: a number, or one for each of several scenarios side by side.
+//! Scalar type of the control laws: one number, or one per lane for several scenarios.
 
 use std::ops::Neg;
 
@@ -8,9 +8,9 @@ use nalgebra::{
 };
 use num_traits::{One, Zero};
 
-/// A real number `f64`, or several that are computed with at once, each in a lane of its own.
+/// A real number `f64`, or several in parallel, one per lane.
 ///
-/// No operation mixes lanes: each lane holds, bit for bit, what an `f64` of its own would hold.
+/// No operation mixes lanes: each lane is bit-identical to a separate `f64`.
 pub trait Real:
     Scalar
     + Copy

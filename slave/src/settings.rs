@@ -1,7 +1,7 @@
-//! Arm, objects and pushers as the tables of a scene have them.
+//! Arm, objects and pushers as in the tables of a scene.
 //!
-//! With the feature `serde` these are read from JSON, a vector from a list with one number per axis. No field is taken
-//! that a table does not have, so that a table that writer and reader describe differently cannot be misread.
+//! With the feature `serde` they are read from JSON; a vector is a list with one number per axis. Unknown fields are
+//! rejected, so a mismatch between writer and reader is an error.
 
 use crate::{
     ArmControl, ArmModel, Axes, Contact, ContactLaw, ForceSensor, FreeBody, GripperSettings, ModelError,
@@ -12,37 +12,37 @@ use crate::{
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct ArmSettings<const N: usize> {
-    /// What its controller takes.
+    /// Kind of its control.
     pub control: ControlKind,
     /// M in kg.
     pub mass_kg: f64,
     /// Bandwidth in Hz of its position or velocity control.
     pub bandwidth_hz: f64,
-    /// `K_s` in N/m, of `pd` only.
+    /// `K_s` in N/m; `pd` only.
     pub stiffness: f64,
-    /// `B_s` in N s/m, of `pd` only.
+    /// `B_s` in N s/m; `pd` only.
     pub damping: f64,
-    /// In m/s; none without a bound.
+    /// Speed limit of the set value in m/s; none without a limit.
     pub max_speed: Option<f64>,
-    /// In m/s²; none without a bound.
+    /// Acceleration limit of the set value in m/s²; none without a limit.
     pub max_acceleration: Option<f64>,
-    /// Speed bound in m/s (rad/s) that its samples are held against; without it that of its kind.
+    /// Speed bound in m/s (rad/s) against which its samples are checked; default: the bound of its kind.
     pub speed_bound: Option<f64>,
     /// Period of its loop in s.
     pub period_s: f64,
-    /// Where it starts, in m per axis.
+    /// Initial position in m per axis.
     #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
     pub position: Axes<N>,
-    /// Its force sensor; without it the force is exact.
+    /// Its force sensor; without one the measured force is exact.
     pub force_sensor: Option<ForceSensorSettings<N>>,
-    /// Its gripper; none by default.
+    /// Its gripper; none without one.
     pub gripper: Option<GripperSettings>,
-    /// Its tool, of an arm that turns.
+    /// Its tool; arms with rotation only.
     pub tool: Option<ToolSettings>,
 }
 
 impl<const N: usize> ArmSettings<N> {
-    /// Its control, mass and bounds, checked.
+    /// Return the checked control, mass and limits.
     pub fn model(&self) -> Result<ArmModel, ModelError> {
         let control = match self.control {
             ControlKind::Position => ArmControl::Position { bandwidth_hz: self.bandwidth_hz },
@@ -53,7 +53,7 @@ impl<const N: usize> ArmSettings<N> {
     }
 }
 
-/// What an arm's controller takes.
+/// Kind of an arm's control.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(
     feature = "serde",
@@ -73,19 +73,19 @@ pub enum ControlKind {
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct ForceSensorSettings<const N: usize> {
-    /// Standard deviation in N.
+    /// Standard deviation of the noise in N.
     pub noise_n: f64,
-    /// In N per axis.
+    /// Bias in N per axis.
     #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
     pub bias_n: Axes<N>,
-    /// In N; 0 is exact.
+    /// Quantum in N; 0 is exact.
     pub quantum_n: f64,
-    /// Samples per second; none for one at each tick.
+    /// Samples per second; none samples at each tick.
     pub rate_hz: Option<f64>,
 }
 
 impl<const N: usize> ForceSensorSettings<N> {
-    /// The sensor, whose noise a seed determines.
+    /// The sensor; the seed determines its noise.
     pub fn sensor(&self, seed: u64) -> Result<ForceSensor<N>, ModelError> {
         ForceSensor::new(self.noise_n, self.bias_n, self.quantum_n, self.rate_hz, seed)
     }
@@ -97,11 +97,11 @@ impl<const N: usize> ForceSensorSettings<N> {
 pub struct ObjectSettings<const N: usize> {
     /// Its shape.
     pub shape: ShapeSettings<N>,
-    /// How it resists.
+    /// Contact law of its surface.
     pub contact: ContactSettings,
-    /// How it moves on its own.
+    /// Prescribed motion, if any.
     pub motion: Option<ObjectMotionSettings<N>>,
-    /// Its mass, if it slides freely.
+    /// Its body, if it slides freely.
     pub body: Option<BodySettings<N>>,
 }
 
@@ -136,7 +136,7 @@ impl<const N: usize> ObjectSettings<N> {
     serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)
 )]
 pub enum ShapeSettings<const N: usize> {
-    /// Fills the side of a plane that its normal points away from.
+    /// Fills the half space opposite to the outward normal.
     Plane {
         /// A point on it, in m.
         #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
@@ -188,11 +188,11 @@ impl<const N: usize> ShapeSettings<N> {
 pub struct ContactSettings {
     /// The law along the normal.
     pub law: ContactLawKind,
-    /// K in N/m (N/m^n of Hunt and Crossley).
+    /// K in N/m (N/m^n for Hunt and Crossley).
     pub stiffness: f64,
-    /// B in N s/m of Kelvin and Voigt; chi in s/m of Hunt and Crossley.
+    /// Kelvin and Voigt: B in N s/m. Hunt and Crossley: chi in s/m.
     pub damping: f64,
-    /// n of Hunt and Crossley.
+    /// n; Hunt and Crossley only.
     pub exponent: f64,
     /// Coefficient of Coulomb friction along the surface.
     pub friction: f64,
@@ -226,18 +226,18 @@ pub enum ContactLawKind {
     HuntCrossley,
 }
 
-/// `[environment.objects.motion]`: constant velocity for a while, and a sine.
+/// `[environment.objects.motion]`: constant velocity in a time window, plus a sine.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct ObjectMotionSettings<const N: usize> {
-    /// In m/s per axis.
+    /// Velocity in m/s per axis.
     #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
     pub velocity: Axes<N>,
-    /// When the velocity begins, in s.
+    /// Start of the velocity window, in s.
     pub from_s: f64,
-    /// When it ends, in s.
+    /// End of the velocity window, in s.
     pub until_s: f64,
-    /// Amplitude in m per axis of a sine on top.
+    /// Amplitude of the sine in m per axis.
     #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
     pub amplitude: Axes<N>,
     /// Its frequency in Hz.
@@ -254,7 +254,7 @@ pub struct BodySettings<const N: usize> {
     pub viscous: f64,
     /// Coulomb friction with the ground in N.
     pub coulomb: f64,
-    /// V at the start, in m/s per axis.
+    /// Initial V in m/s per axis.
     #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
     pub velocity: Axes<N>,
 }
@@ -263,20 +263,20 @@ pub struct BodySettings<const N: usize> {
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct PusherSettings<const N: usize> {
-    /// Its course.
+    /// Its shape over time.
     pub shape: PushKind,
-    /// In s, since engagement; since the start without an arm.
+    /// Start in s since engagement; since the start of the run without an arm.
     pub at_s: f64,
-    /// In s.
+    /// Duration in s.
     pub duration_s: f64,
     /// Rise of a ramp in s.
     pub rise_s: f64,
     /// Frequency of a sine in Hz.
     pub frequency_hz: f64,
-    /// In N per axis.
+    /// Force in N per axis.
     #[cfg_attr(feature = "serde", schemars(with = "Vec<f64>"))]
     pub force_n: Axes<N>,
-    /// The course of a recorded one, in N.
+    /// Force over time in N; recorded pushes only.
     pub recorded: Option<SeriesSettings<N>>,
 }
 
@@ -291,7 +291,7 @@ impl<const N: usize> PusherSettings<N> {
         Pusher::shaped(self.push_shape(), self.at_s, self.duration_s, self.force_n)
     }
 
-    /// The course of one that is not recorded.
+    /// The shape of a push that is not recorded.
     pub fn push_shape(&self) -> PushShape {
         match self.shape {
             PushKind::Step | PushKind::Recorded => PushShape::Step,
@@ -302,7 +302,7 @@ impl<const N: usize> PusherSettings<N> {
     }
 }
 
-/// The course of a push.
+/// The shape of a push over time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(
     feature = "serde",
@@ -310,15 +310,15 @@ impl<const N: usize> PusherSettings<N> {
     serde(rename_all = "kebab-case")
 )]
 pub enum PushKind {
-    /// At once.
+    /// Full force at once.
     Step,
-    /// Rises linearly, then stays.
+    /// Linear rise, then constant.
     Ramp,
     /// `F sin(pi t / duration)`.
     HalfSine,
     /// `F sin(2 pi f t)`.
     Sine,
-    /// As recorded.
+    /// A recorded series.
     Recorded,
 }
 

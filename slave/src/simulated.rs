@@ -12,36 +12,39 @@ use crate::{
     solver::{adaptive::Drive, linear::LinearArm},
 };
 
-/// What the slave measures at one tick.
+/// Measurement of the slave at one tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlaveSample<const N: usize = 1> {
     /// Tool position in m.
     pub position: Axes<N>,
     /// Tool velocity in m/s.
     pub velocity: Axes<N>,
-    /// `F_e` in N, objects and pushers on the tool, as the force sensor says.
+    /// `F_e` in N as the force sensor measures it: force of objects and pushers on the tool.
     pub environment_force: Axes<N>,
-    /// `F_e` in N.
+    /// `F_e` in N, without sensor errors.
     pub true_environment_force: Axes<N>,
 }
 
 /// An arm in an environment.
 ///
-/// Commands are held until the next. Where arm and environment are linear between contacts (control of position or
-/// pd, fixed Kelvin-Voigt planes across the axes without friction, springs, pushes that are linear in time), the
-/// motion is exact between located contacts, to the bit that of an arm without the other objects while none of these
-/// is in reach. Among flat faces with friction (fixed planes and boxes) it is a Taylor series, exact to
-/// rounding between located events; otherwise it follows an adaptive integrator between located contacts.
+/// Commands are held until the next. The solution depends on the environment:
+///
+/// - Exact between located contacts if arm and environment are linear there: control of position or pd, fixed
+///   Kelvin-Voigt planes across the axes without friction, springs, and pushes that are linear in time. While all other
+///   objects are out of reach, the motion is bit-identical to that without them.
+/// - A Taylor series, exact to rounding between located events, among flat faces with friction (fixed planes and
+///   boxes).
+/// - An adaptive integrator between located contacts otherwise.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimulatedSlave<const N: usize = 1> {
     plant: Plant<N>,
     sensor: Option<ForceSensor<N>>,
-    /// When the time of the objects began.
+    /// Origin of the time of the objects.
     begun_ns: u64,
     now_ns: u64,
-    /// When the time of the pushers began.
+    /// Origin of the time of the pushers, once started.
     started_ns: Option<u64>,
-    /// Number of the sample of a sensor without a rate.
+    /// Index of the next sample of a sensor without its own rate.
     reads: u64,
 }
 
@@ -57,7 +60,7 @@ struct Continuous<const N: usize> {
     drive: ArmDrive<N>,
     environment: Environment<N>,
     tool: Tool<N>,
-    /// The exact solution, if there is one, among the objects that it knows.
+    /// The exact solution among the objects that it supports, if there is one.
     linear: Option<LinearArm<N>>,
 }
 
@@ -85,8 +88,8 @@ impl<const N: usize> Continuous<N> {
 impl SimulatedSlave<1> {
     /// A position-controlled arm along one axis at rest at `position` in m, at time `now_ns`, before a wall.
     ///
-    /// Set position and push are held over each millisecond, as a controller and a recording of 1 kHz do; what lies
-    /// between is exact.
+    /// Set position and push are held over each millisecond, like those of a controller and a recording at 1 kHz. The
+    /// motion between is exact.
     pub fn new(
         arm: ArmParameters,
         wall: Wall,
@@ -100,8 +103,8 @@ impl SimulatedSlave<1> {
 }
 
 impl<const N: usize> SimulatedSlave<N> {
-    /// An arm at rest at `position` in m, at time `now_ns`, in an environment whose time begins then; without a force
-    /// sensor the force is exact.
+    /// An arm at rest at `position` in m, at time `now_ns`, in an environment whose time starts there. Without a force
+    /// sensor the measured force is exact.
     pub fn in_environment(
         arm: ArmModel,
         mut environment: Environment<N>,
@@ -132,7 +135,7 @@ impl<const N: usize> SimulatedSlave<N> {
         }
     }
 
-    /// Start the pushers' time, once.
+    /// Start the time of the pushers; later calls have no effect.
     pub fn start(&mut self, now_ns: u64) {
         if self.started_ns.is_some() {
             return;
@@ -153,8 +156,8 @@ impl<const N: usize> SimulatedSlave<N> {
         }
     }
 
-    /// Commands a position in m and the velocity there in m/s (which a control of position does not use). What is not
-    /// finite is ignored.
+    /// Command a position in m and the velocity there in m/s, which position control ignores. Values that are not
+    /// finite are ignored.
     pub fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>) {
         if !all_finite(position) {
             return;
@@ -168,7 +171,8 @@ impl<const N: usize> SimulatedSlave<N> {
         }
     }
 
-    /// Commands a velocity in m/s alone; only a control of velocity obeys. What is not finite is ignored.
+    /// Command a velocity in m/s without a position; only velocity control obeys. Values that are not finite are
+    /// ignored.
     pub fn write_velocity(&mut self, velocity: &Axes<N>) {
         if let (Plant::Continuous(plant), true) = (&mut self.plant, all_finite(velocity))
             && plant.drive.is_velocity_control()
@@ -177,7 +181,7 @@ impl<const N: usize> SimulatedSlave<N> {
         }
     }
 
-    /// Stays where it is: brakes within its limits. Returns where it comes to rest, in m.
+    /// Brake within the limits and stay. Returns the rest position in m.
     pub fn stop(&mut self) -> Axes<N> {
         match &mut self.plant {
             Plant::Held(held) => Axes::from_element(held.stop()),
@@ -185,7 +189,7 @@ impl<const N: usize> SimulatedSlave<N> {
         }
     }
 
-    /// Advances to `now_ns` (monotonic) and returns what the arm measures there.
+    /// Advance to `now_ns` (monotonic) and return the measurement there.
     pub fn read(&mut self, now_ns: u64) -> SlaveSample<N> {
         let advanced = now_ns > self.now_ns;
         let from = self.now_ns.saturating_sub(self.begun_ns) as f64 * 1e-9;
@@ -193,7 +197,7 @@ impl<const N: usize> SimulatedSlave<N> {
         self.now_ns = self.now_ns.max(now_ns);
         let plant = match &mut self.plant {
             Plant::Held(held) => {
-                // One axis; the type does not know.
+                // One axis; the type parameter does not express it.
                 let [position, velocity, force] = held.read(now_ns).map(Axes::<N>::from_element);
                 return SlaveSample {
                     position,
@@ -209,7 +213,7 @@ impl<const N: usize> SimulatedSlave<N> {
             && let Some((index, at)) = sensor.newest(from + span)
             && sensor.held().is_none_or(|(held, _)| held != index)
         {
-            // The newest sample fell between two ticks: the force as it was then.
+            // The newest sample falls between two ticks: use the force at that time.
             done = (at - from).clamp(0.0, span);
             plant.advance(from, done);
             let force = plant.force(from + done);
@@ -232,12 +236,12 @@ impl<const N: usize> SimulatedSlave<N> {
         }
     }
 
-    /// What surrounds the arm, unless it was made of a wall and a pusher.
+    /// Environment of the arm; none if the slave was made from a wall and a pusher.
     pub fn environment(&self) -> Option<&Environment<N>> {
         if let Plant::Continuous(plant) = &self.plant { Some(&plant.environment) } else { None }
     }
 
-    /// Whether the tool was inside an object when it was last read, whatever pushes it.
+    /// True if the tool was inside an object at the last read; pushers do not count.
     pub fn touches(&self) -> bool {
         match &self.plant {
             Plant::Held(held) => held.touches(),
@@ -245,7 +249,7 @@ impl<const N: usize> SimulatedSlave<N> {
         }
     }
 
-    /// Whether the motion is exact between located contacts.
+    /// True if the motion is exact between located contacts.
     pub fn is_exact(&self) -> bool {
         match &self.plant {
             Plant::Held(_) => true,
@@ -253,8 +257,7 @@ impl<const N: usize> SimulatedSlave<N> {
         }
     }
 
-    /// Step so far that were too stiff to be followed to full accuracy and were taken by a stable method of
-    /// order 1.
+    /// Number of steps so far that were too stiff for full accuracy and used a stable method of order 1.
     pub fn coarse_steps(&self) -> u64 {
         match &self.plant {
             Plant::Held(_) => 0,

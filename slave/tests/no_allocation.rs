@@ -1,5 +1,5 @@
-//! Advancing, reading and writing allocate nothing, on every number of axes: counted by an allocator of our own.
-#![allow(clippy::unwrap_used, unsafe_code)] // a test may; an allocator cannot be had without
+//! Advancing, reading and writing do not allocate, for any number of axes; a counting allocator checks this.
+#![allow(clippy::unwrap_used, unsafe_code)] // a test may; a global allocator needs unsafe code
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},
@@ -12,7 +12,7 @@ use haptether_slave::{
 };
 
 thread_local! {
-    /// Of this thread alone: the harness allocates in another.
+    /// Per thread: the harness allocates in another thread.
     static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
 }
 
@@ -22,17 +22,17 @@ fn allocations() -> u64 {
 
 struct Counting;
 
-// SAFETY: every call goes unchanged to the system's allocator.
+// SAFETY: every call goes unchanged to the system allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        // A thread that is ending has no counter any more.
+        // A terminating thread has no counter.
         let _ = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
-        // SAFETY: the caller's contract is passed on.
+        // SAFETY: the contract of the caller is passed on.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's contract is passed on.
+        // SAFETY: the contract of the caller is passed on.
         unsafe { System.dealloc(pointer, layout) }
     }
 }

@@ -44,9 +44,12 @@ LEAVE_S: Final = 1.0
 class Phase(Enum):
     """Motion state of the driver.
 
-    ``` AT_REST --begin--> MOVING --stop--> STOPPING --rests--> AT_REST
+    ```
+    AT_REST --begin--> MOVING --stop--> STOPPING --rests--> AT_REST
                        MOVING --silence--> PAUSING --rests--> PAUSED --begin--> MOVING
-    PAUSING, PAUSED --stop--> STOPPING any --cut--> CUT --acknowledge--> AT_REST ```
+    PAUSING, PAUSED --stop--> STOPPING
+    any --cut--> CUT --acknowledge--> AT_REST
+    ```
     """
 
     AT_REST = "at rest"

@@ -22,7 +22,8 @@ class UrWrench:
     `actual_TCP_force` is in the base frame, with the moment about the tool point, without the payload. `ft_raw_wrench`
     is in the flange frame and includes the payload: for flange orientation R it shows
 
-        b + R^T (F_e + m g) b_tau + R^T tau_e + t x R^T F_e + c x R^T m g
+        b + R^T (F_e + m g)
+        b_tau + R^T tau_e + t x R^T F_e + c x R^T m g
 
     with the tool point t and the payload's centre of gravity c in the flange frame. `zero` stores the sensor's bias, b
     and b_tau. Without the mass m the weight counts as bias, which is valid for one orientation.

@@ -1,11 +1,11 @@
-//! An arm under way: its command, its set position and what its controller makes of both.
+//! An arm in motion: its command, its set position and the accelerations of its controller.
 
 use crate::{
     ArmControl, ArmModel, Axes,
     arm::model::{Command, Limits},
 };
 
-/// How much faster than the velocity control its limited set velocity is.
+/// Ratio of the pole of the limited set velocity to that of the velocity control.
 const FOLLOWS: f64 = 10.0;
 
 /// An arm under a command.
@@ -13,7 +13,7 @@ const FOLLOWS: f64 = 10.0;
 pub(crate) struct ArmDrive<const N: usize> {
     model: ArmModel,
     command: Command<N>,
-    /// Whether the command is where it comes to rest.
+    /// True if the command is the rest position of a stop.
     stops: bool,
     set_points: [SetPoint; N],
 }
@@ -36,18 +36,18 @@ impl<const N: usize> ArmDrive<N> {
         &self.set_points
     }
 
-    /// The commanded position in m, if there is one, and the velocity in m/s.
+    /// Commanded position in m, if any, and velocity in m/s.
     pub(crate) fn commanded(&self) -> (Option<Axes<N>>, Axes<N>) {
         (self.command.position, self.command.velocity)
     }
 
-    /// Whether the command is where it comes to rest.
+    /// True if the command is the rest position of a stop.
     pub(crate) fn stops(&self) -> bool {
         self.stops
     }
 
-    /// Goes on under a command from where its set position has come to meanwhile, without a bound on its acceleration: a plan
-    /// must follow.
+    /// Set command and set position, and continue from there. A plan must follow. Only for drives without a bound on
+    /// the acceleration.
     pub(crate) fn resume(
         &mut self,
         (position, velocity): (Axes<N>, Axes<N>),
@@ -66,13 +66,15 @@ impl<const N: usize> ArmDrive<N> {
         self.command = command;
     }
 
-    /// Stays: brakes the set position, or the tool of a velocity control. Returns where it comes to rest, in m.
+    /// Brake the set position, or the tool under velocity control, and stay. Returns the rest position in m.
     ///
-    /// A set position that rests stays as it is: one that went to where the tool is would let an arm that leans on
-    /// something, or carries something, yield. A velocity control has none. A control that used the velocity of
-    /// the command loses it: from V at x, `M x'' + B x' + K (x - x*) = 0` comes to rest without a swing for
-    /// `x* >= x + 2 M V / B`, if it is damped critically or more; with less damping it swings least near
-    /// `x + V sqrt(M / K)`. Stopped again before another command, it stays as it is.
+    /// A resting set position does not move to the tool: an arm that leans on something or carries something would
+    /// yield. Velocity control has no set position.
+    ///
+    /// A control that uses the velocity of the command loses it at the stop. The motion from V at x is then
+    /// `M x'' + B x' + K (x - x*) = 0`. With critical damping or more it comes to rest without overshoot for
+    /// `x* >= x + 2 M V / B`. With less damping the swing is smallest near `x + V sqrt(M / K)`. A second stop before
+    /// another command changes nothing.
     pub(crate) fn stop(&mut self, tool: &Tool<N>) -> Axes<N> {
         if let Some(rest) = self.command.position.filter(|_| self.stops) {
             return rest;
@@ -80,7 +82,7 @@ impl<const N: usize> ArmDrive<N> {
         let limits = self.model.limits();
         let (stiffness, damping, feed_forward) = self.model.impedance();
         let mass = self.model.mass_kg();
-        // In s. Without a spring no place is held.
+        // In s. Without a spring no position is held.
         let coasts = (2.0 * mass / damping).min((mass / stiffness).sqrt());
         let coasts = if feed_forward && stiffness > 0.0 { tool.velocity * coasts } else { Axes::zeros() };
         let rest = Axes::from_fn(|axis, _| {
@@ -89,7 +91,7 @@ impl<const N: usize> ArmDrive<N> {
                 let v = tool.set_velocity[axis];
                 return position + coast + v * v.abs() / (2.0 * limits.acceleration);
             }
-            // As far beyond the set position as its speed takes it there; without speed not at all.
+            // Beyond the set position by at most twice the coast distance, and only in its direction.
             let set = self.set_points[axis].nearest_rest(&limits);
             let (low, high) = if coast < 0.0 { (2.0 * coast, 0.0) } else { (0.0, 2.0 * coast) };
             set + (position + coast - set).max(low).min(high)
@@ -99,12 +101,12 @@ impl<const N: usize> ArmDrive<N> {
         rest
     }
 
-    /// Whether it takes a velocity.
+    /// True if the controller takes a velocity.
     pub(crate) fn is_velocity_control(&self) -> bool {
         matches!(self.model.control(), ArmControl::Velocity { .. })
     }
 
-    /// Chooses the phases of the set position that begin now.
+    /// Choose the phases of the set position that start now.
     pub(crate) fn plan(&mut self) {
         if let (Some(target), false) = (self.command.position, self.is_velocity_control()) {
             let limits = self.model.limits();
@@ -114,18 +116,19 @@ impl<const N: usize> ArmDrive<N> {
         }
     }
 
-    /// How long the present phases last, in s.
+    /// Time in s until the first of the present phases ends.
     pub(crate) fn phase(&self) -> f64 {
         self.set_points.iter().fold(f64::INFINITY, |first, set_point| first.min(set_point.phase))
     }
 
-    /// What is left in s of the first phase that does not end [at rest from one speed](SetPoint::arrives_steadily).
+    /// Time in s left of the first phase that does not end [at rest from constant speed](SetPoint::arrives_steadily).
     pub(crate) fn unsteady_phase(&self) -> f64 {
         let unsteady = self.set_points.iter().filter(|set_point| !set_point.arrives_steadily());
         unsteady.fold(f64::INFINITY, |first, set_point| first.min(set_point.phase))
     }
 
-    /// Move the set position on by `step` in s, no further than the present [unsteady phases](Self::unsteady_phase) last.
+    /// Advance the set position by `step` in s, at most to the end of the present [unsteady
+    /// phases](Self::unsteady_phase).
     pub(crate) fn advance(&mut self, step: f64) {
         if let Some(target) = self.command.position {
             let limits = self.model.limits();
@@ -172,29 +175,29 @@ impl<const N: usize> ArmDrive<N> {
         ((set - tool.velocity) * pole + force / mass, change)
     }
 
-    /// M in kg, K in N/m and B in N s/m that an implicit step has to count with.
+    /// M in kg, K in N/m and B in N s/m for an implicit step.
     pub(crate) fn inertia(&self) -> (f64, f64, f64) {
         let (stiffness, damping, _) = self.model.impedance();
         (self.model.mass_kg(), stiffness, damping)
     }
 }
 
-/// The tool of an arm that moves.
+/// The moving tool of an arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Tool<const N: usize> {
     pub(crate) position: Axes<N>,
     pub(crate) velocity: Axes<N>,
-    /// Of a velocity control with a limited acceleration, in m/s.
+    /// Set velocity in m/s; used by velocity control with a limited acceleration.
     pub(crate) set_velocity: Axes<N>,
 }
 
-/// Distance in m that counts as none: far above rounding at a metre, far below what a controller shows.
+/// Distance in m that counts as zero: far above rounding at a metre, far below the resolution of a controller.
 const THERE: f64 = 1e-13;
 
-/// A set position that goes to its target as fast as its limits allow.
+/// A set position that moves to its target as fast as its limits allow.
 ///
 /// With a limit on the acceleration it accelerates, cruises and brakes to rest at the target: the time-optimal motion.
-/// Each phase has a constant acceleration, so it is exact.
+/// Each phase has a constant acceleration, so the motion is exact.
 ///
 /// Source: the double integrator, e.g. A. E. Bryson, Y.-C. Ho, "Applied optimal control", 1975, section 3.9.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -202,9 +205,9 @@ pub(crate) struct SetPoint {
     pub(crate) position: f64,
     pub(crate) velocity: f64,
     pub(crate) acceleration: f64,
-    /// What is left of the present phase, in s.
+    /// Time left of the present phase, in s.
     pub(crate) phase: f64,
-    /// Whether the target is reached when the phase ends.
+    /// True if the target is reached at the end of the phase.
     arrives: bool,
 }
 
@@ -213,7 +216,7 @@ impl SetPoint {
         Self { position, velocity: 0.0, acceleration: 0.0, phase: f64::INFINITY, arrives: false }
     }
 
-    /// Chooses the phase that begins now.
+    /// Choose the phase that starts now.
     pub(crate) fn plan(&mut self, target: f64, limits: &Limits) {
         let away = target - self.position;
         self.arrives = true;
@@ -234,7 +237,7 @@ impl SetPoint {
 
     fn plan_smooth(&mut self, away: f64, limits: &Limits) {
         let Limits { speed, acceleration } = *limits;
-        // What is left of the way when it brakes at once.
+        // Distance to the target from the point of rest if it brakes at once.
         let spare = away - self.velocity * self.velocity.abs() / (2.0 * acceleration);
         if spare.abs() <= THERE {
             if self.velocity == 0.0 {
@@ -254,22 +257,22 @@ impl SetPoint {
             self.acceleration = 0.0;
             self.phase = spare / present;
         } else {
-            // It would be as fast as this where it has to brake.
+            // Speed at which braking has to start.
             let way = away * towards;
             let peak = (acceleration * way + 0.5 * present * present).max(0.0).sqrt().min(speed);
             self.acceleration = acceleration * towards;
-            // A phase that rounding has made empty must end nevertheless.
+            // A phase that rounding made empty must still end.
             self.phase = ((peak - present) / acceleration).max(1e-12);
         }
     }
 
-    /// Whether it moves at one speed until it arrives, and rests from then on.
+    /// True if it moves at constant speed until it arrives, and rests from then on.
     #[inline]
     pub(crate) fn arrives_steadily(&self) -> bool {
         self.arrives && self.acceleration == 0.0
     }
 
-    /// Moves on by `step` in s, no further than the phase lasts, unless it then [rests](Self::arrives_steadily).
+    /// Advance by `step` in s, at most to the end of the phase, unless it [rests](Self::arrives_steadily) afterwards.
     pub(crate) fn advance(&mut self, step: f64, target: f64, limits: &Limits) {
         if self.phase.is_infinite() {
             return;
@@ -284,7 +287,7 @@ impl SetPoint {
         self.phase -= step;
     }
 
-    /// Where it comes to rest if it brakes at once.
+    /// Rest position if it brakes at once.
     pub(crate) fn nearest_rest(&self, limits: &Limits) -> f64 {
         if limits.acceleration.is_finite() {
             self.position + self.velocity * self.velocity.abs() / (2.0 * limits.acceleration)

@@ -1,17 +1,17 @@
-//! A force sensor between the tool and the arm, and its noise: a draw is a pure function of (seed, stream, index).
+//! A force sensor between the tool and the arm. Its noise is a pure function of (seed, stream, index).
 //!
-//! Source: J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random numbers: as easy as 1, 2, 3",
-//! SC 2011, Philox4x32-10.
+//! Source: J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011,
+//! Philox4x32-10.
 
 use crate::{Axes, ModelError, require, require_axes};
 
-/// Streams of the noise, one per axis: apart from those that the same seed has in the network.
+/// Base of the noise streams, one per axis; distinct from the streams of the network under the same seed.
 const STREAM: u64 = 0x5E << 32;
 
-/// 2^52, from which on every number is whole.
+/// 2^52; every larger number is whole.
 const WHOLE: f64 = 4_503_599_627_370_496.0;
 
-/// What a force sensor makes of a force: `q round((F + bias + noise) / q)`, at its own rate.
+/// Force sensor: `q round((F + bias + noise) / q)`, sampled at its own rate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ForceSensor<const N: usize> {
     noise_n: f64,
@@ -19,13 +19,13 @@ pub struct ForceSensor<const N: usize> {
     quantum_n: f64,
     rate_hz: Option<f64>,
     seed: u64,
-    /// The newest sample: its number and what it said.
+    /// Newest sample: its index and value.
     held: Option<(u64, Axes<N>)>,
 }
 
 impl<const N: usize> ForceSensor<N> {
-    /// Standard deviation in N, bias in N per axis, quantum in N (0 is exact), samples per second (none for one at
-    /// each tick), seed of the noise.
+    /// Standard deviation in N, bias in N per axis, quantum in N (0 is exact), samples per second (none samples at each
+    /// tick), seed of the noise.
     pub fn new(
         noise_n: f64,
         bias_n: Axes<N>,
@@ -42,7 +42,7 @@ impl<const N: usize> ForceSensor<N> {
         Ok(Self { noise_n, bias_n, quantum_n, rate_hz, seed, held: None })
     }
 
-    /// Sample number `index` of a force in N: the same index has the same noise.
+    /// Sample number `index` of a force in N; the same index has the same noise.
     pub fn sample(&self, force: &Axes<N>, index: u64) -> Axes<N> {
         let mut measured = force + self.bias_n;
         if self.noise_n > 0.0 {
@@ -53,24 +53,24 @@ impl<const N: usize> ForceSensor<N> {
         if self.quantum_n == 0.0 {
             return measured;
         }
-        // Numbers of 2^52 quanta are whole as they are, and more are infinite.
+        // From 2^52 quanta on, numbers are whole already, and larger ones may overflow.
         measured.map(|f| {
             let count = f / self.quantum_n;
             if count.abs() < WHOLE { self.quantum_n * count.round() } else { f }
         })
     }
 
-    /// Number and time in s of the newest sample at or before `time_s`, if the sensor has a rate of its own.
+    /// Index and time in s of the newest sample at or before `time_s`, if the sensor has its own rate.
     pub(crate) fn newest(&self, time_s: f64) -> Option<(u64, f64)> {
         let rate = self.rate_hz?;
-        // A tick that falls on a sample in decimal may fall a rounding before it in binary.
+        // A tick that coincides with a sample in decimal may precede it by rounding in binary.
         let index = (time_s * rate * (1.0 + 1e-12) + 1e-9).floor().max(0.0);
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
-        // not negative, below 2^63 for 1e12 s
+        // nonnegative, below 2^63 for 1e12 s
         Some((index as u64, (index / rate).min(time_s)))
     }
 
-    /// Whether it samples by itself, not at each tick.
+    /// True if it has its own sample rate.
     pub(crate) fn has_rate(&self) -> bool {
         self.rate_hz.is_some()
     }
@@ -92,9 +92,9 @@ const MULTIPLIER: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];
 const WEYL: [u32; 2] = [0x9E37_79B9, 0xBB67_AE85];
 const ROUNDS: usize = 10;
 
-/// One standard normal number, by the transform of Box and Muller.
+/// One standard normal number, by the Box-Muller transform.
 ///
-/// The uniform numbers have 53 bits, so no draw is beyond 8.6 standard deviations, and none is infinite.
+/// The uniform numbers have 53 bits, so every draw is finite and within 8.6 standard deviations.
 fn normal(seed: u64, stream: u64, index: u64) -> f64 {
     let ([k0, k1], [i0, i1], [s0, s1]) = (split(seed), split(index), split(stream));
     let [a, b, c, d] = philox4x32([i0, i1, s0, s1], [k0, k1]);

@@ -1,4 +1,4 @@
-//! What controls an arm.
+//! Model of an arm: its control, mass and limits.
 
 use std::f64::consts::TAU;
 
@@ -9,16 +9,16 @@ use crate::{Axes, ModelError, require};
 /// `M x'' = M w² (x_set - x) - 2 M w x' + F_e`, with w = 2 pi bandwidth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmParameters {
-    /// M in kg (> 0): what the controller moves, seen at the tool.
+    /// M in kg (> 0): the mass that the controller moves, as seen at the tool.
     pub mass_kg: f64,
     /// Bandwidth of the position control in Hz (> 0).
     pub bandwidth_hz: f64,
-    /// Fastest that the set position moves, in m/s (> 0).
+    /// Speed limit of the set position in m/s (> 0).
     pub max_speed: f64,
 }
 
 impl Default for ArmParameters {
-    /// A light arm under a fast position loop: 4 kg at 15 Hz is a compliance of 0.03 mm/N; a UR's 1 m/s.
+    /// A light arm with a fast position loop: 4 kg at 15 Hz is a compliance of 0.03 mm/N, and a UR moves at 1 m/s.
     fn default() -> Self {
         Self { mass_kg: 4.0, bandwidth_hz: 15.0, max_speed: 1.0 }
     }
@@ -42,7 +42,7 @@ impl ArmParameters {
     }
 }
 
-/// What an arm's controller takes, the same on every axis; w = 2 pi bandwidth.
+/// Control of an arm, the same on every axis; w = 2 pi bandwidth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ArmControl {
     /// A position: `M x'' = M w² (x_set - x) - 2 M w V + F_e`.
@@ -50,9 +50,9 @@ pub enum ArmControl {
         /// In Hz (> 0).
         bandwidth_hz: f64,
     },
-    /// A velocity: `M V' = M w (V_set - V) + F_e`; a force enters as through an admittance.
+    /// A velocity: `M V' = M w (V_set - V) + F_e`; a force acts as through an admittance.
     ///
-    /// Driven with positions, `V_set = (w / 4) (x_cmd - x) + V_cmd`: a quarter of w makes the position critically
+    /// For position commands, `V_set = (w / 4) (x_cmd - x) + V_cmd`: a quarter of w makes the position critically
     /// damped. With a limit on the acceleration, `V_set` follows within its limits as a first-order system of 10 w.
     Velocity {
         /// In Hz (> 0).
@@ -73,11 +73,11 @@ pub struct ArmModel {
     control: ArmControl,
     mass_kg: f64,
     limits: Limits,
-    /// Of control and mass: it is asked for in every step.
+    /// Derived from control and mass; stored because every step uses it.
     impedance: (f64, f64, bool),
 }
 
-/// How fast a set value may move along each axis; infinite without a bound.
+/// Limits of a set value along each axis; infinite without a limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Limits {
     pub(crate) speed: f64,
@@ -85,8 +85,8 @@ pub(crate) struct Limits {
 }
 
 impl ArmModel {
-    /// A control, M in kg (> 0: what it moves, seen at the tool) and, if there are any, the largest speed in m/s and
-    /// acceleration in m/s² of the set value along each axis.
+    /// Control, M in kg (> 0: the moved mass as seen at the tool), and the optional limits of the set value along each
+    /// axis: speed in m/s and acceleration in m/s².
     pub fn new(
         control: ArmControl,
         mass_kg: f64,
@@ -114,7 +114,7 @@ impl ArmModel {
         Ok(Self { control, mass_kg, limits, impedance: control.impedance(mass_kg) })
     }
 
-    /// What its controller takes.
+    /// Its control.
     pub fn control(&self) -> ArmControl {
         self.control
     }
@@ -128,9 +128,9 @@ impl ArmModel {
         self.limits
     }
 
-    /// K and B of `M x'' = K (x_set - x) + B (V_cmd - V) + F_e`, and whether the control uses `V_cmd`.
+    /// K and B of `M x'' = K (x_set - x) + B (V_cmd - V) + F_e`, and true if the control uses `V_cmd`.
     ///
-    /// Of a velocity control with positions, where its set velocity is within its limits.
+    /// For velocity control they hold under position commands while the set velocity is within its limits.
     pub(crate) fn impedance(&self) -> (f64, f64, bool) {
         self.impedance
     }
@@ -152,7 +152,7 @@ impl ArmControl {
     }
 }
 
-/// A command: a position to go to, if any, and the velocity there.
+/// A command: target position, if any, and the velocity there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Command<const N: usize> {
     pub(crate) position: Option<Axes<N>>,

@@ -1,4 +1,4 @@
-//! Everything that acts on the tool: objects that are touched and pushers.
+//! Everything that acts on the tool: objects in contact and pushers.
 
 use crate::{
     Axes, Object, Pusher, amax,
@@ -9,35 +9,35 @@ use crate::{
 
 /// Objects and pushers.
 ///
-/// Time is in s; that of the pushers begins at 0 too, unless [`Environment::push_from`] says otherwise. A position and
-/// a velocity are those of the tool, in m and m/s; a force is that on the tool, in N.
+/// Time is in s. The time of the pushers starts at 0 unless [`Environment::push_from`] changes it. Position and
+/// velocity are those of the tool, in m and m/s; force acts on the tool, in N.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Environment<const N: usize> {
     pub(crate) objects: Vec<Object<N>>,
     pub(crate) pushers: Vec<Pusher<N>>,
-    /// When the time of the pushers begins; never, if infinite.
+    /// Origin of the time of the pushers; infinity for never.
     push_from: f64,
     stretch: Stretch<N>,
     pub(crate) reach: Reach<N>,
-    /// On which piece of its law each object is; apart, if it is not near.
+    /// Piece of the contact law that each object is on; `Apart` if it is not near.
     pub(crate) modes: Vec<Mode>,
-    /// Where the free bodies that are near stand in the state of the solver.
+    /// Slots of the near free bodies in the state of the solver.
     pub(crate) slots: Vec<usize>,
     pub(crate) solver: Solver<N>,
-    /// The objects that move on their own.
+    /// Indices of the objects with a prescribed motion.
     movers: Vec<usize>,
-    /// How many objects are free bodies.
+    /// Number of free bodies.
     pub(crate) bodies: usize,
-    /// Whether every push is linear in time between its kinks.
+    /// True if every push is linear in time between its kinks.
     pub(crate) is_push_linear: bool,
     touches: bool,
 }
 
 impl<const N: usize> Environment<N> {
-    /// Objects, in an order that numbers them, and pushers.
+    /// Objects, indexed in this order, and pushers.
     pub fn new(objects: Vec<Object<N>>, pushers: Vec<Pusher<N>>) -> Self {
         let bodies = objects.iter().filter(|object| object.body().is_some()).count();
-        // Near or not: one may come near between two kinks.
+        // Near or not: an object may come near between two kinks.
         let movers = (0..objects.len()).filter(|&index| objects[index].moves()).collect();
         Self {
             push_from: 0.0,
@@ -55,12 +55,12 @@ impl<const N: usize> Environment<N> {
         }
     }
 
-    /// Nothing.
+    /// An environment without objects and pushers.
     pub fn empty() -> Self {
         Self::new(Vec::new(), Vec::new())
     }
 
-    /// The time of the pushers begins at `time_s`; infinity is never.
+    /// Start the time of the pushers at `time_s`; infinity means never.
     pub fn push_from(&mut self, time_s: f64) {
         let push_from = if time_s.is_nan() { f64::INFINITY } else { time_s };
         if push_from != self.push_from {
@@ -68,7 +68,7 @@ impl<const N: usize> Environment<N> {
         }
     }
 
-    /// Force of objects and pushers on the tool in N at one instant; free bodies as they are now.
+    /// Force of objects and pushers on the tool in N at one instant, with free bodies in their present state.
     pub fn force(&mut self, position: &Axes<N>, velocity: &Axes<N>, time_s: f64) -> Axes<N> {
         self.keep_near(position, velocity, time_s);
         let near = self.reach.near.iter().copied();
@@ -87,8 +87,8 @@ impl<const N: usize> Environment<N> {
         }
     }
 
-    /// The push in N at the begin of a piece of `step` in s within a stretch, and by how much it grows in N/s; `inside` is any
-    /// time of the piece clear of its ends.
+    /// Push in N at the start of a step of `step` in s within a stretch, and its growth in N/s. `inside` is any time
+    /// strictly within the step.
     #[inline]
     pub(crate) fn linear_push(
         &self,
@@ -104,18 +104,18 @@ impl<const N: usize> Environment<N> {
         (push, (self.push(inside, end) - push) / step)
     }
 
-    /// Whether the tool was inside an object when the force was last computed; a spring has no inside.
+    /// True if the tool was inside an object at the last computation of the force; a spring has no inside.
     pub fn touches(&self) -> bool {
         self.touches
     }
 
-    /// The same force from every object, near or not: what [`Environment::force`] is held to.
+    /// The same force, computed over all objects, near or not: the reference for [`Environment::force`].
     pub fn force_of_all(&self, position: &Axes<N>, velocity: &Axes<N>, time_s: f64) -> Axes<N> {
         let push = self.push(time_s, time_s);
         self.force_of(push, 0..self.objects.len(), position, velocity, time_s).0
     }
 
-    /// Where object `index` is in m, if it is a free body: its plane's point, its centre or its anchor.
+    /// Position in m of object `index` if it is a free body: the point of its plane, its centre or its anchor.
     pub fn body_position(&self, index: usize) -> Option<Axes<N>> {
         let object = self.objects.get(index)?;
         Some(object.shape().reference() + object.body()?.displacement)
@@ -126,13 +126,12 @@ impl<const N: usize> Environment<N> {
         Some(self.objects.get(index)?.body()?.velocity)
     }
 
-    /// Step so far that were too stiff to be followed to full accuracy and were taken by a stable method of
-    /// order 1.
+    /// Number of steps so far that were too stiff for full accuracy and used a stable method of order 1.
     pub fn coarse_steps(&self) -> u64 {
         self.solver.coarse_steps
     }
 
-    /// Make sure that all objects that could be touched here are among the near ones.
+    /// Ensure that all objects within reach at this position are among the near ones.
     pub(crate) fn keep_near(&mut self, position: &Axes<N>, velocity: &Axes<N>, time_s: f64) {
         if !self.reach.covers(position, time_s, 0.0) {
             self.look(position, velocity, time_s);
@@ -144,7 +143,7 @@ impl<const N: usize> Environment<N> {
             self.modes[index] = Mode::Apart;
             self.slots[index] = usize::MAX;
         }
-        // Far enough that a fast tool does not look again in each of the next steps.
+        // A wide radius saves a fast tool a new search in each of the next steps.
         self.reach.look(&self.objects, position, time_s, 16e-3 * norm(velocity));
         let mut slot = 0;
         for &index in &self.reach.near {
@@ -155,8 +154,10 @@ impl<const N: usize> Environment<N> {
         }
     }
 
-    /// How far in m the tool may move within `span` in s before it touches one of the objects `apart` that are near,
-    /// infinity where none is; 0 where one that is not near may be touched at up to twice its speed.
+    /// Distance in m that the tool may move within `span` in s before it touches a near object of the mask `apart`.
+    ///
+    /// Infinity without such an object; 0 if an object that is not near could be touched at up to twice the tool's
+    /// speed.
     pub(crate) fn room(
         &mut self,
         apart: &[bool],
@@ -176,7 +177,7 @@ impl<const N: usize> Environment<N> {
             let object = &self.objects[index];
             let (displacement, _) = object.place(time_s, time_s);
             let (distance, _) = object.shape().surface(&(position - displacement));
-            // Distances carry the rounding of places.
+            // Distances carry the rounding of positions.
             let rounding = 1e-12 * (amax(position) + object.shape().extent());
             room.min(distance - object.top_speed() * span - rounding)
         })
@@ -191,7 +192,7 @@ impl<const N: usize> Environment<N> {
         self.pushers.iter().map(|pusher| pusher.on(piece, t)).sum()
     }
 
-    /// The stretch of time that `time_s` lies in, in which the push has no kink; looked for once for each.
+    /// Stretch without a kink of the push that contains `time_s`; computed once per stretch.
     #[inline]
     pub(crate) fn push_stretch(&mut self, time_s: f64) -> Stretch<N> {
         if !self.stretch.holds(time_s) {
@@ -202,12 +203,12 @@ impl<const N: usize> Environment<N> {
 
     fn stretch_from(&self, time_s: f64) -> Stretch<N> {
         let until = self.next_push_kink(time_s);
-        // Any time of it clear of its ends; they count in whole ns.
+        // Any time strictly within; times count in whole ns.
         let inside = 0.5 * (time_s + until.min(time_s + 1.0));
         let level = |pusher: &Pusher<N>| pusher.level_on(self.push_time(inside));
         let is_clear = until - time_s > 4.0 * ROUNDING;
         let steady = if is_clear { self.pushers.iter().map(level).sum() } else { None };
-        // A kink less than a ns ahead counts as passed.
+        // A kink less than 1 ns ahead counts as passed.
         Stretch { from: time_s + ROUNDING, until, steady }
     }
 
@@ -223,7 +224,7 @@ impl<const N: usize> Environment<N> {
         next
     }
 
-    /// First time after `time_s` at which a force or a motion that depends on time alone has a kink.
+    /// First kink after `time_s` of a force or motion that depends on time only.
     pub(crate) fn next_kink(&self, time_s: f64) -> f64 {
         let mut next = self.next_push_kink(time_s);
         for &index in &self.movers {
@@ -232,7 +233,7 @@ impl<const N: usize> Environment<N> {
         next
     }
 
-    /// `push`, the force of the pushers, and that of some objects, and whether the tool is inside one of these.
+    /// Sum of `push`, the force of the pushers, and the forces of `objects`; true if the tool is inside one of them.
     fn force_of(
         &self,
         push: Axes<N>,
@@ -261,14 +262,14 @@ impl<const N: usize> Environment<N> {
         (force, touches)
     }
 
-    /// Force of the spring that object `index` is.
+    /// Force of object `index`, a spring.
     fn pull(&self, index: usize, place: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
         let object = &self.objects[index];
         let (stiffness, damping) = object.contact().linear();
         (object.shape().reference() - place) * stiffness - velocity * damping
     }
 
-    /// Force of object `index` on the smooth piece that its law is on.
+    /// Force of object `index` on its present smooth piece of the contact law.
     pub(crate) fn smooth(&self, index: usize, place: &Axes<N>, velocity: &Axes<N>) -> Axes<N> {
         let object = &self.objects[index];
         if object.shape().is_spring() {
@@ -278,7 +279,7 @@ impl<const N: usize> Environment<N> {
         object.contact().force(self.modes[index], distance, &normal, velocity)
     }
 
-    /// On which piece of its law object `index` is.
+    /// Piece of its contact law that object `index` is on.
     pub(crate) fn mode(&self, index: usize, place: &Axes<N>, velocity: &Axes<N>) -> Mode {
         let object = &self.objects[index];
         if object.shape().is_spring() {
@@ -288,7 +289,7 @@ impl<const N: usize> Environment<N> {
         object.contact().mode(-distance, -normal.dot(velocity))
     }
 
-    /// Force of object `index` and its slopes; of a spring, which acts along all axes alike, with `drag` too.
+    /// Force of object `index` and its slopes. A spring acts along all axes alike, so it has `drag` too.
     pub(crate) fn linearised(
         &self,
         index: usize,
@@ -309,21 +310,21 @@ impl<const N: usize> Environment<N> {
 /// Times in s that are closer than this may be the same tick: windows count in whole ns.
 const ROUNDING: f64 = 1e-9;
 
-/// A stretch of time without a kink of the push.
+/// Interval of time without a kink of the push.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Stretch<const N: usize> {
     from: f64,
-    /// The next kink.
+    /// Time of the next kink.
     pub(crate) until: f64,
-    /// The push in N, where it is the same all along.
+    /// Push in N, if it is constant in the interval.
     pub(crate) steady: Option<Axes<N>>,
 }
 
 impl<const N: usize> Stretch<N> {
-    /// No time lies in it.
+    /// An empty stretch.
     const NONE: Self = Self { from: f64::INFINITY, until: f64::NEG_INFINITY, steady: None };
 
-    /// Whether a time lies in it, clear of its ends.
+    /// True if the time lies in the stretch, clear of its ends.
     #[inline]
     fn holds(&self, time_s: f64) -> bool {
         self.from <= time_s && time_s < self.until - ROUNDING
@@ -331,29 +332,29 @@ impl<const N: usize> Stretch<N> {
 }
 
 impl<const N: usize> PartialEq for Stretch<N> {
-    /// It follows from pushers and time, and is no part of a state.
+    /// Always equal: a stretch follows from pushers and time and is not part of the state.
     fn eq(&self, _: &Self) -> bool {
         true
     }
 }
 
-/// Distance in m within which an object is looked at in every step.
+/// Distance in m within which an object is checked in every step.
 const NEAR: f64 = 0.01;
 
-/// The objects near a place, and how far anything may move before another one can be touched.
+/// The objects near a position, and the distance to all others.
 ///
-/// An object at distance d cannot be touched before tool and object have moved by d between them. So all others are
-/// left alone until the tool's way and the fastest object's way together reach the smallest of their distances: what is
-/// left out would have exerted no force.
+/// An object at distance d cannot be touched before tool and object together have moved by d. All others are skipped
+/// until the path of the tool plus that of the fastest object reaches the smallest distance. A skipped object would
+/// exert no force.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Reach<const N: usize> {
-    /// In the order of the objects, so that forces are added in the same order as without leaving any out.
+    /// In the order of the objects, so that the order of summation does not depend on which are skipped.
     pub(crate) near: Vec<usize>,
     place: Axes<N>,
     time: f64,
-    /// Least distance in m among those that are not near; negative before the first look.
+    /// Smallest distance in m to an object that is not near; negative before the first search.
     clearance: f64,
-    /// Top speed in m/s among those that are not near.
+    /// Top speed in m/s of the objects that are not near.
     speed: f64,
 }
 
@@ -363,12 +364,12 @@ impl<const N: usize> Reach<N> {
         Self { near, place: Axes::zeros(), time: 0.0, clearance: -1.0, speed: 0.0 }
     }
 
-    /// Whether none but the near objects can be touched at `place` in m, `time` in s, nor within `margin` in m of it.
+    /// True if only near objects can be touched within `margin` in m of `place` in m, at `time` in s.
     pub(crate) fn covers(&self, place: &Axes<N>, time: f64, margin: f64) -> bool {
         norm(&(place - self.place)) + self.speed * (time - self.time).abs() + margin < self.clearance
     }
 
-    /// Looks at all objects again; those within `radius` in m, or a little more, are near.
+    /// Search all objects again; objects within about `radius` in m become near.
     pub(crate) fn look(&mut self, objects: &[Object<N>], place: &Axes<N>, time: f64, radius: f64) {
         let radius = radius.max(NEAR);
         self.near.clear();
@@ -387,7 +388,7 @@ impl<const N: usize> Reach<N> {
             }
         }
         if self.clearance.is_finite() {
-            // Distances carry rounding; what is near costs little.
+            // Distances carry rounding; a few more near objects cost little.
             self.clearance -= 1e-9 * self.clearance + 1e-14 * place.norm();
         }
     }
@@ -415,12 +416,12 @@ mod tests {
     }
 
     proptest! {
-        /// Within a stretch the push is what it is where it is looked for at each instant, whenever time begins.
+        /// The push of a stretch equals the push computed at each instant, for any origin of its time.
         #[test]
         fn a_push_that_stands_is_the_push_of_each_instant(
             pushers in prop::collection::vec((0_u8..4, 0_u32..400, 0_u32..400, 1_u32..100), 0..4),
             begins_ms in prop::option::of(-50_i32..50),
-            // Half of the cases at whole ms, as kinks are.
+            // Half of the cases at whole ms, like kinks.
             (unit_us, steps) in (prop::sample::select(vec![7, 1000]), prop::collection::vec(1_u32..30, 1..200)),
             off_ns in prop::sample::select(vec![0.0, 0.4, -0.4, 10.0, -10.0]),
         ) {
@@ -445,7 +446,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_looked_for_once_for_each_stretch_and_anew_for_another_beginning() {
+    fn stretch_is_kept_until_its_origin_changes() {
         let mut environment = Environment::new(Vec::new(), vec![pusher(0, 0.1, 0.2, 0.0)]);
         environment.push_from(1.0);
         for (at, until, push) in

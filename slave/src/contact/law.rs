@@ -2,10 +2,9 @@
 
 use crate::{Axes, ModelError, require};
 
-/// Slip in m/s below which Coulomb friction grows linearly with it.
+/// Slip in m/s below which Coulomb friction is linear in it.
 ///
-/// A step at zero slip has no solution that an integrator could follow; a slip that the eye cannot see stands for
-/// stiction.
+/// No integrator can follow a step at zero slip, so an invisible slip stands for stiction.
 pub const FULL_SLIP: f64 = 1e-3;
 
 /// How a surface resists along its normal.
@@ -35,7 +34,7 @@ pub enum ContactLaw {
     },
 }
 
-/// What an object does to what touches it: a law along the normal and Coulomb friction along the surface.
+/// Contact with an object: a law along the normal and Coulomb friction along the surface.
 ///
 /// `F_t = -mu_f F_n v_t / max(|v_t|, 1 mm/s)`, with the slip `v_t` relative to the object.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,7 +43,7 @@ pub struct Contact {
     friction: f64,
 }
 
-/// Which smooth piece of its law a contact is on.
+/// Smooth piece of its law that a contact is on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Mode {
     /// Outside.
@@ -55,7 +54,7 @@ pub(crate) enum Mode {
     Leaving,
 }
 
-/// A contact at one instant, and how it changes with depth and speed.
+/// A contact at one instant, and its slopes over depth and speed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Reaction<const N: usize> {
     pub(crate) force: Axes<N>,
@@ -92,14 +91,14 @@ impl Contact {
         self.friction
     }
 
-    /// K and B of a linear law, which a spring always has.
+    /// K and B of a linear law; springs always have one.
     pub(crate) fn linear(&self) -> (f64, f64) {
         let (ContactLaw::KelvinVoigt { stiffness, damping }
         | ContactLaw::HuntCrossley { stiffness, damping, .. }) = self.law;
         (stiffness, damping)
     }
 
-    /// K and B, if the law is that of Kelvin and Voigt.
+    /// K and B, if the law is Kelvin-Voigt.
     pub(crate) fn kelvin_voigt(&self) -> Option<(f64, f64)> {
         matches!(self.law, ContactLaw::KelvinVoigt { .. }).then(|| self.linear())
     }
@@ -109,7 +108,7 @@ impl Contact {
         if depth > 0.0 { self.continued(depth, rate).max(0.0) } else { 0.0 }
     }
 
-    /// The law without its maximum, smooth beyond the surface too: what an integrator may step across.
+    /// The law without its maximum, smooth beyond the surface, so that an integrator may step across it.
     fn continued(&self, depth: f64, rate: f64) -> f64 {
         match self.law {
             ContactLaw::KelvinVoigt { stiffness, damping } => stiffness * depth + damping * rate,
@@ -129,7 +128,7 @@ impl Contact {
         }
     }
 
-    /// Force on what touches with `velocity` in m/s relative to the object, on the smooth piece `mode`.
+    /// Force on the touching body at `velocity` in m/s relative to the object, on the smooth piece `mode`.
     pub(crate) fn force<const N: usize>(
         &self,
         mode: Mode,
@@ -150,7 +149,7 @@ impl Contact {
         force
     }
 
-    /// Force and its slopes, on the piece that the state is on.
+    /// Force and its slopes, on the present piece of the law.
     pub(crate) fn reaction<const N: usize>(
         &self,
         distance: f64,

@@ -1,4 +1,4 @@
-//! What the tool may touch, what pushes it, and the force of both.
+//! Objects that the tool may touch, pushers, and the force of both.
 
 pub(crate) mod environment;
 pub(crate) mod law;

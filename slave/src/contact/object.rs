@@ -1,10 +1,10 @@
-//! One thing that the tool may touch: its shape, and how it moves, on its own or pushed.
+//! An object that the tool may touch: its shape and its motion, prescribed or by pushing.
 
 use crate::{
     Axes, Contact, ContactLaw, ModelError, amax, contact::window::Window, larger, require, require_axes,
 };
 
-/// Whether and how an object moves.
+/// Mobility of an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Mobility<const N: usize> {
     Fixed,
@@ -12,9 +12,9 @@ enum Mobility<const N: usize> {
     Free(FreeBody<N>),
 }
 
-/// A shape that resists, and may move on its own or be pushed.
+/// A shape that resists. It may have a prescribed motion or be pushed.
 ///
-/// An object with the shape of a spring exerts `F = K (anchor - x) - B V` everywhere, with K and B of its contact.
+/// A spring exerts `F = K (anchor - x) - B V` everywhere, with K and B of its contact.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Object<const N: usize> {
     shape: Shape<N>,
@@ -23,17 +23,17 @@ pub struct Object<const N: usize> {
 }
 
 impl<const N: usize> Object<N> {
-    /// An object that stays.
+    /// An immobile object.
     pub fn fixed(shape: Shape<N>, contact: Contact) -> Result<Self, ModelError> {
         Self::checked(shape, contact, Mobility::Fixed)
     }
 
-    /// An object that moves on its own, whatever touches it.
+    /// An object with a prescribed motion; contact does not change it.
     pub fn moving(shape: Shape<N>, contact: Contact, motion: ObjectMotion<N>) -> Result<Self, ModelError> {
         Self::checked(shape, contact, Mobility::Moving(motion))
     }
 
-    /// An object that is pushed by the tool and pushes back.
+    /// An object that the tool pushes and that pushes back.
     pub fn free(shape: Shape<N>, contact: Contact, body: FreeBody<N>) -> Result<Self, ModelError> {
         Self::checked(shape, contact, Mobility::Free(body))
     }
@@ -49,12 +49,12 @@ impl<const N: usize> Object<N> {
         Ok(Self { shape, contact, mobility })
     }
 
-    /// Its shape, where it was put.
+    /// Its shape at its initial position.
     pub fn shape(&self) -> &Shape<N> {
         &self.shape
     }
 
-    /// How it resists.
+    /// Its contact law.
     pub fn contact(&self) -> &Contact {
         &self.contact
     }
@@ -72,13 +72,13 @@ impl<const N: usize> Object<N> {
         self.mobility == Mobility::Fixed
     }
 
-    /// Whether it moves on its own.
+    /// True if its motion is prescribed.
     pub(crate) fn moves(&self) -> bool {
         matches!(self.mobility, Mobility::Moving(_))
     }
 
-    /// Displacement in m and velocity in m/s at t in s, on the smooth piece that holds at `piece`; of a free body: as
-    /// it is now.
+    /// Displacement in m and velocity in m/s at t in s, on the smooth piece valid at `piece`. A free body returns its
+    /// present state.
     #[inline]
     pub(crate) fn place(&self, piece: f64, t: f64) -> (Axes<N>, Axes<N>) {
         match &self.mobility {
@@ -88,7 +88,7 @@ impl<const N: usize> Object<N> {
         }
     }
 
-    /// Speed in m/s that it does not exceed unless it is touched.
+    /// Speed in m/s that it does not exceed without contact.
     pub(crate) fn top_speed(&self) -> f64 {
         match &self.mobility {
             Mobility::Fixed => 0.0,
@@ -102,7 +102,7 @@ impl<const N: usize> Object<N> {
     }
 }
 
-/// The shape of an object, where it is before it moves.
+/// Shape of an object at its initial position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shape<const N: usize> {
     kind: Kind<N>,
@@ -117,12 +117,11 @@ enum Kind<const N: usize> {
 }
 
 impl<const N: usize> Shape<N> {
-    /// Fill the side of a plane that `normal` points away from; `point` in m lies on it, `normal` need not have unit
-    /// length.
+    /// A half space opposite to `normal`, which need not have unit length; `point` in m lies on its surface.
     pub fn plane(point: Axes<N>, normal: Axes<N>) -> Result<Self, ModelError> {
         require_axes("plane point", &point, |_| true, "finite")?;
         require_axes("plane normal", &normal, |_| true, "finite")?;
-        // Scaled first, so that neither a huge nor a tiny normal leaves the range of a number when squared.
+        // Scaled first, so that the square of a huge or tiny normal does not overflow or underflow.
         let largest = normal.amax();
         require("plane normal", largest, largest > 0.0, "no zero vector")?;
         let normal = (normal / largest).normalize();
@@ -143,17 +142,17 @@ impl<const N: usize> Shape<N> {
         Ok(Self { kind: Kind::Cuboid { centre, half_extents, ball: half_extents.norm() } })
     }
 
-    /// No surface: a spring from `anchor` in m that pushes and pulls everywhere.
+    /// A spring without a surface: it pushes and pulls towards `anchor` in m everywhere.
     pub fn spring(anchor: Axes<N>) -> Result<Self, ModelError> {
         require_axes("spring anchor", &anchor, |_| true, "finite")?;
         Ok(Self { kind: Kind::Spring { anchor } })
     }
 
-    /// Signed distance in m from the surface (negative inside) and unit outward normal, its gradient.
+    /// Signed distance in m from the surface (negative inside) and its gradient, the unit outward normal.
     ///
-    /// A spring has no surface and is minus infinity deep everywhere. Where the gradient does not exist (the centre
-    /// of a ball, equally near faces of a box) the first axis that is as good as any other is taken.
-    #[inline(always)] // what it returns would go through memory
+    /// A spring has no surface; its distance is minus infinity. Where the gradient does not exist (the centre of a
+    /// sphere, equally near faces of a box), the first of the equivalent axes is used.
+    #[inline(always)] // avoids a return through memory
     pub fn surface(&self, point: &Axes<N>) -> (f64, Axes<N>) {
         match &self.kind {
             Kind::Plane { point: on, normal } => ((point - on).dot(normal), *normal),
@@ -168,8 +167,8 @@ impl<const N: usize> Shape<N> {
         }
     }
 
-    /// How far a point inside may move along each axis in m while the face that is the nearest stays it; none of a
-    /// shape without flat faces.
+    /// Distance in m that a point inside may move along each axis while the same face stays nearest; none for shapes
+    /// without flat faces.
     pub(crate) fn margin_of_face(&self, point: &Axes<N>) -> Option<f64> {
         match &self.kind {
             Kind::Plane { .. } => Some(f64::INFINITY),
@@ -177,7 +176,7 @@ impl<const N: usize> Shape<N> {
                 let from_centre = point - centre;
                 let beyond = from_centre.abs() - half_extents;
                 let nearest = beyond.imax();
-                // To the opposite face it is as far as to the centre.
+                // The opposite face becomes nearest at the centre.
                 let mut margin = from_centre[nearest].abs();
                 for axis in (0..N).filter(|&axis| axis != nearest) {
                     margin = margin.min(0.5 * (beyond[nearest] - beyond[axis]));
@@ -188,8 +187,8 @@ impl<const N: usize> Shape<N> {
         }
     }
 
-    /// How far from the origin it stands and reaches along any axis in m, of a plane how far its point: what places on it
-    /// are rounded to.
+    /// Bound in m on the absolute coordinates of the shape; for a plane, of its point. It scales the rounding of points
+    /// on the shape.
     pub(crate) fn extent(&self) -> f64 {
         let size = match &self.kind {
             Kind::Plane { .. } | Kind::Spring { .. } => 0.0,
@@ -199,7 +198,7 @@ impl<const N: usize> Shape<N> {
         amax(self.reference()) + size
     }
 
-    /// The point that moves with the object: on the plane, or the centre, or the anchor, in m.
+    /// Point in m that moves with the object: the point of the plane, the centre or the anchor.
     pub fn reference(&self) -> &Axes<N> {
         match &self.kind {
             Kind::Plane { point, .. } => point,
@@ -208,7 +207,7 @@ impl<const N: usize> Shape<N> {
         }
     }
 
-    /// A lower bound in m on the distance, cheaper than the distance.
+    /// Lower bound in m on the distance, cheaper than the distance.
     pub(crate) fn clearance(&self, point: &Axes<N>) -> f64 {
         match &self.kind {
             Kind::Cuboid { centre, ball, .. } => (point - centre).norm() - ball,
@@ -254,7 +253,7 @@ fn cuboid<const N: usize>(point: &Axes<N>, half_extents: &Axes<N>) -> (f64, Axes
     (beyond[nearest], unit(nearest, 1_f64.copysign(point[nearest])))
 }
 
-/// Constant velocity for a while, and a sine on top.
+/// Constant velocity in a time window, plus a sine.
 ///
 /// `p(t) = p_0 + V (min(t, until) - from)+ + a sin(2 pi f t)`
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -289,7 +288,7 @@ impl<const N: usize> ObjectMotion<N> {
         self.on(t, t)
     }
 
-    /// The same, on the smooth piece that holds at time `piece`.
+    /// The same, on the smooth piece valid at time `piece`.
     pub(crate) fn on(&self, piece: f64, t: f64) -> (Axes<N>, Axes<N>) {
         let (begin_s, until_s) = (self.window.begin_s(), self.window.until_s());
         let (mut displacement, mut velocity) = if self.window.contains(piece) {
@@ -312,32 +311,31 @@ impl<const N: usize> ObjectMotion<N> {
         self.window.next_bound(t)
     }
 
-    /// No point of it is ever faster, in m/s.
+    /// Upper bound on its speed, in m/s.
     pub(crate) fn top_speed(&self) -> f64 {
         self.velocity.norm() + self.rate * self.amplitude.norm()
     }
 }
 
-/// Speed in m/s below which a body stands if what pushes it is within its Coulomb friction; above it, friction has its
-/// full value. Far below anything that is measured, so that stopping distances are those of the textbook.
+/// Speed in m/s below which a body rests if the applied force is within its Coulomb friction; above it, friction has
+/// its full value. It is far below any measured speed, so stopping distances match the closed form.
 pub(crate) const STANDS: f64 = 1e-6;
 
-/// A body that only translates, slowed by friction with the ground: `m v' = F - b v - c v / |v|`; at rest it stays
-/// while `|F| <= c`.
+/// A body in translation with ground friction: `m v' = F - b v - c v / |v|`. It rests while `|F| <= c`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FreeBody<const N: usize> {
     pub(crate) mass_kg: f64,
     viscous: f64,
     coulomb: f64,
-    /// From where its shape was put, in m.
+    /// Displacement in m from its initial position.
     pub(crate) displacement: Axes<N>,
     pub(crate) velocity: Axes<N>,
-    /// Held by friction.
+    /// True while friction holds it.
     pub(crate) stands: bool,
 }
 
 impl<const N: usize> FreeBody<N> {
-    /// Mass in kg (> 0), viscous friction in N s/m, Coulomb friction in N (>= 0), velocity at the start in m/s.
+    /// Mass in kg (> 0), viscous friction in N s/m, Coulomb friction in N (>= 0), initial velocity in m/s.
     pub fn new(mass_kg: f64, viscous: f64, coulomb: f64, velocity: Axes<N>) -> Result<Self, ModelError> {
         require("body mass", mass_kg, mass_kg > 0.0, "finite and above 0")?;
         require("body viscous friction", viscous, viscous >= 0.0, "finite and 0 or more")?;
@@ -353,7 +351,7 @@ impl<const N: usize> FreeBody<N> {
         (force - velocity * self.drag(velocity)) / self.mass_kg
     }
 
-    /// Friction over speed, in N s/m.
+    /// Friction force over speed, in N s/m.
     pub(crate) fn drag(&self, velocity: &Axes<N>) -> f64 {
         if self.coulomb > 0.0 {
             self.viscous + self.coulomb / velocity.norm().max(STANDS)
@@ -362,12 +360,12 @@ impl<const N: usize> FreeBody<N> {
         }
     }
 
-    /// Whether friction can hold it under `force` in N.
+    /// True if friction can hold it under `force` in N.
     pub(crate) fn holds(&self, force: &Axes<N>) -> bool {
         self.coulomb > 0.0 && force.norm() <= self.coulomb
     }
 
-    /// Slides on for `step` in s while nothing touches it: exact.
+    /// Slide for `step` in s without contact; exact.
     ///
     /// With z = b t / m, `s = s_0 e^-z - (c/m) t phi_1(z)` and `x = s_0 t phi_1(z) - (c/m) t² phi_2(z)`, until s = 0.
     pub(crate) fn coast(&mut self, step: f64) {
@@ -400,7 +398,7 @@ impl<const N: usize> FreeBody<N> {
 fn exponentials(z: f64) -> (f64, f64, f64) {
     let decay = (-z).exp();
     if z < 0.3 {
-        // The series, where the closed forms cancel: 14 terms are below rounding at 0.3.
+        // Series where the closed forms cancel: 14 terms are below rounding at 0.3.
         let (mut term, mut first, mut second) = (1.0, 0.0, 0.0);
         for k in 1..15_u32 {
             first += term / f64::from(k);

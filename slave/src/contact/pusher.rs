@@ -1,4 +1,4 @@
-//! Something that shoves the tool.
+//! A force over time that pushes the tool.
 
 use crate::{
     Axes, ModelError,
@@ -6,7 +6,7 @@ use crate::{
     require, require_axes,
 };
 
-/// Values over time: linear between its points, constant outside.
+/// Values over time: linear between the points, constant outside.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Series<const N: usize> {
     time_s: Vec<f64>,
@@ -45,13 +45,13 @@ impl<const N: usize> Series<N> {
         self.values[after - 1].lerp(&self.values[after], (t - from) / (to - from))
     }
 
-    /// The value before the first point or after the last.
+    /// The value before the first point or after the last; none between.
     fn level_on(&self, piece: f64) -> Option<Axes<N>> {
         let after = self.time_s.partition_point(|&time| time <= piece);
         match after {
             0 => Some(self.values[0]),
             _ if after == self.time_s.len() => Some(self.values[after - 1]),
-            // Between equal ones a line is level, but not to the last bit.
+            // Between equal values the interpolation is constant, but not to the last bit.
             _ => None,
         }
     }
@@ -62,12 +62,12 @@ impl<const N: usize> Series<N> {
     }
 }
 
-/// The course of a push.
+/// The shape of a push over time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PushShape {
-    /// F at once.
+    /// Full force at once.
     Step,
-    /// Rises linearly to F, then stays.
+    /// Linear rise to F, then constant.
     Ramp {
         /// In s (>= 0).
         rise_s: f64,
@@ -87,9 +87,9 @@ enum Course<const N: usize> {
     Recorded(Series<N>),
 }
 
-/// Something that shoves the tool: a force that begins, takes its course and ends.
+/// A force on the tool with a start, a shape over time and an end.
 ///
-/// It acts from its begin on until its end, which is excluded; both are whole ns, as ticks are.
+/// It acts from its start until its end, which is excluded; both are whole ns, like ticks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pusher<const N: usize = 1> {
     at_s: f64,
@@ -99,15 +99,14 @@ pub struct Pusher<const N: usize = 1> {
 }
 
 impl Pusher<1> {
-    /// Begins at `at_s`, rises linearly over `rise_s` to `force_n` (N, positive along +x) and ends at
-    /// `at_s + duration_s`.
+    /// Start at `at_s`, rise linearly over `rise_s` to `force_n` (N, positive along +x) and end at `at_s + duration_s`.
     pub fn new(at_s: f64, rise_s: f64, duration_s: f64, force_n: f64) -> Result<Self, ModelError> {
         Self::shaped(PushShape::Ramp { rise_s }, at_s, duration_s, Axes::<1>::new(force_n))
     }
 }
 
 impl<const N: usize> Pusher<N> {
-    /// A push of a shape and a force in N, from `at_s` on for `duration_s`.
+    /// A push with a shape and a force in N, from `at_s` for `duration_s`.
     pub fn shaped(
         shape: PushShape,
         at_s: f64,
@@ -127,7 +126,7 @@ impl<const N: usize> Pusher<N> {
         Self::during(at_s, duration_s, Course::Shaped(shape, force_n))
     }
 
-    /// A recorded push in N, whose time 0 is `at_s`.
+    /// A recorded push in N whose time 0 is `at_s`.
     pub fn recorded(series: Series<N>, at_s: f64, duration_s: f64) -> Result<Self, ModelError> {
         Self::during(at_s, duration_s, Course::Recorded(series))
     }
@@ -143,7 +142,7 @@ impl<const N: usize> Pusher<N> {
         self.on(t, t)
     }
 
-    /// The same, on the smooth piece that holds at time `piece`.
+    /// The same, on the smooth piece valid at time `piece`.
     pub(crate) fn on(&self, piece: f64, t: f64) -> Axes<N> {
         if !self.window.contains(piece) {
             return Axes::zeros();
@@ -164,7 +163,7 @@ impl<const N: usize> Pusher<N> {
         }
     }
 
-    /// The force on the smooth piece that holds at time `piece`, if it is the same all along; none where it may change.
+    /// Force on the smooth piece valid at time `piece` if it is constant there; none if it may change.
     pub(crate) fn level_on(&self, piece: f64) -> Option<Axes<N>> {
         if !self.window.contains(piece) {
             return Some(Axes::zeros());
@@ -185,14 +184,14 @@ impl<const N: usize> Pusher<N> {
         let bound = self.window.next_bound(t);
         let within = match &self.course {
             Course::Shaped(PushShape::Ramp { rise_s }, _) => (self.window.from_ns + whole_ns(*rise_s)) / 1e9,
-            // A time within rounding of a point is at that point.
+            // A time within rounding of a point counts as that point.
             Course::Recorded(series) => self.at_s + series.next_kink(t - self.at_s + 0.5e-9),
             Course::Shaped(..) => bound,
         };
         if self.window.contains(t) && within > t { within.min(bound) } else { bound }
     }
 
-    /// Whether the force is linear in time between kinks.
+    /// True if the force is linear in time between kinks.
     pub(crate) fn is_piecewise_linear(&self) -> bool {
         !matches!(self.course, Course::Shaped(PushShape::HalfSine | PushShape::Sine { .. }, _))
     }

@@ -1,4 +1,4 @@
-//! Walls and pushes that a servo loop renders.
+//! Walls and pushes rendered by a servo loop.
 
 use std::f64::consts::{PI, TAU};
 
@@ -8,7 +8,7 @@ use crate::{
     require,
 };
 
-/// The course of a push, without its numbers.
+/// The shape of a push over time, without parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Course {
     Step,
@@ -16,14 +16,14 @@ enum Course {
     Sine,
 }
 
-/// A push by a formula.
+/// A push in closed form.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderedPush<const N: usize> {
-    /// Its course.
+    /// Its shape over time.
     pub shape: PushShape,
-    /// When it begins, in s.
+    /// Start in s.
     pub at_s: f64,
-    /// How long it lasts, in s (> 0).
+    /// Duration in s (> 0).
     pub duration_s: f64,
     /// F in N.
     pub force_n: Axes<N>,
@@ -31,7 +31,7 @@ pub struct RenderedPush<const N: usize> {
 
 /// A plane wall `F = n max(0, K d + B d')` while d > 0, or a two-sided one, with `d = x_w - n·x`.
 ///
-/// Source: paper Eq. 15, with the force kept from pulling.
+/// Source: paper Eq. 15, without pulling forces.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderedWall<const N: usize> {
     /// Outward normal; need not have unit length.
@@ -42,7 +42,7 @@ pub struct RenderedWall<const N: usize> {
     pub stiffness: f64,
     /// B in N s/m.
     pub damping: f64,
-    /// Whether it acts on both sides, and pulls.
+    /// True if it acts on both sides and also pulls.
     pub is_two_sided: bool,
 }
 
@@ -51,7 +51,7 @@ pub struct RenderedWall<const N: usize> {
 pub struct RenderedWalls<const N: usize> {
     walls: Vec<Plane<N>>,
     pushes: Vec<Push<N>>,
-    /// Whether any wall has damping.
+    /// True if any wall has damping.
     is_damped: bool,
 }
 
@@ -123,12 +123,12 @@ impl<const N: usize> RenderedWalls<N> {
         Ok(Self { walls, pushes: pushes.collect::<Result<_, _>>()?, is_damped })
     }
 
-    /// Whether a point at `position` in m is inside a wall; a two-sided one has no inside.
+    /// True if a point at `position` in m is inside a wall; a two-sided wall has no inside.
     pub fn touches(&self, position: &Axes<N>) -> bool {
         self.walls.iter().any(|wall| !wall.is_two_sided && wall.normal.dot(position) < wall.surface)
     }
 
-    /// Whether any wall needs the velocity.
+    /// True if any wall needs the velocity.
     pub fn is_damped(&self) -> bool {
         self.is_damped
     }

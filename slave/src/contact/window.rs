@@ -1,12 +1,12 @@
-//! A stretch of time, its end excluded, in whole nanoseconds.
+//! Time window in whole nanoseconds; its end is excluded.
 
-/// A time in s as whole ns: exact below 2^53 ns (104 days), where sums of decimal seconds differ by rounding.
+/// A time in s as whole ns: exact below 2^53 ns (104 days), while sums of decimal seconds differ by rounding.
 pub(crate) fn whole_ns(time_s: f64) -> f64 {
     rounded(time_s * 1e9)
 }
 
-/// As [`f64::round`], which is a call where the processor is not known to have an instruction for it, and is asked at
-/// every tick: what is cut off is exact below 2^52, beyond which a number is whole.
+/// Same as [`f64::round`], but without the call that it needs on processors without a rounding instruction; it runs at
+/// every tick. The truncation is exact below 2^52, and larger numbers are already whole.
 #[expect(clippy::cast_possible_truncation, reason = "below 2^52 where it is used")]
 fn rounded(number: f64) -> f64 {
     const WHOLE: f64 = 4_503_599_627_370_496.0;
@@ -18,7 +18,7 @@ fn rounded(number: f64) -> f64 {
     }
 }
 
-/// From a time on until another, in whole ns; the end is excluded, and a tick on a bound is on that bound exactly.
+/// Time window in whole ns. The end is excluded; a tick at a bound is exactly at the bound.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Window {
     pub(crate) from_ns: f64,
@@ -53,7 +53,7 @@ impl Window {
         self.until_ns / 1e9
     }
 
-    /// The first of its bounds after a time, in s; infinity after the last.
+    /// First bound after a time, in s; infinity after the last.
     pub(crate) fn next_bound(&self, time_s: f64) -> f64 {
         let now_ns = whole_ns(time_s);
         if now_ns < self.from_ns {
@@ -72,7 +72,7 @@ mod tests {
 
     /// 0.1 + 0.2 is above 0.3 in binary, and 3 x 0.1 too; 0.1 + 0.7 is below 0.8.
     #[test]
-    fn a_window_has_as_many_ticks_as_its_length_in_ns_says() {
+    fn a_window_has_the_ticks_of_its_length_in_ns() {
         for period_ns in [1_000_000_u64, 500_000, 700_000, 125_000, 8_000_000] {
             let period_s = period_ns as f64 * 1e-9;
             for (begin, lasts) in [(100_u64, 200_u64), (100, 700), (7, 13), (1000, 1), (3, 999)] {

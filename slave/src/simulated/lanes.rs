@@ -1,5 +1,5 @@
-//! Several simulated slaves side by side: those on whose axes nothing happens within a tick are advanced in lanes, each of
-//! the others by itself, to the same bits.
+//! Several simulated slaves in parallel. A slave advances in its lane if no event occurs on its axes within the tick;
+//! otherwise it advances alone. Both give bit-identical results.
 
 use nalgebra::{SVector, SimdBool as _};
 
@@ -9,7 +9,7 @@ use crate::{
     solver::linear::{Bend, LONGEST, LineLanes, SHORTEST},
 };
 
-/// What several slaves measure at one tick.
+/// Measurements of several slaves at one tick.
 #[derive(Clone, Copy, Debug)]
 pub struct SlaveLanesSample<const N: usize, S: Real> {
     /// Tool positions in m.
@@ -20,30 +20,32 @@ pub struct SlaveLanesSample<const N: usize, S: Real> {
     pub environment_force: SVector<S, N>,
 }
 
-/// An object that acts along the axes, of each slave.
+/// An object that acts along the axes, one per slave.
 #[derive(Clone, Debug)]
 enum ObjectLanes<const N: usize, S: Real> {
     Plane { axis: usize, surface: S, normal: S, stiffness: S, damping: S },
     Spring { anchor: SVector<S, N>, stiffness: S, damping: S },
 }
 
-/// Slaves side by side, of which each is as alone: see [`SimulatedSlave`].
+/// Slaves in parallel, each bit-identical to a separate [`SimulatedSlave`].
 ///
-/// In lanes are arms with control of position or pd whose set position has no bound on its acceleration, among planes and
-/// springs of Kelvin and Voigt alone and without a force sensor, over ticks within which no contact changes and no push begins
-/// or ends.
+/// Lanes support arms with position or pd control whose set position has no bound on its acceleration. Their objects
+/// are Kelvin-Voigt planes and springs only, and they have no force sensor. A slave stays in its lane over ticks in
+/// which no contact changes and no push starts or ends.
 #[derive(Clone, Debug)]
 pub struct SlaveLanes<const N: usize, S: Real> {
     slaves: Vec<SimulatedSlave<N>>,
-    /// None where they are not for lanes.
+    /// None if the slaves cannot run in lanes.
     fast: Option<Box<Fast<N, S>>>,
-    /// Of the last read.
+    /// Sample of the last read.
     sample: SlaveLanesSample<N, S>,
     has_started: bool,
 }
 
-/// Arms in lanes. Tool, command and set position of those that are [loaded](Self::loaded) are here, those of the others in their
-/// slaves; what surrounds them is in their slaves always.
+/// Arms in lanes.
+///
+/// Tool, command and set position of a [loaded](Self::loaded) lane are stored here, those of the other lanes in their
+/// slaves. The environments always stay in the slaves.
 #[derive(Clone, Debug)]
 struct Fast<const N: usize, S: Real> {
     lines: [LineLanes<S>; N],
@@ -52,62 +54,62 @@ struct Fast<const N: usize, S: Real> {
     mass: S,
     stiffness: S,
     damping: S,
-    /// Whether the controls use the velocity of the command.
+    /// True if the controls use the velocity of the command.
     feeds_forward: bool,
     /// Largest speed in m/s of a set position.
     speed: S,
-    /// Whether all are pushed alike.
+    /// True if all slaves have the same pushers.
     shares_pushes: bool,
     begun_ns: u64,
     now_ns: u64,
     state: ArmLanes<N, S>,
-    /// A bit for each lane that is here.
+    /// Bit mask of the lanes whose state is here.
     loaded: u64,
-    /// Of each lane.
+    /// Absence of each lane.
     absences: Vec<Absence>,
 }
 
-/// Most ticks for which a slave that cannot be advanced in its lane is left out of it.
+/// Maximum number of ticks for which a slave stays out of its lane.
 const MAX_ABSENCE: u32 = 64;
 
-/// For how long one that could not be advanced in its lane stays with its slave.
+/// Retry delay of a slave that could not advance in its lane.
 #[derive(Clone, Copy, Debug, Default)]
 struct Absence {
-    /// Ticks that are left of it.
+    /// Ticks left until the retry.
     left: u32,
-    /// Ticks that it had when it began.
+    /// Length in ticks of the present absence.
     whole: u32,
 }
 
 impl Absence {
-    /// It begins: longer each time, if the lane could not be used since the last.
+    /// Start an absence: of one tick if the lane was used since the last one, else twice as long as that.
     fn begin(&mut self, was_used: bool) {
         self.whole = if was_used { 1 } else { (2 * self.whole).clamp(1, MAX_ABSENCE) };
         self.left = self.whole;
     }
 
-    /// A tick of it; says whether it is over.
+    /// Count one tick; return true if the absence is over.
     fn step(&mut self) -> bool {
         self.left = self.left.saturating_sub(1);
         self.left == 0
     }
 }
 
-/// What changes of arms in lanes.
+/// State of the arms in lanes.
 #[derive(Clone, Copy, Debug)]
 struct ArmLanes<const N: usize, S: Real> {
     position: SVector<S, N>,
     velocity: SVector<S, N>,
     command: SVector<S, N>,
     command_velocity: SVector<S, N>,
-    /// 1 where the command is where the arm comes to rest, else 0.
+    /// 1 if the command is the rest position of a stop, else 0.
     stops: S,
-    /// Of which speed and phase follow from the command.
+    /// Set positions; speed and phase follow from the command.
     set_position: SVector<S, N>,
 }
 
 impl<const N: usize, S: Real> SlaveLanes<N, S> {
-    /// Slaves before their first read; None if they are more than there are lanes.
+    /// Slaves before their first read; none if there are more slaves than lanes.
     pub fn new(slaves: Vec<SimulatedSlave<N>>) -> Option<Self> {
         let zeros = SVector::<S, N>::zeros();
         let sample = SlaveLanesSample { position: zeros, velocity: zeros, environment_force: zeros };
@@ -115,8 +117,8 @@ impl<const N: usize, S: Real> SlaveLanes<N, S> {
         fits.then(|| Self { fast: Fast::gather(&slaves).map(Box::new), slaves, sample, has_started: false })
     }
 
-    /// Start the time of the pushers of all, once.
-    #[inline(always)] // nearly always it has
+    /// Start the time of all pushers; later calls have no effect.
+    #[inline(always)] // nearly always returns at once
     pub fn start(&mut self, now_ns: u64) {
         if !self.has_started {
             self.has_started = true;
@@ -124,7 +126,7 @@ impl<const N: usize, S: Real> SlaveLanes<N, S> {
         }
     }
 
-    /// Commands positions in m and the velocities there in m/s to those with a bit in `lanes`, as [`SimulatedSlave::write`].
+    /// Command positions in m and the velocities there in m/s to the lanes of the mask, as [`SimulatedSlave::write`].
     #[inline(always)] // once a tick
     pub fn write(&mut self, lanes: u64, position: &SVector<S, N>, velocity: &SVector<S, N>) {
         let mut alone = lanes;
@@ -139,8 +141,8 @@ impl<const N: usize, S: Real> SlaveLanes<N, S> {
         }
     }
 
-    /// Brings those with a bit in `lanes` to rest, as [`SimulatedSlave::stop`]; returns where, in m.
-    #[inline(never)] // seldom
+    /// Bring the lanes of the mask to rest, as [`SimulatedSlave::stop`]; return the rest positions in m.
+    #[inline(never)] // rare
     pub fn stop(&mut self, lanes: u64) -> SVector<S, N> {
         let mut rests = self.sample.position;
         for lane in lanes_of(lanes, self.slaves.len()) {
@@ -153,8 +155,8 @@ impl<const N: usize, S: Real> SlaveLanes<N, S> {
         rests
     }
 
-    /// Advance those with a bit in `lanes` to `now_ns` (monotonic); return what these measure there.
-    #[inline(always)] // once a tick, from one place
+    /// Advance the lanes of the mask to `now_ns` (monotonic) and return their measurements.
+    #[inline(always)] // once a tick, from one caller
     pub fn read(&mut self, lanes: u64, now_ns: u64) -> &SlaveLanesSample<N, S> {
         let mut alone = lanes;
         if let Some(fast) = &mut self.fast {
@@ -166,8 +168,8 @@ impl<const N: usize, S: Real> SlaveLanes<N, S> {
         &self.sample
     }
 
-    /// Read each of these slaves by itself.
-    #[inline(never)] // seldom, and long
+    /// Read each slave of the mask separately.
+    #[inline(never)] // rare, and long
     fn read_alone(&mut self, lanes: u64, now_ns: u64) {
         for lane in lanes_of(lanes, self.slaves.len()) {
             let SlaveSample { position, velocity, environment_force, .. } = self.slaves[lane].read(now_ns);
@@ -178,7 +180,7 @@ impl<const N: usize, S: Real> SlaveLanes<N, S> {
     }
 }
 
-/// The lanes that have a bit in a mask.
+/// Lane indices of a mask.
 fn lanes_of(mask: u64, count: usize) -> impl Iterator<Item = usize> {
     (0..count).filter(move |lane| mask >> lane & 1 == 1)
 }
@@ -198,7 +200,7 @@ fn everywhere<S: Real>() -> S::SimdBool {
     S::zero().simd_le(S::zero())
 }
 
-/// Where all axes are finite numbers.
+/// Mask of the lanes in which all axes are finite.
 #[inline(always)]
 fn finite<const N: usize, S: Real>(of: &SVector<S, N>) -> S::SimdBool {
     of.iter().fold(everywhere::<S>(), |all, x| all & (*x * S::zero()).simd_eq(S::zero()))
@@ -233,24 +235,24 @@ impl<const N: usize, S: Real> ArmLanes<N, S> {
     }
 }
 
-/// A piece of a tick.
+/// Part of a tick.
 struct Piece {
-    /// When the tick began, in s.
+    /// Start of the tick, in s.
     from: f64,
-    /// When it begins, in s.
+    /// Start of the part, in s.
     now: f64,
-    /// When it ends, in s from the begin of the tick.
+    /// End of the part, in s since the start of the tick.
     end: f64,
-    /// How long it lasts, in s.
+    /// Duration in s.
     step: f64,
-    /// A time within it, in s.
+    /// A time strictly within the part, in s.
     inside: f64,
 }
 
 /// Largest coefficient of friction of an object in lanes.
 const MAX_FRICTION: f64 = 1e6;
 
-/// The objects of slaves in lanes; None unless they are of the same kinds.
+/// The objects of the slaves in lanes; none unless all slaves have the same kinds of objects.
 fn objects<const N: usize, S: Real>(of: &[&Environment<N>]) -> Option<Vec<ObjectLanes<N, S>>> {
     let count = of.first()?.objects.len();
     if of.iter().any(|one| one.objects.len() != count) {
@@ -275,9 +277,9 @@ fn objects<const N: usize, S: Real>(of: &[&Environment<N>]) -> Option<Vec<Object
         let (axis, ..) = first.shape().across_axis()?;
         let plane = |object: &Object<N>| {
             let (_, normal) = object.shape().surface(&Axes::zeros());
-            // One that leans by less than rounding of its length has a force along the other axes, too.
+            // A plane that leans by less than the rounding of its length still has a force along the other axes.
             let is_straight = (0..N).all(|other| other == axis || normal[other] == 0.0);
-            // Times no slip at all, friction is nothing as long as it is a number.
+            // With no slip the friction force is zero if the coefficient is finite.
             let is_small = object.contact().friction() <= MAX_FRICTION;
             object.shape().across_axis().filter(|(along, ..)| *along == axis && is_straight && is_small)
         };
@@ -292,7 +294,7 @@ fn objects<const N: usize, S: Real>(of: &[&Environment<N>]) -> Option<Vec<Object
 }
 
 impl<const N: usize, S: Real> Fast<N, S> {
-    /// Lanes for slaves that may be in them; none is loaded yet.
+    /// Lanes for supported slaves; none is loaded yet.
     fn gather(slaves: &[SimulatedSlave<N>]) -> Option<Self> {
         let mut parts = Vec::with_capacity(slaves.len());
         for slave in slaves {
@@ -339,7 +341,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
         })
     }
 
-    /// Takes over the state of a slave, if that may be in its lane.
+    /// Copy the state of a slave into its lane, if the lane supports it.
     fn load(&mut self, lane: usize, slave: &SimulatedSlave<N>) {
         let Plant::Continuous(plant) = &slave.plant else { return };
         let (drive, tool) = (&plant.drive, &plant.tool);
@@ -357,7 +359,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
         self.loaded |= 1 << lane;
     }
 
-    /// Give a slave the state of its lane, if that has it.
+    /// Copy the state of a loaded lane back to its slave.
     fn give_back(&mut self, lane: usize, slave: &mut SimulatedSlave<N>) {
         let Plant::Continuous(plant) = &mut slave.plant else { return };
         if self.loaded >> lane & 1 == 0 {
@@ -371,8 +373,8 @@ impl<const N: usize, S: Real> Fast<N, S> {
         plant.drive.resume(command, stops.extract(lane) > 0.0, &of_lane(set_position, lane));
     }
 
-    /// Advance those with a bit in `lanes` that may be in their lanes; return which these are.
-    #[inline(always)] // as its caller
+    /// Advance the lanes of the mask that can stay in lanes; return their mask.
+    #[inline(always)] // like its caller
     fn read(
         &mut self,
         lanes: u64,
@@ -399,7 +401,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
         lanes & self.loaded
     }
 
-    #[inline(never)] // seldom
+    #[inline(never)] // rare
     fn load_all(&mut self, lanes: u64, slaves: &[SimulatedSlave<N>]) {
         for lane in lanes_of(lanes, slaves.len()) {
             if self.absences[lane].step() && slaves[lane].now_ns == self.now_ns {
@@ -408,9 +410,9 @@ impl<const N: usize, S: Real> Fast<N, S> {
         }
     }
 
-    /// These cannot be advanced in their lanes over this tick: those that could not since they were taken over, after `before`,
-    /// stay with their slaves for longer each time.
-    #[inline(never)] // seldom
+    /// Move lanes that cannot advance in this tick back to their slaves. A lane that was not in use `before` the tick
+    /// stays away for longer each time.
+    #[inline(never)] // rare
     fn leave(&mut self, lanes: u64, before: u64, slaves: &mut [SimulatedSlave<N>]) {
         for lane in lanes_of(lanes, slaves.len()) {
             self.give_back(lane, &mut slaves[lane]);
@@ -418,9 +420,9 @@ impl<const N: usize, S: Real> Fast<N, S> {
         }
     }
 
-    /// The arms after a tick from a time in s on that lasts so many s, and where they are so: where no contact changes and no
-    /// push begins or ends before.
-    #[inline(always)] // as its caller
+    /// Advance the arms by a tick that starts at `from` in s and lasts `span` in s. The mask holds the lanes for which
+    /// the result is valid: no contact changes and no push starts or ends in the tick.
+    #[inline(always)] // like its caller
     fn advanced(
         &mut self,
         [from, span]: [f64; 2],
@@ -441,7 +443,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
             for axis in 0..N {
                 let line = &mut self.lines[axis];
                 line.prepare(step);
-                // The set position goes to the command at one speed, and rests there.
+                // The set position moves to the command at constant speed and rests there.
                 let (target, set) = (state.command[axis], state.set_position[axis]);
                 let away = target - set;
                 let rests = away.simd_eq(zero) | self.speed.simd_eq(S::splat(f64::INFINITY));
@@ -473,9 +475,9 @@ impl<const N: usize, S: Real> Fast<N, S> {
         (state, stays)
     }
 
-    /// The pushes in N at the begin of a piece and by how much each grows within it in N/s; no lane stays where a push has a
-    /// kink before its end.
-    #[inline(always)] // as its caller
+    /// Pushes in N at the start of a part, and their growth within it in N/s. Clears `stays` for lanes whose push has a
+    /// kink before the end of the part.
+    #[inline(always)] // like its caller
     fn pushes(
         &self,
         lanes: u64,
@@ -484,14 +486,14 @@ impl<const N: usize, S: Real> Fast<N, S> {
         stays: &mut S::SimdBool,
     ) -> [SVector<S, N>; 2] {
         let mut found = [SVector::<S, N>::zeros(); 2];
-        // 1 where a push has one.
+        // 1 in lanes whose push has a kink.
         let mut kinks = S::zero();
         for lane in lanes_of(lanes, slaves.len()) {
             let Plant::Continuous(plant) = &mut slaves[lane].plant else { continue };
             let environment = &mut plant.environment;
             let Piece { from, now, end, step, inside } = *piece;
             let stretch = environment.push_stretch(now);
-            // A piece ends no later than the stretch.
+            // A part without a kink ends at or before the end of the stretch.
             let has_kink = stretch.until - from < end;
             let (push, growth) = environment.linear_push(&stretch, inside, [now, from + end], step);
             if self.shares_pushes {
@@ -509,7 +511,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
     }
 
     /// `F_e` in N at a time in s.
-    #[inline(always)] // as its caller
+    #[inline(always)] // like its caller
     fn force(&self, slaves: &[SimulatedSlave<N>], time_s: f64) -> SVector<S, N> {
         let mut force = SVector::<S, N>::zeros();
         for lane in lanes_of(self.loaded, slaves.len()) {

@@ -1,4 +1,4 @@
-//! Tool and free bodies, advanced together by an adaptive integrator with located contact.
+//! Adaptive integrator of tool and free bodies with located contacts.
 
 use crate::{
     Axes, Environment, all_finite,
@@ -7,25 +7,25 @@ use crate::{
     solver::state::{NODES, Piece, STAGES, Solver, TOOL},
 };
 
-/// Longest step in s, whatever the estimated error.
+/// Longest step in s, for any estimated error.
 const LONGEST: f64 = 1e-3;
-/// Shortest step in s: taken whatever the estimated error, so that a tick ends.
+/// Shortest step in s; accepted for any estimated error, so that a tick ends.
 pub(crate) const SHORTEST: f64 = 1e-11;
-/// Attempts for one millisecond before the rest of it is taken coarsely.
+/// Attempts for one millisecond before its rest is solved coarsely.
 const MAX_ATTEMPTS: u32 = 20_000;
 /// Attempts for the shortest piece.
 const MIN_ATTEMPTS: u32 = 1_000;
 
-/// What moves the tool.
+/// Drive of the tool.
 pub(crate) enum Drive<'a, const N: usize> {
-    /// Nothing resists and nothing helps: a straight line.
+    /// No force: a straight line.
     Straight,
     Arm(&'a mut ArmDrive<N>),
 }
 
 impl<const N: usize> Environment<N> {
-    /// Move the free bodies over a step in s that begins at `time_s`, while the tool moves from a position at a
-    /// constant velocity.
+    /// Move the free bodies over a step in s that starts at `time_s`, while the tool moves from a position at constant
+    /// velocity.
     pub fn advance(&mut self, time_s: f64, step_s: f64, position: &Axes<N>, velocity: &Axes<N>) {
         if self.bodies > 0 && step_s > 0.0 {
             let mut tool = Tool { position: *position, velocity: *velocity, set_velocity: Axes::zeros() };
@@ -33,9 +33,9 @@ impl<const N: usize> Environment<N> {
         }
     }
 
-    /// Advance tool and bodies by `span` in s from `from` in s on.
+    /// Advance tool and bodies by `span` in s from `from` in s.
     pub(crate) fn solve(&mut self, drive: &mut Drive<'_, N>, tool: &mut Tool<N>, from: f64, span: f64) {
-        // Time since `from`: late in a run, seconds since the start could not distinguish two short steps.
+        // Time since `from`: late in a run, the time since the start could not resolve two short steps.
         let mut done = 0.0;
         while done < span {
             let now = from + done;
@@ -61,17 +61,17 @@ impl<const N: usize> Environment<N> {
         }
     }
 
-    /// Advances over a piece without kinks.
+    /// Advance over a piece without kinks.
     fn solve_piece(&mut self, drive: &Drive<'_, N>, tool: &mut Tool<N>, piece: Piece, begin: f64, end: f64) {
-        // Out of the environment while it is used, so that the rest of it can be read meanwhile.
+        // Taken out of the environment while in use, so that the rest can be read meanwhile.
         let mut solver = std::mem::take(&mut self.solver);
         let mut done = begin;
         let mut attempts = 0;
-        // Of the whole piece, however much of it is left.
+        // For the whole piece, even if only a part is left.
         let limit = allowed_attempts(end - piece.planned);
-        // What was too stiff a moment ago will hardly be worth the whole trial again.
+        // After a stiff piece, another full trial is rarely worth its cost.
         let patience = limit / if std::mem::take(&mut solver.gave_up) { 200 } else { 10 };
-        // Until when the bodies that nothing can touch have been moved.
+        // Time up to which the bodies out of reach have moved.
         let mut coasted = begin;
         let mut known = false;
         self.load(&mut solver, tool);
@@ -125,7 +125,7 @@ impl<const N: usize> Environment<N> {
                 solver.slopes.swap(0, 6);
             }
             if !solver.next[..blocks].iter().all(all_finite) {
-                // Beyond what numbers hold: it stays where it was.
+                // Overflow: the tool stays at its last position.
                 solver.state[1] = Axes::zeros();
                 solver.coarse_steps += 1;
                 break;
@@ -140,7 +140,7 @@ impl<const N: usize> Environment<N> {
         self.solver = solver;
     }
 
-    /// Slopes of the state at a stage; the first stage's state is `state`, the others' is `next`.
+    /// Slopes of the state at a stage; stage 0 reads `state`, the others read `next`.
     fn slopes(
         &self,
         drive: &Drive<'_, N>,
@@ -177,7 +177,7 @@ impl<const N: usize> Environment<N> {
         };
     }
 
-    /// All stages of one step from the first slopes; leaves its end in `next`.
+    /// All stages of one step, from the slopes of stage 0; the result is in `next`.
     fn stages(
         &self,
         drive: &Drive<'_, N>,
@@ -194,7 +194,8 @@ impl<const N: usize> Environment<N> {
         }
     }
 
-    /// The rest of a piece by a method that is stable at any stiffness; returns until when the far bodies have moved.
+    /// Solve the rest of a piece by a method that is stable at any stiffness. Returns the time up to which the far
+    /// bodies have moved.
     fn coarsely(
         &mut self,
         drive: &Drive<'_, N>,
@@ -227,14 +228,15 @@ impl<const N: usize> Environment<N> {
     }
 }
 
-/// Attempts for a piece of `span` in s: in proportion to it, or short ticks would each have the patience of a long one.
+/// Attempts for a piece of `span` in s: in proportion to it, so that short ticks do not each get the attempts of a long
+/// one.
 fn allowed_attempts(span: f64) -> u32 {
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // 0 to MAX_ATTEMPTS, and saturates
     let share = (f64::from(MAX_ATTEMPTS) * (span / LONGEST)) as u32;
     share.clamp(MIN_ATTEMPTS, MAX_ATTEMPTS)
 }
 
-/// Whether so many attempts have brought so small a share of the piece that its rest would need more than `limit`.
+/// True if the rest of the piece would need more than `limit` attempts at the present progress.
 fn slow(attempts: u32, limit: u32, done: f64) -> bool {
     f64::from(attempts) > f64::from(limit) * done
 }

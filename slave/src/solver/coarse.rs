@@ -1,4 +1,4 @@
-//! One step of the linearly implicit Euler method, for what is too stiff for explicit steps.
+//! One step of the linearly implicit Euler method, for systems too stiff for explicit steps.
 
 use nalgebra::SMatrix;
 
@@ -9,11 +9,11 @@ use crate::{
 };
 
 impl<const N: usize> Environment<N> {
-    /// Advance `state` by `step` in s to the time `now`, on the smooth piece that holds at `piece`.
+    /// Advance `state` by `step` in s to the time `now`, on the smooth piece valid at `piece`.
     ///
     /// `(M + h B + h² K) dV = h F - h² K V`, with the slopes K, B >= 0 of all forces at the beginning. The matrix is
-    /// symmetric and positive definite, so a passive environment only loses energy, at any step. Bodies follow the
-    /// tool within the step.
+    /// symmetric and positive definite, so a passive environment only loses energy, at any step. Bodies follow the tool
+    /// within the step.
     ///
     /// Source: E. Hairer, G. Wanner, "Solving ordinary differential equations II", section IV.7 (Rosenbrock methods).
     pub(crate) fn coarse_step(

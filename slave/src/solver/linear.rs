@@ -1,5 +1,5 @@
-//! An arm among planes across the axes and springs: linear between contacts, axis by axis, and advanced exactly, as
-//! long as it stays clear of all other objects.
+//! An arm among springs and planes across the axes. It is linear between contacts on each axis, and is advanced exactly
+//! while it stays clear of all other objects.
 
 mod lanes;
 mod transition;
@@ -17,34 +17,34 @@ use crate::{
 
 /// Longest piece in s.
 pub(crate) const LONGEST: f64 = 1e-3;
-/// Least time in s that an event takes, so that a tick ends.
+/// Shortest time in s per event, so that a tick ends.
 pub(crate) const SHORTEST: f64 = 1e-12;
-/// Steps for one piece before its rest is taken at once.
+/// Steps for one piece before its rest is taken in one step.
 const MAX_STEPS: u32 = 20_000;
 
-/// What acts on one axis of the tool beside the pushers.
+/// Objects that act on one axis of the tool, without the pushers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Line {
     planes: Vec<LinePlane>,
-    /// Sum of K in N/m, of B in N s/m and of K anchor in N of the springs.
+    /// Sums over the springs: K in N/m, B in N s/m and K anchor in N.
     spring: [f64; 3],
     regime: Regime,
-    /// Bound in m on how far x has been from where a tick began, where somebody asks for it: infinity where a contact may have
-    /// changed. None between ticks, so no part of a state.
+    /// Bound in m on the distance of x from its value at the start of the tick, if requested; infinity if a contact may
+    /// have changed. None between ticks, so it is not part of the state.
     swing: Option<f64>,
 }
 
-/// What follows from the arm, the springs and which planes are touched, and lasts as long as these.
+/// Dynamics for one arm and one set of touched planes.
 #[derive(Clone, Copy, Debug)]
 struct Regime {
-    /// M in kg, K in N/m and B in N s/m of the arm; not a number before the first.
+    /// M in kg, K in N/m and B in N s/m of the arm; NaN before the first regime.
     arm: [f64; 3],
-    /// B of all together, per kg.
+    /// Total B per kg.
     c: f64,
-    /// K anchor and K surface of all together, per kg.
+    /// Sum of K anchor and K surface, per kg.
     pull: f64,
     transition: Transition,
-    /// Longest piece in s in which no contact can hide: one without damping lasts pi / sqrt(k), this is half a radian.
+    /// Longest piece in s in which no contact can hide. An undamped contact lasts pi / sqrt(k); this is half a radian.
     longest: f64,
     kept: Kept,
 }
@@ -57,18 +57,18 @@ impl Default for Regime {
 }
 
 impl PartialEq for Regime {
-    /// It follows from what it is asked for, and is no part of a state.
+    /// Always equal: a regime follows from its inputs and is not part of the state.
     fn eq(&self, _: &Self) -> bool {
         true
     }
 }
 
-/// The map of the last whole piece, and its time: that of nearly every tick.
+/// Map of the last whole piece, and its time step, which nearly every tick repeats.
 #[derive(Clone, Copy, Debug, Default)]
 struct Kept(Option<(f64, TransitionMap)>);
 
 impl Kept {
-    /// The map over `t` of `transition`, that of the regime it is kept with.
+    /// Map of `transition` over `t`; `transition` is that of the regime that owns this.
     #[inline]
     fn over(&mut self, transition: &Transition, t: f64) -> TransitionMap {
         match self.0 {
@@ -105,13 +105,13 @@ impl LinePlane {
     }
 }
 
-/// `x'' = -k x - c x' + u_0 + u_1 t + u_2 t²` from a state on, per kg.
+/// `x'' = -k x - c x' + u_0 + u_1 t + u_2 t²` from a given state, per kg.
 #[derive(Clone, Copy, Debug)]
 struct Course<S = f64> {
     transition: Transition<S>,
-    /// Coefficients of the particular solution, a quadratic in time.
+    /// Coefficients of the particular solution, quadratic in time.
     particular: [S; 3],
-    /// What is left beside it at t = 0.
+    /// State minus the particular solution at t = 0.
     beside: [S; 2],
 }
 
@@ -125,14 +125,14 @@ impl Course {
         self.by(&self.transition.over(t), t)
     }
 
-    /// The state after t, by the map over t, of the course plus the response to a [`Bend`].
+    /// State after t: the course, advanced by the map over t, plus the response to a [`Bend`].
     #[inline]
     fn after_bend(&self, bend: &Bend, c: f64, map: &TransitionMap, t: f64) -> [f64; 2] {
         self.bent(bend, c, map, &self.transition.over(t - bend.at), t)
     }
 }
 
-/// An input per kg beside that of a course: `slope (s - at)` up to s = `at`.
+/// An additional input per kg: `slope (s - at)` up to s = `at`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Bend<S = f64> {
     /// In s.
@@ -144,7 +144,7 @@ pub(crate) struct Bend<S = f64> {
 impl<S: Real> Course<S> {
     #[inline(always)]
     fn of(transition: Transition<S>, c: S, [u0, u1, u2]: [S; 3], [x, v]: [S; 2]) -> Self {
-        // Three divisions, one after the other, would take longer than all else.
+        // Three divisions in sequence would dominate the cost.
         let (two, per_k) = (S::splat(2.0), transition.per_k);
         let a2 = u2 * per_k;
         let a1 = (u1 - two * c * a2) * per_k;
@@ -152,7 +152,7 @@ impl<S: Real> Course<S> {
         Self { transition, particular: [a0, a1, a2], beside: [x - a0, v - a1] }
     }
 
-    /// The state after t, by the map over t.
+    /// State after t, by the map over t.
     #[inline(always)]
     fn by(self, map: &TransitionMap<S>, t: f64) -> [S; 2] {
         let (two, t) = (S::splat(2.0), S::splat(t));
@@ -161,12 +161,12 @@ impl<S: Real> Course<S> {
         [x + a0 + t * (a1 + t * a2), v + a1 + two * a2 * t]
     }
 
-    /// The state after t, by the maps over t and over what of it is left after a [`Bend`], of the course plus the response to
-    /// that.
+    /// State after t: the course plus the response to a [`Bend`], from the map over t and the map over the time after
+    /// the bend.
     ///
-    /// Of a line `f_0 + f_1 s` from rest on that response is `b_0 + b_1 s` less the map of `(b_0, b_1)`, with
-    /// `b_1 = f_1 / k` and `b_0 = (f_0 - c b_1) / k`. From the bend on the line is taken off again; the two lines are then one and
-    /// drop out, and what is left are the two maps.
+    /// The response to a line `f_0 + f_1 s` from rest is `b_0 + b_1 s` minus the map of `(b_0, b_1)`. Its coefficients
+    /// are `b_1 = f_1 / k` and `b_0 = (f_0 - c b_1) / k`. At the bend the line is subtracted again. The two lines then
+    /// cancel, and the two maps remain.
     #[inline(always)]
     fn bent(&self, bend: &Bend<S>, c: S, map: &TransitionMap<S>, rest: &TransitionMap<S>, t: f64) -> [S; 2] {
         let per_k = self.transition.per_k;
@@ -179,8 +179,8 @@ impl<S: Real> Course<S> {
         [x + more_x, v + more_v]
     }
 
-    /// Bounds on `|x(s) - x(0)|` in m and `|x'(s)|` in m/s for s up to t: beside the particular solution
-    /// `y'' + c y' + k y = 0`, whose energy `y'² + k y²` does not grow, as long as c is not negative.
+    /// Bounds on `|x(s) - x(0)|` in m and `|x'(s)|` in m/s for s up to t. The difference to the particular solution
+    /// satisfies `y'' + c y' + k y = 0`; its energy `y'² + k y²` does not grow for c >= 0.
     #[inline(always)]
     fn bounds(self, t: f64) -> [S; 2] {
         let (two, t) = (S::splat(2.0), S::splat(t));
@@ -196,20 +196,20 @@ impl<S: Real> Course<S> {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct LinearArm<const N: usize> {
     lines: [Line; N],
-    /// Of each object, whether it is on no line.
+    /// Mask of the objects that are on no line.
     apart: Vec<bool>,
-    /// Whether every object is on one.
+    /// True if every object is on a line.
     pub(crate) is_complete: bool,
     pub(crate) coarse_steps: u64,
 }
 
 impl<const N: usize> LinearArm<N> {
-    /// None, unless every axis is linear between contacts with some of the objects.
+    /// None unless every axis is linear between contacts with some of the objects.
     pub(crate) fn new(drive: &ArmDrive<N>, environment: &Environment<N>) -> Option<Self> {
         use crate::ArmControl::Velocity;
         let arm = drive.model();
         let (stiffness, ..) = arm.impedance();
-        // The particular solution divides by k = K / M; below 1 / s² that would cost digits.
+        // The particular solution divides by k = K / M; below 1 / s² that would lose digits.
         if matches!(arm.control(), Velocity { .. }) || stiffness < arm.mass_kg() {
             return None;
         }
@@ -217,7 +217,7 @@ impl<const N: usize> LinearArm<N> {
             return None;
         }
         if environment.bodies > 0 {
-            // They move, near or not.
+            // Bodies move, near or not.
             return None;
         }
         let mut lines: [Line; N] = std::array::from_fn(|_| Line::default());
@@ -226,13 +226,13 @@ impl<const N: usize> LinearArm<N> {
         Some(Self { lines, apart, is_complete, coarse_steps: 0 })
     }
 
-    /// What acts on each axis.
+    /// Objects on each axis.
     pub(crate) fn lines(&self) -> &[Line; N] {
         &self.lines
     }
 
-    /// As [`LinearArm::advance`], where bounds say that no near object which is on no line is touched, and no other comes into
-    /// reach; else nothing has moved.
+    /// Like [`LinearArm::advance`] if bounds exclude contact with objects that are on no line. Otherwise the state is
+    /// unchanged and the result is false.
     pub(crate) fn advance_clear(
         &mut self,
         drive: &mut ArmDrive<N>,
@@ -243,7 +243,7 @@ impl<const N: usize> LinearArm<N> {
     ) -> bool {
         let room = environment.room(&self.apart, (&tool.position, &tool.velocity), from, span);
         if room <= 2.0 * span * norm(&tool.velocity) {
-            // Hardly worth a trial.
+            // Rarely worth a trial.
             return false;
         }
         let (drive_before, tool_before, coarse_before) = (*drive, *tool, self.coarse_steps);
@@ -259,7 +259,7 @@ impl<const N: usize> LinearArm<N> {
         stays_clear
     }
 
-    /// Advance the tool by `span` in s from `from` in s on.
+    /// Advance the tool by `span` in s from `from` in s.
     pub(crate) fn advance(
         &mut self,
         drive: &mut ArmDrive<N>,
@@ -302,7 +302,7 @@ impl<const N: usize> LinearArm<N> {
                 };
                 let finite = state.iter().all(|value| value.is_finite());
                 self.coarse_steps += u64::from(!(whole && finite));
-                // Beyond what numbers hold, it stays where it was.
+                // Overflow: the tool stays at its last position.
                 [tool.position[axis], tool.velocity[axis]] =
                     if finite { state } else { [tool.position[axis], 0.0] };
             }
@@ -335,9 +335,9 @@ fn sort<const N: usize>(lines: &mut [Line; N], object: &Object<N>) -> bool {
 }
 
 impl Line {
-    /// As [`advance`](Self::advance), of an input that is linear in time and from `bend` in s on grows by `slope` less. Mostly
-    /// in one piece: the course of the input after the bend, and the response to how far the input before it lies off
-    /// that, `slope (t - bend)`.
+    /// Like [`advance`](Self::advance), for an input that is linear in time and loses `slope` of its growth at `bend`
+    /// in s. Mostly in one piece: the course of the input after the bend, plus the response to `slope (t - bend)`, the
+    /// difference before the bend.
     #[inline(always)] // has one caller
     fn advance_bent(
         &mut self,
@@ -359,7 +359,7 @@ impl Line {
         (state, before && after)
     }
 
-    /// Add a bound on how far a course goes in t in s on which no contact changes, with an `impulse` as for
+    /// Add a bound on the travel in t in s of a course without a change of contact; `impulse` as in
     /// [`stays`](Self::stays).
     #[inline(always)]
     fn add_swing(&mut self, course: &Course, c: f64, t: f64, impulse: f64) {
@@ -369,9 +369,9 @@ impl Line {
         }
     }
 
-    /// Course and map of a whole step, an `impulse` as for [`stays`](Self::stays) added; none where a contact may change within
-    /// it.
-    #[inline(always)] // as its callers
+    /// Course and map of a whole step with an additional `impulse` as in [`stays`](Self::stays); none if a contact may
+    /// change within the step.
+    #[inline(always)] // like its callers
     fn one_piece(
         &mut self,
         arm: [f64; 3],
@@ -385,7 +385,7 @@ impl Line {
         if !(is_free || (longest >= step && c >= 0.0)) {
             return None;
         }
-        // First, so that the course stays in registers: there is no call after it.
+        // First, so that the course stays in registers: no call follows it.
         let map = self.regime.kept.over(&transition, step);
         let course = Course::of(transition, c, [u0 + pull, u1, u2], state);
         if !(is_free || self.stays(&course, state[0], step, impulse)) {
@@ -395,8 +395,8 @@ impl Line {
         Some((course, map))
     }
 
-    /// Advance (x, V) by `step` in s under an arm of M, K, B and an input per kg that is quadratic in time; return
-    /// whether every contact was located.
+    /// Advance (x, V) by `step` in s under an arm with M, K, B and an input per kg that is quadratic in time. Returns
+    /// true if every contact was located.
     #[inline(always)] // has one caller
     fn advance(&mut self, arm: [f64; 3], input: [f64; 3], state: [f64; 2], step: f64) -> ([f64; 2], bool) {
         match self.one_piece(arm, input, state, step, 0.0) {
@@ -406,7 +406,7 @@ impl Line {
     }
 
     /// The same, from contact to contact.
-    #[inline(never)] // seldom, and long
+    #[inline(never)] // rare, and long
     fn advance_by_pieces(
         &mut self,
         arm: [f64; 3],
@@ -423,7 +423,7 @@ impl Line {
             let longest = left.min(longest);
             if longest >= left && c >= 0.0 && self.stays(&course, state[0], left, 0.0) {
                 self.add_swing(&course, c, left, 0.0);
-                // What is left of a step is of any length: its map is not kept.
+                // The rest of a step has an arbitrary length: do not keep its map.
                 return (course.at(left), true);
             }
             self.swing = self.swing.map(|_| f64::INFINITY);
@@ -437,7 +437,7 @@ impl Line {
         (state, false)
     }
 
-    /// The regime of a state: the one before, unless the arm is another or a plane is touched anew or no longer.
+    /// Regime of a state: the previous one, unless the arm or the set of touched planes has changed.
     #[inline]
     fn regime(&mut self, arm: [f64; 3], state: [f64; 2]) -> &Regime {
         let mut is_same = self.regime.arm == arm;
@@ -467,8 +467,11 @@ impl Line {
         Regime { arm, c, pull: pull / mass, transition, longest, kept: Kept::default() }
     }
 
-    /// Whether bounds say that no contact changes within t in s of a course from x in m on, to which an input of `impulse`
-    /// in m/s is added: its response is at most `impulse t` and `impulse`, since that to a unit is at most t and 1.
+    /// True if bounds exclude a change of contact within t in s on a course from x in m, with an additional input of
+    /// `impulse` in m/s.
+    ///
+    /// The response to it is at most `impulse t` and `impulse`, because the response to a unit impulse is at most t and
+    /// 1.
     #[inline(always)]
     fn stays(&self, course: &Course, x: f64, t: f64, impulse: f64) -> bool {
         let [farther, fastest] = course.bounds(t);
@@ -476,7 +479,7 @@ impl Line {
         let [a0, ..] = course.particular;
         self.planes.iter().all(|plane| {
             let depth = plane.normal * (plane.surface - x);
-            // Far above what rounding makes of positions.
+            // Far above the rounding of positions.
             let farther = farther + 1e-12 * (x.abs() + a0.abs() + plane.surface.abs());
             match plane.mode {
                 Mode::Apart => depth + farther < 0.0,
@@ -492,7 +495,7 @@ impl Line {
         self.planes.iter().any(|plane| plane.mode(state) != plane.mode)
     }
 
-    /// Time in s after which the first contact has just changed.
+    /// Time in s just after the first change of a contact.
     fn first_change(&self, course: &Course, longest: f64) -> Option<f64> {
         let mut before = 0.0;
         let mut after = [0.25, 0.5, 0.75, 1.0].into_iter().map(|share| share * longest).find(|&t| {
@@ -518,7 +521,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Where bounds say that no contact changes none does, at any instant of the course.
+        /// If the bounds exclude a change of contact, none occurs at any instant of the course.
         #[test]
         fn a_contact_that_stays_by_its_bounds_stays(
             (k, c, x, v) in (1.0..1e5_f64, 0.0..600.0_f64, -0.02..0.02_f64, -1.0..1.0_f64),
@@ -544,7 +547,7 @@ mod tests {
     }
 
     proptest! {
-        /// A step in one piece is, to the bit, that of the way from contact to contact.
+        /// A step in one piece is bit-identical to the steps from contact to contact.
         #[test]
         fn one_piece_is_all_pieces(
             (stiffness, damping, x, v) in (0.0..5000.0_f64, 0.0..600.0_f64, -0.02..0.02_f64, -1.0..1.0_f64),
@@ -566,7 +569,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(2000))]
 
-        /// An input that bends is two courses, one after the other; and where bounds say that no contact changes, none does
+        /// An input that bends equals two courses in sequence. If the bounds exclude a change of contact, none occurs
         /// on either.
         #[test]
         fn a_bent_input_is_two_courses(
@@ -578,7 +581,7 @@ mod tests {
             (has_wall, is_above) in any::<(bool, bool)>(),
             share in 0.0..1.0_f64,
         ) {
-            // Of speeds and gaps those count that a bend decides on, too: some um in a step.
+            // Include speeds and gaps small enough for a bend to decide: some um in a step.
             let [v, push, growth] = [v, push, growth].map(|fast| fast * 10_f64.powf(-slower));
             let surface = x + gap * 10_f64.powf(-nearer);
             let rate = std::f64::consts::TAU * frequency;
@@ -587,7 +590,7 @@ mod tests {
             let plane = LinePlane { surface, normal, stiffness: wall, damping, mode: Mode::Apart };
             let line = Line { planes: vec![plane; usize::from(has_wall)], ..Line::default() };
             let step = 1e-3;
-            // A set position that is `away` from its target and gets there at the bend.
+            // A set position `away` from its target arrives there at the bend.
             let bend = share * step;
             let speed = away / bend.max(1e-6);
             let slope = arm[1] * speed / mass;
@@ -599,14 +602,14 @@ mod tests {
             let (middle, _) = by_halves.advance(arm, input, state, bend);
             let [u0, u1] = [input[0] + slope * bend, input[1] - slope];
             let (end, _) = by_halves.advance(arm, [u0 + u1 * bend, u1, 0.0], middle, step - bend);
-            // Some roundings of what the courses are made of: places, and speeds by the rates.
+            // A few roundings of the terms of the courses: positions, and speeds divided by the rates.
             let size = x.abs() + v.abs() * step + away.abs() + input[0].abs() / (rate * rate) + speed.abs() / rate;
             let unsure = 64.0 * f64::EPSILON * (size + surface.abs());
             prop_assert!((found[0] - end[0]).abs() < unsure, "{found:?} {end:?}");
             let fastest = rate.max((wall / mass).sqrt()).max(arm[2] / mass).max(damping / mass);
             prop_assert!((found[1] - end[1]).abs() < unsure * fastest.max(1.0 / step), "{found:?} {end:?}");
 
-            // Nowhere within the step is it farther away than the bound says, which is worth something.
+            // The bound on the distance holds everywhere within the step and is tight enough.
             let mut bounded = Line { swing: Some(0.0), ..line.clone() };
             let _ = bounded.advance_bent(arm, [input[0], input[1]], (bend, slope), state, step);
             let swing = bounded.swing.unwrap();
@@ -639,8 +642,7 @@ mod tests {
         }
     }
 
-    /// The map that is kept is that of the time that is asked for, whatever was asked for before, and is not made anew for the
-    /// same.
+    /// The kept map is that of the requested time, after any earlier request, and is reused for the same time.
     #[test]
     fn a_kept_map_is_that_of_its_time() {
         let (transition, state) = (Transition::new(9.0, 1.0), [0.7, -1.3]);
@@ -649,14 +651,14 @@ mod tests {
             assert_eq!(kept.over(&transition, t).apply(state), transition.apply(t, state), "{t}");
             assert!(kept.0.is_some_and(|(time, _)| time == t));
         }
-        // That it is kept: a map that was put in its place is what comes out.
+        // A substituted map is returned, so the map is kept.
         let other = Transition::new(4.0, 1.0).over(1e-3);
         kept.0 = Some((1e-3, other));
         assert_eq!(kept.over(&transition, 1e-3).apply(state), other.apply(state));
         assert_ne!(other.apply(state), transition.apply(1e-3, state));
     }
 
-    /// The regime is that of the arm and of what is touched, whatever was before.
+    /// The regime follows the arm and the touched planes, independent of its history.
     #[test]
     fn a_regime_follows_the_arm_and_what_is_touched() {
         let plane = |surface: f64, normal: f64| LinePlane {
@@ -690,7 +692,7 @@ mod tests {
         }
     }
 
-    /// The bounds are worth their while: of a tool that is clear of a wall, or rests on it, they say so.
+    /// The bounds are tight enough to recognise a tool that is clear of a wall or rests on it.
     #[test]
     fn bounds_tell_of_a_tool_that_is_clear_and_of_one_that_rests() {
         // 2 kg under 2000 N/m and critical damping, on a wall of 3000 N/m at 0 whose normal points up.
@@ -705,7 +707,7 @@ mod tests {
             let k = (arm + if touches { wall } else { 0.0 }) / mass;
             let course = Course::new(k, damping / mass, [arm * set_point / mass, 0.0, 0.0], [x, 0.0]);
             assert!(line.stays(&course, x, 1e-3, 0.0));
-            // Nor do they say so of one that arrives.
+            // They do not exclude the contact of an arriving tool.
             assert!(!line.stays(&Course::new(k, damping / mass, [0.0; 3], [1e-4, -1.0]), 1e-4, 1e-3, 0.0));
         }
     }

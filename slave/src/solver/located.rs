@@ -1,4 +1,4 @@
-//! Contacts and bodies within a step: where they are, on which piece of their law, and when that changes.
+//! Contacts and bodies within a step: their state, the piece of their law, and the time of its change.
 
 use crate::{
     Axes, Environment,
@@ -15,7 +15,7 @@ impl<const N: usize> Environment<N> {
         self.reach.near.iter().filter(|&&index| self.slots[index] != usize::MAX).count()
     }
 
-    /// Looks at all objects again from where the state is; the far bodies are `late` in s.
+    /// Search all objects again from the present state; the far bodies lag by `late` in s.
     pub(crate) fn look_around(&mut self, solver: &mut Solver<N>, now: f64, late: f64) {
         self.store(solver);
         self.coast(late);
@@ -50,7 +50,7 @@ impl<const N: usize> Environment<N> {
         }
     }
 
-    /// The bodies that nothing can touch slide on by themselves.
+    /// Advance the bodies that are out of reach.
     pub(crate) fn coast(&mut self, span: f64) {
         if self.bodies > self.near_bodies() {
             for (index, object) in self.objects.iter_mut().enumerate() {
@@ -91,8 +91,8 @@ impl<const N: usize> Environment<N> {
         (state[0] - displacement, state[1] - velocity)
     }
 
-    /// Take note on which piece of its law each near object is, and which body friction holds; return whether a body
-    /// has come to rest just now.
+    /// Update the law piece of each near object and the bodies held by friction. Returns true if a body has just come
+    /// to rest.
     pub(crate) fn settle(&mut self, solver: &mut Solver<N>, piece: Piece, now: f64) -> bool {
         let mut came_to_rest = false;
         for near in 0..self.reach.near.len() {
@@ -105,7 +105,7 @@ impl<const N: usize> Environment<N> {
                 let sliding = &mut solver.state[TOOL + 2 * slot + 1];
                 let rests = sliding.norm() <= STANDS && body.holds(&reaction);
                 if rests && !body.stands {
-                    // Zero, not small.
+                    // Exactly zero.
                     *sliding = Axes::zeros();
                     came_to_rest = true;
                 }
@@ -115,7 +115,7 @@ impl<const N: usize> Environment<N> {
         came_to_rest
     }
 
-    /// Whether, in the state `next`, a contact is on another piece of its law, or a body that stood is torn off.
+    /// True if, in the state `next`, a contact is on another piece of its law or a resting body breaks away.
     pub(crate) fn changed(&self, solver: &Solver<N>, piece: Piece, now: f64) -> bool {
         self.reach.near.iter().any(|&index| {
             if self.objects[index].shape().is_spring() && self.objects[index].body().is_none() {
@@ -131,7 +131,7 @@ impl<const N: usize> Environment<N> {
         })
     }
 
-    /// Share of the step after which the first change has just happened.
+    /// Share of the step just after the first change.
     pub(crate) fn first_change(
         &self,
         solver: &mut Solver<N>,
@@ -150,7 +150,7 @@ impl<const N: usize> Environment<N> {
     }
 }
 
-/// Share of a step in s after which the first change has just happened, as far as quarters of the step show it.
+/// Share of a step in s just after the first change, as far as a test at quarters of the step shows it.
 pub(crate) fn first_share(step: f64, mut changed: impl FnMut(f64) -> bool) -> Option<f64> {
     let mut before = 0.0;
     let mut after = [0.25, 0.5, 0.75, 1.0].into_iter().find(|&share| {

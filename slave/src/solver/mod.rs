@@ -1,4 +1,4 @@
-//! Arm and bodies advanced in time: exactly between contacts where their motion is linear, else by an adaptive method.
+//! Arm and bodies advanced in time: exactly between contacts if their motion is linear, else by an adaptive method.
 
 pub(crate) mod adaptive;
 mod coarse;

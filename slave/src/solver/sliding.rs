@@ -1,10 +1,13 @@
 //! A tool among flat faces with friction: between events the Taylor series of its motion, exact to rounding.
 //!
-//! `M x'' = K (x_set(t) - x) + B (V_cmd - V) + F_push(t) + sum F_face`, where each face that is touched presses by its
-//! law, `p = K_f d + B_f d'` or `p = K_f d^n (1 + chi d')`, along its normal and rubs with
-//! `mu_f p s / max(|s|, 1 mm/s)` against the slip s across it ([`crate::Contact`]). What is not linear in it, `s / |s|`
-//! and `d^n`, has a series that follows from that of s or d. Events are a face that is touched or left, another face of
-//! a box that is the nearest, a slip that passes 1 mm/s: bounds from the coefficients exclude them, or they are located.
+//! `M x'' = K (x_set(t) - x) + B (V_cmd - V) + F_push(t) + sum F_face`.
+//!
+//! Each touched face presses along its normal by its law, `p = K_f d + B_f d'` or `p = K_f d^n (1 + chi d')`. Across
+//! the normal it rubs with `mu_f p s / max(|s|, 1 mm/s)` against the slip s ([`crate::Contact`]). The nonlinear terms,
+//! `s / |s|` and `d^n`, have series that follow from those of s and d.
+//!
+//! Events are: a face is touched or left, another face of a box becomes the nearest, or a slip crosses 1 mm/s. Bounds
+//! from the coefficients exclude them; otherwise they are located.
 //!
 //! Source: recursion for powers of series, A. Jorba, M. Zou, "A software package for the numerical integration of ODEs
 //! by means of high-order Taylor methods", Experimental Mathematics 14, 2005, section 2.
@@ -19,22 +22,22 @@ use crate::{
     solver::{adaptive::SHORTEST, located::first_share, state::Piece},
 };
 
-/// Most coefficients of a series, the constant one included.
+/// Maximum number of coefficients of a series, including the constant.
 const TERMS: usize = 20;
-/// Most faces that may be touched at a time.
+/// Maximum number of faces touched at once.
 const MAX_FACES: usize = 3;
-/// Series for one piece, those that do not converge included, before its rest is left to the adaptive integrator; and
-/// where the last piece had to be left.
+/// Maximum number of series for one piece, including those that do not converge, before the adaptive integrator takes
+/// the rest; lower after a piece that ended there.
 const MAX_SERIES: u32 = 1000;
 const MAX_SERIES_AGAIN: u32 = 20;
-/// Times that a step whose series does not converge is halved before it is left to the adaptive integrator.
+/// Number of halvings of a step without convergence before the adaptive integrator takes it.
 const MAX_HALVINGS: u32 = 6;
-/// Share of the largest coefficient of V below which one is none.
+/// Coefficients below this share of the largest coefficient of V count as zero.
 const NEGLIGIBLE: f64 = f64::EPSILON / 16.0;
-/// Share of a place in m that bounds leave to its rounding.
+/// Relative allowance of the bounds for the rounding of a position in m.
 const ROUNDING: f64 = 1e-12;
 
-/// `1 / (n + 1)`: a division takes longer than all else that a term needs.
+/// `1 / (n + 1)`: a division takes longer than the rest of a term.
 const INVERSE: [f64; TERMS] = {
     let mut inverse = [0.0; TERMS];
     let mut n = 0;
@@ -45,17 +48,17 @@ const INVERSE: [f64; TERMS] = {
     inverse
 };
 
-/// The course of a tool over a step: Taylor coefficients in shares of it.
+/// Course of a tool over a step: Taylor coefficients in shares of the step.
 #[derive(Default)]
 struct Course<const N: usize> {
-    /// x in m, its constant coefficient left out.
+    /// x in m, without its constant coefficient.
     moved: ArrayVec<Axes<N>, TERMS>,
     /// V in m/s.
     velocity: ArrayVec<Axes<N>, TERMS>,
 }
 
 impl<const N: usize> Course<N> {
-    /// How far it has moved in m, and V in m/s, at a share of the step.
+    /// Displacement in m and V in m/s at a share of the step.
     fn at(&self, share: f64) -> (Axes<N>, Axes<N>) {
         if share == 1.0 {
             let sum = |series: &[Axes<N>]| series.iter().rev().sum();
@@ -66,29 +69,30 @@ impl<const N: usize> Course<N> {
         (sum(&self.moved), sum(&self.velocity))
     }
 
-    /// Bound in m on how far it has moved along each axis at any time of the step.
+    /// Bound in m on the displacement along each axis at any time of the step.
     fn swing(&self) -> Axes<N> {
         self.moved.iter().map(Axes::abs).sum()
     }
 }
 
-/// A face that is touched.
+/// A touched face.
 struct Face<const N: usize> {
     index: usize,
     normal: Axes<N>,
     law: ContactLaw,
     friction: f64,
-    /// d in m at the beginning.
+    /// d in m at the start of the step.
     first_depth: f64,
-    /// Whether the slip is above [`FULL_SLIP`].
+    /// True if the slip is above [`FULL_SLIP`].
     glides: bool,
-    /// How far the tool may move along each axis in m while this face is the nearest.
+    /// Distance in m that the tool may move along each axis while this face stays the nearest.
     margin: f64,
 }
 
-/// Taylor coefficients of what happens on a face, in shares of the step. Beside the faces, for they are long to move.
+/// Taylor coefficients of the quantities on a face, in shares of the step. Stored apart from the faces because moving
+/// them is expensive.
 struct FaceSeries<const N: usize> {
-    /// d in m, its power, and d' in m/s; of a law with a power.
+    /// d in m, its power, and d' in m/s; for laws with a power.
     depth: ArrayVec<f64, TERMS>,
     power: ArrayVec<f64, TERMS>,
     rate: ArrayVec<f64, TERMS>,
@@ -96,7 +100,7 @@ struct FaceSeries<const N: usize> {
     pressing: ArrayVec<f64, TERMS>,
     /// s in m/s.
     slip: ArrayVec<Axes<N>, TERMS>,
-    /// |s| in m/s, of a face that the tool glides on.
+    /// |s| in m/s; for faces on which the tool glides.
     speed: ArrayVec<f64, TERMS>,
     /// p over |s|, or over [`FULL_SLIP`].
     drag: ArrayVec<f64, TERMS>,
@@ -119,14 +123,14 @@ impl<const N: usize> FaceSeries<N> {
         }
     }
 
-    /// Before the first coefficient of another step.
+    /// Clear all coefficients for another step.
     fn begin(&mut self) {
         let Self { depth, power, rate, pressing, slip, speed, drag, .. } = self;
         [depth, power, rate, pressing, speed, drag].into_iter().for_each(ArrayVec::clear);
         slip.clear();
     }
 
-    /// The next coefficient of `d^n (1 + chi d')`. Of the power `q = d^n`, with k for its coefficients:
+    /// The next coefficient of `d^n (1 + chi d')`. The coefficients of the power `q = d^n` follow from
     /// `k d_0 q_k = sum_i (n i - (k - i)) d_i q_(k-i)`.
     fn power_with_rate(&mut self, exponent: f64, damping: f64) -> f64 {
         let Self { depth, power, rate, .. } = self;
@@ -146,9 +150,11 @@ impl<const N: usize> FaceSeries<N> {
         next + damping * damped
     }
 
-    /// The next coefficient of `p s / |s|`, of that of V: `|s|² = s s` gives that of |s|, `(p / |s|) |s| = p` the quotient.
+    /// The next coefficient of `p s / |s|`, from that of V: `|s|² = s s` gives that of |s|, and `(p / |s|) |s| = p`
+    /// gives the quotient.
     ///
-    /// Terms that do not depend on the newest V are summed apart, the oldest first, so that few operations remain once it is known.
+    /// Terms that do not depend on the newest V are summed separately, oldest first, so that few operations remain once
+    /// it is known.
     #[inline]
     fn gliding(&mut self, velocity: &Axes<N>) -> Axes<N> {
         let Self { pressing, slip, speed, drag, inverse_speed, .. } = self;
@@ -192,7 +198,7 @@ impl<const N: usize> FaceSeries<N> {
         let (first, first_drag, inverse) = (slip[0], drag[0], *inverse_speed);
         let before = (square.sum() - of_speed) * inverse;
         let known = braking + before * first_drag;
-        // The first slip lies across the normal: its product with V is that with the slip.
+        // The first slip lies across the normal, so its product with V equals that with the slip.
         let newest = first.dot(velocity) * inverse;
         let next = (pressing[n] - known) * inverse - newest * (first_drag * inverse);
         speed.push(before + newest);
@@ -230,7 +236,7 @@ impl<const N: usize> Face<N> {
         }
         let mut slip = velocity - self.normal * along;
         if series.slip.is_empty() {
-            // Across the normal to rounding of itself, and not of V, which may be a thousand times as large.
+            // Across the normal to the rounding of the slip, not of V, which may be a thousand times larger.
             slip -= self.normal * self.normal.dot(&slip);
         }
         series.slip.push(slip);
@@ -238,7 +244,8 @@ impl<const N: usize> Face<N> {
         force - rubbing * self.friction
     }
 
-    /// Whether bounds say that over a whole step it is touched as it is, its tool no farther away than `swing` in m.
+    /// True if bounds show that the contact does not change over the step, with a tool displacement of at most `swing`
+    /// in m.
     fn stays(&self, series: &FaceSeries<N>, swing: &Axes<N>, rounding: f64) -> bool {
         let released: f64 = series.pressing[1..].iter().map(|p| p.abs()).sum();
         let is_pressed = self.first_depth > self.normal.abs().dot(swing) + rounding
@@ -253,24 +260,24 @@ impl<const N: usize> Face<N> {
     }
 }
 
-/// What the tool touches.
+/// Contacts of the tool.
 struct Touched<const N: usize> {
     faces: ArrayVec<Face<N>, MAX_FACES>,
-    /// Of each face.
+    /// Series of each face.
     series: [FaceSeries<N>; MAX_FACES],
-    /// Sums of their `dF / dd` in N/m, and of their `dF / dd'` and what friction damps in N s/m.
+    /// Sums over the faces: `dF / dd` in N/m, and `dF / dd'` plus the damping of friction in N s/m.
     stiffness: f64,
     damping: f64,
-    /// Least distance in m of what it is clear of.
+    /// Distance in m to the nearest object without contact.
     clear: f64,
-    /// Whether it leaves something faster than that follows.
+    /// True if the tool leaves an object faster than its surface follows.
     leaves: bool,
-    /// Farthest that an object reaches from the origin, in m.
+    /// Largest coordinate of an object, in m.
     extent: f64,
 }
 
 impl<const N: usize> Touched<N> {
-    /// Nothing.
+    /// No contact.
     #[inline]
     fn new() -> Self {
         Self {
@@ -285,19 +292,19 @@ impl<const N: usize> Touched<N> {
     }
 }
 
-/// What acts on the tool beside faces, linear in x and V.
+/// Forces on the tool other than faces, linear in x and V.
 struct Pull<const N: usize> {
     mass: f64,
     /// K in N/m and B in N s/m of arm and springs.
     stiffness: f64,
     damping: f64,
-    /// Force in N at the beginning, and how it grows beside K and B, in N/s and in N/s² by halves.
+    /// Force in N at the start, and its growth apart from K and B: in N/s, and half of the second derivative in N/s².
     force: Axes<N>,
     growth: [Axes<N>; 2],
 }
 
 impl<const N: usize> Pull<N> {
-    /// The motion over `step` in s from V in m/s on; whether its series converges over it.
+    /// Compute the motion over `step` in s from V in m/s; true if its series converges.
     fn follow(
         &self,
         course: &mut Course<N>,
@@ -310,7 +317,7 @@ impl<const N: usize> Pull<N> {
         moved.clear();
         v.clear();
         series.iter_mut().for_each(FaceSeries::begin);
-        // What all else waits for, beside the arrays.
+        // The critical path of the loop, apart from the arrays.
         let (mut newest_moved, mut newest_velocity) = (Axes::zeros(), *velocity);
         moved.push(newest_moved);
         v.push(newest_velocity);
@@ -337,7 +344,7 @@ impl<const N: usize> Pull<N> {
             let size = amax(&newest_velocity);
             largest = larger(size, largest);
             negligible = if size <= NEGLIGIBLE * largest { negligible + 1 } else { 0 };
-            // What grows with the square of time comes in with the third coefficient.
+            // Terms quadratic in time enter with the third coefficient.
             if negligible >= 2 && n >= 3 {
                 return true;
             }
@@ -347,8 +354,8 @@ impl<const N: usize> Pull<N> {
 }
 
 impl<const N: usize> Environment<N> {
-    /// Move the tool over a piece without kinks, planned at its beginning, as far as its motion is such a series;
-    /// returns until when.
+    /// Move the tool over a piece without kinks, planned at its start, as far as series describe its motion. Returns
+    /// the time reached.
     pub(crate) fn slide(&mut self, arm: &ArmDrive<N>, tool: &mut Tool<N>, piece: Piece, end: f64) -> f64 {
         let mut done = piece.planned;
         if self.bodies > 0 || arm.is_velocity_control() || !self.is_push_linear {
@@ -356,7 +363,7 @@ impl<const N: usize> Environment<N> {
         }
         let gave_up = std::mem::take(&mut self.solver.series_gave_up);
         let mut left = if gave_up { MAX_SERIES_AGAIN } else { MAX_SERIES };
-        // Of the whole piece, which has no kink: a step within it may begin as near to its end as rounding lets it.
+        // For the whole piece, which has no kink: a step within it may start within rounding of its end.
         let steady = self.push_stretch(piece.origin + done).steady;
         while let Some(taken) = self.slide_once(arm, tool, (piece, steady), (done, end - done), &mut left) {
             if taken >= end - done {
@@ -368,7 +375,7 @@ impl<const N: usize> Environment<N> {
         done
     }
 
-    /// Move the tool up to the next event, over `left` in s at most; return how long that took.
+    /// Move the tool to the next event, over at most `left` in s; return the time taken.
     fn slide_once(
         &mut self,
         arm: &ArmDrive<N>,
@@ -385,7 +392,7 @@ impl<const N: usize> Environment<N> {
         let mut pull = self.pull_of_arm(arm, tool, (piece, steady), (done, left));
         let mut touched = Touched::new();
         self.touch(tool, &mut pull, &mut touched)?;
-        // The fastest that the motion relaxes or swings.
+        // Fastest rate at which the motion relaxes or swings.
         let rate = (pull.damping + touched.damping) / pull.mass
             + ((pull.stiffness + touched.stiffness) / pull.mass).sqrt();
         if rate.is_nan() || rate * left >= f64::from(MAX_SERIES) {
@@ -432,8 +439,8 @@ impl<const N: usize> Environment<N> {
         Some(taken)
     }
 
-    /// On which piece of its law each near object is, where the tool is: what it touches adds to `touched`, springs to
-    /// `pull`. None where one moves, is round and touched, or where too many are.
+    /// Determine the law piece of each near object at the tool's position. Contacts go to `touched`, springs to `pull`.
+    /// None if an object moves, if a round object is touched, or if too many faces are touched.
     fn touch(&mut self, tool: &Tool<N>, pull: &mut Pull<N>, touched: &mut Touched<N>) -> Option<()> {
         let Tool { position, velocity, .. } = *tool;
         for near in 0..self.reach.near.len() {
@@ -482,7 +489,7 @@ impl<const N: usize> Environment<N> {
         Some(())
     }
 
-    /// What arm and pushers do from `done` on.
+    /// Forces of arm and pushers from `done` on.
     fn pull_of_arm(
         &self,
         arm: &ArmDrive<N>,
@@ -516,7 +523,8 @@ impl<const N: usize> Environment<N> {
         }
     }
 
-    /// Whether at another place and velocity an object is on another piece of its law than the modes and `faces` say.
+    /// True if, at another position and velocity, an object is on another piece of its law than in the modes and
+    /// `faces`.
     fn is_other(&self, faces: &[Face<N>], position: &Axes<N>, velocity: &Axes<N>) -> bool {
         self.reach.near.iter().any(|&index| {
             let object = &self.objects[index];
@@ -557,8 +565,8 @@ mod tests {
     }
 
     proptest! {
-        /// Friction on a face, its terms side by side, against the sums of all products, however oblique the face is and however
-        /// much faster than it slips the tool strikes it.
+        /// Gliding friction equals the sum of all products, for any inclination of the face and any ratio of impact
+        /// speed to slip.
         #[test]
         fn friction_of_gliding_is_that_of_all_products(
             normal in prop::array::uniform3(-1.0..1.0_f64),
@@ -574,7 +582,7 @@ mod tests {
             };
             prop_assume!(across(&Axes::from(terms[0])).norm() > 0.1);
             let first = across(&Axes::from(terms[0])).normalize() * slip - normal * into;
-            // Each later term is less by `fall`, as in a series that converges, across the normal and along it.
+            // Each later term is smaller by `fall`, across the normal and along it, as in a convergent series.
             let later = |n: usize| {
                 let term = Axes::from(terms[n]);
                 (across(&term) * slip + normal * (term[0] * into)) * fall.powf(n as f64)
@@ -605,14 +613,15 @@ mod tests {
                 }
                 let rubbing: Axes<3> = (0..=n).map(|i| s[n - i] * drag[i]).sum();
                 let expected = normal * series.pressing[n] - rubbing * 0.4;
-                // Roundings of the terms before, of which each is that much of the one before it at most; some 20 of them.
+                // Roundings of the earlier terms, of which each is at most that share of the previous one; about 20 of
+                // them.
                 let size = (0..=n).map(|i| s[n - i].norm() * drag[i].abs()).sum::<f64>() + expected.norm();
                 prop_assert!((found - expected).norm() <= 1e-11 * size, "{n}: {:e}", (found - expected).norm() / size);
             }
         }
     }
 
-    /// An arm with K and B that goes to `target` from where the tool is on.
+    /// An arm with K and B that moves to `target` from the position of the tool.
     fn arm<const N: usize>(tool: &Tool<N>, target: Axes<N>, speed: Option<f64>) -> ArmDrive<N> {
         let control = ArmControl::Pd { stiffness: K, damping: B };
         let mut drive = ArmDrive::new(ArmModel::new(control, KG, speed, None).unwrap(), &tool.position);
@@ -624,7 +633,7 @@ mod tests {
         Tool { position, velocity, set_velocity: Axes::zeros() }
     }
 
-    /// Steps of `span` in s, all of them by series.
+    /// Steps of `span` in s, all by series.
     fn slid<const N: usize>(
         environment: &mut Environment<N>,
         drive: &mut ArmDrive<N>,
@@ -641,13 +650,13 @@ mod tests {
         }
     }
 
-    /// A pressed tool that slides straight on under a constant friction: `M u'' = K (u_set - u) - B u' - mu_f p`, as
-    /// the exponential of its matrix has it.
+    /// A pressed tool that slides straight under constant friction: `M u'' = K (u_set - u) - B u' - mu_f p` equals the
+    /// exponential of its matrix.
     #[test]
     fn a_straight_slide_is_the_matrix_exponential() {
         let (normal, along) = (Axes::<3>::new(0.6, 0.0, 0.8), Axes::<3>::new(0.8, 0.0, -0.6));
         let (wall, rub) = (5000.0, 0.3);
-        // Where K (set - x) and the wall's force balance along the normal, the pressing stands.
+        // The pressing is constant where K (set - x) and the wall's force balance along the normal.
         let depth = 1e-3;
         let pressing = wall * depth;
         let set_along_normal = -depth - pressing / K;
@@ -661,7 +670,7 @@ mod tests {
         let matrix = nalgebra::Matrix2::new(0.0, 1.0, -K / KG, -B / KG);
         let exact = (matrix * 0.1).exp() * nalgebra::Vector2::new(u - rest, v);
         let moved = tool.position - normal * -depth;
-        // 100 steps, each with a few roundings of 0.2 m, and of what brings K (set - x) to zero.
+        // 100 steps, each with a few roundings of 0.2 m and of the position at which K (set - x) vanishes.
         assert!((moved.dot(&along) - rest - exact.x).abs() < 1e-14, "{}", moved.dot(&along) - rest - exact.x);
         assert!(
             (tool.velocity.dot(&along) - exact.y).abs() < 1e-13,
@@ -688,7 +697,7 @@ mod tests {
         assert!((tool.velocity[0] - exact.y).abs() < 1e-15, "{}", tool.velocity[0] - exact.y);
     }
 
-    /// On a Hertzian face nothing is lost: `M v² / 2 + K d^(n+1) / (n+1)` stands.
+    /// A Hertzian face loses no energy: `M v² / 2 + K d^(n+1) / (n+1)` is constant.
     #[test]
     fn a_hertzian_press_conserves_energy() {
         let (stiffness, exponent) = (1e6, 1.5);
@@ -704,13 +713,14 @@ mod tests {
         };
         let before = energy(&tool);
         slid(&mut environment, &mut drive, &mut tool, 1e-3, 20);
-        // It has turned.
+        // The motion has reversed.
         assert!(tool.velocity[1] > 0.0 && tool.position[1] < 0.0, "{tool:?}");
         // 20 ticks of some steps each, a few roundings a step.
         assert!((energy(&tool) / before - 1.0).abs() < 5e-15, "{:e}", energy(&tool) / before - 1.0);
     }
 
-    /// A slide that bends comes out the same to rounding over long steps and over short ones, whose series end early.
+    /// A slide along a curve gives the same result to rounding over long steps and over short ones, whose series end
+    /// early.
     #[test]
     fn a_bending_slide_does_not_depend_on_the_step() {
         let at = |span: f64, steps: u32| {
@@ -721,14 +731,14 @@ mod tests {
             tool
         };
         let [long, short] = [at(1e-3, 40), at(1.25e-4, 320)];
-        // It has turned.
+        // The motion has turned.
         assert!(long.velocity[1] > long.velocity[0].abs(), "{long:?}");
         // 320 steps with a few roundings each, of 5 cm and of 1 m/s.
         let errors = [(long.position - short.position).amax(), (long.velocity - short.velocity).amax()];
         assert!(errors[0] < 1e-15 && errors[1] < 1e-13, "{errors:?}");
     }
 
-    /// Series and bounds leave nothing out: any motion among planes, boxes and springs is that of the adaptive
+    /// Series and bounds miss nothing: any motion among planes, boxes and springs equals that of the adaptive
     /// integrator, whose error is 1e-10 of a step.
     fn compare(
         objects: &[Object<3>],

@@ -14,7 +14,7 @@ const ABSOLUTE: f64 = 1e-13;
 /// Blocks of the state before the bodies: position, velocity and set velocity of the tool.
 pub(crate) const TOOL: usize = 3;
 
-/// Room for the steps, and what is remembered from one to the next.
+/// Memory of the steps, and the state kept between them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Solver<const N: usize> {
     pub(crate) state: Vec<Axes<N>>,
@@ -22,9 +22,9 @@ pub(crate) struct Solver<const N: usize> {
     pub(crate) slopes: [Vec<Axes<N>>; 7],
     /// Next step to try, in s.
     pub(crate) step: f64,
-    /// Whether the last piece ended coarsely.
+    /// True if the last piece ended coarsely.
     pub(crate) gave_up: bool,
-    /// Whether the last piece was too stiff for series.
+    /// True if the last piece was too stiff for series.
     pub(crate) series_gave_up: bool,
     pub(crate) coarse_steps: u64,
 }
@@ -56,7 +56,7 @@ impl<const N: usize> Solver<N> {
         }
     }
 
-    /// Largest estimated error of the step, as a multiple of what is allowed.
+    /// Largest estimated error of the step, as a multiple of the tolerance.
     pub(crate) fn error(&self, blocks: usize, step: f64) -> f64 {
         let mut worst = 0.0_f64;
         for block in 0..blocks {
@@ -75,21 +75,21 @@ impl<const N: usize> Solver<N> {
     }
 }
 
-/// Where in time a step is.
+/// Times of a step.
 #[derive(Clone, Copy)]
 pub(crate) struct Piece {
-    /// When the call began, in s.
+    /// Start of the call, in s.
     pub(crate) origin: f64,
     /// A time within the present smooth piece, in s.
     pub(crate) inside: f64,
-    /// When the phases of the drive were planned, in s since `origin`.
+    /// Time at which the phases of the drive were planned, in s since `origin`.
     pub(crate) planned: f64,
 }
 
 /// Times of the stages, as shares of the step.
 pub(crate) const NODES: [f64; 7] = [0.0, 1.0 / 5.0, 3.0 / 10.0, 4.0 / 5.0, 8.0 / 9.0, 1.0, 1.0];
 
-/// Weights of the slopes before each stage; the last row is the solution of order 5.
+/// Weights of the earlier slopes for each stage; the last row is the solution of order 5.
 pub(crate) const STAGES: [&[f64]; 7] = [
     &[],
     &[1.0 / 5.0],
@@ -100,7 +100,7 @@ pub(crate) const STAGES: [&[f64]; 7] = [
     &[35.0 / 384.0, 0.0, 500.0 / 1113.0, 125.0 / 192.0, -2187.0 / 6784.0, 11.0 / 84.0],
 ];
 
-/// Order 5 less order 4.
+/// Order 5 minus order 4.
 pub(crate) const ERROR: [f64; 7] =
     [71.0 / 57600.0, 0.0, -71.0 / 16695.0, 71.0 / 1920.0, -17253.0 / 339_200.0, 22.0 / 525.0, -1.0 / 40.0];
 

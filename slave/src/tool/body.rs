@@ -1,4 +1,4 @@
-//! A box that lies on what is touched, and that jaws can hold.
+//! A box that rests on surfaces and that jaws can hold.
 
 use super::{
     hold::Frame,
@@ -7,7 +7,7 @@ use super::{
 };
 use crate::{Axes, ModelError};
 
-/// How far in m outside of a body the tool point may be for the jaws to take it.
+/// Distance in m of the tool point from a body up to which the jaws can take it.
 const JAW_REACH: f64 = 5e-3;
 
 /// A box that jaws can hold.
@@ -19,14 +19,14 @@ pub(super) struct Body {
 }
 
 impl Body {
-    /// The box, and how it lies at the begin.
+    /// The box, and its initial state.
     pub(super) fn new(settings: &RigidBodySettings) -> Result<(Self, Rigid), ModelError> {
         let mass_kg = positive("body mass_kg", settings.mass_kg)?;
         let half_extents = finite("body half_extents", settings.half_extents)?;
         for half in &half_extents {
             positive("body half_extents", *half)?;
         }
-        // Of a box of even density: m (b² + c²) / 3 of its half extents.
+        // Inertia of a homogeneous box: m (b² + c²) / 3 with its half extents.
         let squares = half_extents.component_mul(&half_extents);
         let moments = Axes::<3>::repeat(squares.sum()) - squares;
         let inertia = Inertia { mass_kg, moments: moments * (mass_kg / 3.0) };
@@ -40,7 +40,7 @@ impl Body {
         Ok((Self { inertia, half_extents, gravity }, rigid))
     }
 
-    /// Whether it is between the jaws of a tool.
+    /// True if it is between the jaws of a tool.
     pub(super) fn in_reach(&self, tool: &Frame, at: &Frame) -> bool {
         let from = at.orientation.inverse() * (tool.position - at.position);
         (from.abs() - self.half_extents).max() <= JAW_REACH

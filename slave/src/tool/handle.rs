@@ -1,4 +1,4 @@
-//! What turns about one axis while a tool holds it.
+//! An object that turns about one axis while a tool holds it.
 
 use nalgebra::{Unit, UnitQuaternion};
 
@@ -8,12 +8,12 @@ use super::{
 };
 use crate::{Axes, ModelError, require};
 
-/// Speed in rad/s below which the dry friction of a handle grows linearly with it, as [`FULL_SLIP`] of a surface.
+/// Speed in rad/s below which the dry friction of a handle is linear in it, like [`FULL_SLIP`] of a surface.
 pub(super) const FULL_TURN: f64 = 1e-2;
-/// Of the stops of a handle, in N m/rad.
+/// Stiffness of the stops of a handle, in N m/rad.
 pub(super) const STOP_STIFFNESS: f64 = 500.0;
 
-/// What turns about one axis.
+/// An object that turns about one axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Handle {
     pub(super) point: Axes<3>,
@@ -48,7 +48,7 @@ impl Handle {
             coulomb: non_negative("handle coulomb", settings.coulomb)?,
             stiffness: non_negative("handle stiffness", settings.stiffness)?,
             stops: [lower, upper],
-            // Critically damped with the tool's own mass and inertia.
+            // Critically damped with the mass and inertia of the tool.
             hold: Stiffness {
                 linear: (linear, 2.0 * (linear * mass_kg).sqrt()),
                 angular: (angular, 2.0 * (angular * moment).sqrt()),
@@ -56,7 +56,7 @@ impl Handle {
         })
     }
 
-    /// Where it is gripped.
+    /// Frame of its grip point.
     pub(super) fn frame(&self, [angle, rate]: [f64; 2]) -> Frame {
         let orientation = UnitQuaternion::from_axis_angle(&self.axis, angle);
         let lever = orientation * self.lever;
@@ -76,7 +76,7 @@ impl Handle {
             0.0
         } else {
             let pressed = STOP_STIFFNESS * beyond + 2.0 * (STOP_STIFFNESS * self.inertia).sqrt() * rate;
-            // It pushes, and never pulls.
+            // A stop only pushes.
             if pressed * beyond > 0.0 { pressed } else { 0.0 }
         };
         -self.viscous * rate - self.coulomb * rate / rate.abs().max(FULL_TURN) - self.stiffness * angle - stop

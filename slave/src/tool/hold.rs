@@ -1,11 +1,11 @@
-//! How a tool holds something: a stiff spring between two frames, which slips where friction gives way.
+//! Coupling of a tool and a held object: a stiff spring between two frames that slips where friction is exceeded.
 
 use nalgebra::UnitQuaternion;
 
 use super::rigid::Load;
 use crate::Axes;
 
-/// Where something is and how it moves, in the base frame.
+/// Pose and velocity of a frame, in the base frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Frame {
     pub(super) position: Axes<3>,
@@ -14,23 +14,23 @@ pub(super) struct Frame {
     pub(super) angular_velocity: Axes<3>,
 }
 
-/// How stiff a hold is.
+/// Stiffness and damping of a hold.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Stiffness {
-    /// In N/m and N s/m.
+    /// N/m and N s/m.
     pub(super) linear: (f64, f64),
-    /// In N m/rad and N m s/rad.
+    /// N m/rad and N m s/rad.
     pub(super) angular: (f64, f64),
 }
 
-/// Most that friction at the jaws withstands: force in N across the closing direction, moment in N m.
+/// Limits of friction at the jaws: force in N across the closing direction, moment in N m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Grip {
     pub(super) force: f64,
     pub(super) moment: f64,
 }
 
-/// A hold: where what is held stands in the frame of the tool without a force between the two.
+/// A hold: pose of the held object in the tool frame at which the spring is unloaded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Hold {
     position: Axes<3>,
@@ -38,16 +38,17 @@ pub(super) struct Hold {
 }
 
 impl Hold {
-    /// Taken where both are: without a force.
+    /// A hold at the present poses, without force.
     pub(super) fn at(tool: &Frame, held: &Frame) -> Self {
         let back = tool.orientation.inverse();
         Self { position: back * (held.position - tool.position), orientation: back * held.orientation }
     }
 
-    /// The load of the tool on what it holds, about its point, the spring's part of it first alone.
+    /// Load of the tool on the held object, about its point, without slip: the part of the spring, then the sum with
+    /// the damper.
     ///
-    /// `f = k (x_t + R_t p - x_h) + b (v_p - v_h)`, `tau = k_r log(R_t Q R_h') + b_r (w_t - w_h)`; the moment of the force
-    /// about the tool's point is not in it.
+    /// `f = k (x_t + R_t p - x_h) + b (v_p - v_h)`, `tau = k_r log(R_t Q R_h') + b_r (w_t - w_h)`; the moment of the
+    /// force about the tool point is not included.
     fn wish(&self, tool: &Frame, held: &Frame, stiffness: &Stiffness) -> (Load, Load) {
         let lever = tool.orientation * self.position;
         let at = tool.position + lever;
@@ -62,7 +63,7 @@ impl Hold {
         (spring, Load { force: spring.force + damper.force, torque: spring.torque + damper.torque })
     }
 
-    /// The load of the tool on what it holds, about its point, no more than the grip withstands.
+    /// Load of the tool on the held object, about its point, within the limits of the grip.
     pub(super) fn load(
         &self,
         tool: &Frame,
@@ -80,7 +81,7 @@ impl Hold {
         }
     }
 
-    /// Where the spring pulls more than the grip withstands it slips until it pulls just that.
+    /// Slip until the spring force equals the limit of the grip, if it exceeds it.
     pub(super) fn slip(&mut self, tool: &Frame, held: &Frame, stiffness: &Stiffness, grip: &Grip) {
         let (spring, _) = self.wish(tool, held, stiffness);
         let closing = tool.orientation * Axes::<3>::x();

@@ -1,4 +1,4 @@
-//! A simulated tool that turns, in a world of surfaces, holes, handles and bodies that it can hold.
+//! A simulated tool that rotates, in a world of surfaces, holes, handles and bodies that it can hold.
 
 mod body;
 mod handle;
@@ -23,21 +23,21 @@ use settings::{finite, non_negative, orientation, positive};
 use surroundings::{Hole, Surroundings};
 use world::{Held, Loads, Motion, Servo, SetPose, World};
 
-/// Angle in rad by which the stiffest part swings in a sub-step.
+/// Phase in rad of the stiffest part per sub-step.
 const STEP_PHASE: f64 = 0.25;
-/// Largest rate in rad/s of the stiffest part: 400 sub-steps a ms.
+/// Maximum rate in rad/s of the stiffest part: 400 sub-steps per ms.
 const MAX_RATE: f64 = 1e5;
 const ALLOWED_RATE: &str = "at most 1e5 rad/s of the stiffest part, sqrt(stiffness / mass_kg) or \
                             sqrt(rotational_stiffness / inertia_kg_m2): make [slave.tool] or its contacts softer, or \
                             what moves heavier";
-/// Shortest piece in s: a kink that is nearer to a piece's begin or to the tick's end is taken to be there.
+/// Shortest piece in s. A kink closer than this to the start of a piece or the end of the tick counts as there.
 const SHORTEST: f64 = 1e-12;
-/// Longest time in s between two writes that is made up for at once: that of the slowest loop.
+/// Longest time in s between two writes for which the set pose may catch up at once: the period of the slowest loop.
 const MAX_UNWRITTEN_S: f64 = 0.02;
-/// How far the jaws may be from what they hold and still hold it, of their way.
+/// Tolerance of the jaw position around a held object, as a share of the jaw travel.
 const JAW_PLAY: f64 = 0.02;
 
-/// What a tool measures, in the base frame about the tool point.
+/// Measurement of a tool, in the base frame about the tool point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToolSample {
     /// In m.
@@ -50,11 +50,11 @@ pub struct ToolSample {
     pub orientation: UnitQuaternion<f64>,
     /// w in rad/s.
     pub angular_velocity: Axes<3>,
-    /// Of the environment on the tool, in N m.
+    /// Torque of the environment on the tool, in N m.
     pub torque: Axes<3>,
 }
 
-/// Memory of a step of Runge and Kutta.
+/// Memory of a Runge-Kutta step.
 #[derive(Clone, Debug, PartialEq)]
 struct Scratch {
     motion: Motion,
@@ -64,7 +64,7 @@ struct Scratch {
     handles: Vec<[[f64; 2]; 4]>,
 }
 
-/// A rigid tool under an impedance servo, touched at points of it, in a world that it can take hold of.
+/// A rigid tool under an impedance servo, with contact points, in a world whose objects it can hold.
 ///
 /// ```text
 /// m x'' = K (x_set - x) + B (v_set - v) + F_e
@@ -72,18 +72,20 @@ struct Scratch {
 /// F_e = sum f_i,  tau_e = sum R p_i x f_i
 /// ```
 ///
-/// with the force `f_i` of what is touched at each point `p_i` of the tool, pushers and torques, and the reaction of what it
-/// holds. Torques are about the tool point, which is its centre of mass; gravity does not act on it.
+/// The sums run over the contact forces `f_i` at the points `p_i` of the tool, pushers and torques, and the reaction of
+/// a held object. Torques are about the tool point, which is the centre of mass; gravity does not act on the tool.
 ///
-/// **Handles** turn about one axis: `J theta'' = -b theta' - c sign(theta') - k theta + (p x f + tau)·a`. **Bodies** are
-/// boxes that lie with their corners on what is touched, under gravity; the tool touches them with its jaws alone. What it
-/// holds is bound by a stiff spring and damper in translation and rotation; between jaws it slips where the force
-/// across their closing direction, the tool's x axis, exceeds `2 mu F`, or the moment `2 mu F r`, until it is out of them.
+/// **Handles** turn about one axis: `J theta'' = -b theta' - c sign(theta') - k theta + (p x f + tau)·a`.
 ///
-/// **Integrator.** Runge, Kutta and Munthe-Kaas of order 4 in sub-steps of which the stiffest part needs at least 25 for
-/// a swing; R stays a rotation. A sub-step ends where a torque, a push or the motion of an object jumps or bends. Contacts are
-/// not located. Friction at a surface is regularised as in [`Contact`](crate::Contact), so that the equations are
-/// continuous; what slips between jaws does so after each sub-step.
+/// **Bodies** are boxes under gravity that rest on surfaces with their corners; the tool touches them only with its
+/// jaws. A stiff spring and damper in translation and rotation binds a held object. Between jaws it slips if the force
+/// across their closing direction, the tool's x axis, exceeds `2 mu F`, or if the moment exceeds `2 mu F r`. It is
+/// released once it has slipped out of the jaws.
+///
+/// **Integrator.** Runge-Kutta-Munthe-Kaas of order 4, with at least 25 sub-steps per oscillation of the stiffest part;
+/// R stays a rotation. A sub-step ends where a torque, a push or the motion of an object has a kink. Contacts are not
+/// located. Friction at a surface is regularised as in [`Contact`](crate::Contact), so the equations are continuous.
+/// Slip between jaws is applied after each sub-step.
 ///
 /// Source: Euler's equations, Goldstein, Poole and Safko 2002, Eq. 5.39; Munthe-Kaas 1998; Hogan 1985 (impedance).
 #[derive(Clone, Debug, PartialEq)]
@@ -98,7 +100,7 @@ pub struct SimulatedTool {
     jaw_friction: f64,
     jaw_radius: f64,
     jaws: Option<f64>,
-    /// In rad/s, of the stiffest part.
+    /// Rate of the stiffest part in rad/s.
     rate: f64,
     begun_ns: u64,
     now_ns: u64,
@@ -110,7 +112,7 @@ fn pushers(of: &[PusherSettings<3>]) -> Result<Vec<Pusher<3>>, ModelError> {
 }
 
 impl SimulatedTool {
-    /// A tool at rest at `now_ns`, on an arm whose point is led by `pd` control, in its world.
+    /// A tool at rest at `now_ns` in its world, on an arm with `pd` control.
     pub fn new(
         arm: &ArmSettings<3>,
         tool: &ToolSettings,
@@ -219,13 +221,14 @@ impl SimulatedTool {
         })
     }
 
-    /// Set the clock to `now_ns` without advancing: all rests until then.
+    /// Set the clock to `now_ns` without advancing: everything rests until then.
     pub fn begin(&mut self, now_ns: u64) {
         (self.begun_ns, self.now_ns) = (now_ns, now_ns);
         self.set.at_s = 0.0;
     }
 
-    /// Start the time of pushers and torques, once. Without jaws the tool holds the nearest handle in reach from here on.
+    /// Start the time of pushers and torques; later calls have no effect. Without jaws the tool holds the nearest
+    /// handle within reach from here on.
     pub fn start(&mut self, now_ns: u64) {
         if self.started_ns.is_some() {
             return;
@@ -240,7 +243,7 @@ impl SimulatedTool {
         now_ns.saturating_sub(self.begun_ns) as f64 * 1e-9
     }
 
-    /// Commands a position in m and the velocity there in m/s. What is not finite is ignored.
+    /// Command a position in m and the velocity there in m/s. Values that are not finite are ignored.
     pub fn write(&mut self, position: &Axes<3>, velocity: &Axes<3>) {
         if !all_finite(position) {
             return;
@@ -253,18 +256,18 @@ impl SimulatedTool {
         self.set.position = if over { self.set.position + way * (most / way.norm()) } else { *position };
         let bound = self.world.servo.max_speed;
         self.set.velocity = if all_finite(velocity) { velocity.cap_magnitude(bound) } else { Axes::zeros() };
-        // The orientation goes on from where it was set to be by now.
+        // The set orientation continues from its present value.
         self.set.orientation = Unit::new_normalize(turned.into_inner());
         self.set.at_s = t;
     }
 
-    /// Time in s since the last write, as far as a set pose may make up for it at once.
+    /// Time in s since the last write, up to the time for which a set pose may catch up at once.
     fn unwritten_s(&self, t: f64) -> f64 {
         (t - self.set.at_s).min(MAX_UNWRITTEN_S)
     }
 
-    /// Commands an orientation and its angular velocity in rad/s, before each [`write`](Self::write). What is not finite is
-    /// ignored.
+    /// Command an orientation and its angular velocity in rad/s, before each [`write`](Self::write). Values that are
+    /// not finite are ignored.
     pub fn write_rotation(&mut self, orientation: &UnitQuaternion<f64>, angular_velocity: &Axes<3>) {
         if !orientation.coords.iter().all(|part| part.is_finite()) {
             return;
@@ -281,13 +284,13 @@ impl SimulatedTool {
         };
         let velocity =
             if all_finite(angular_velocity) { angular_velocity.cap_magnitude(bound) } else { Axes::zeros() };
-        // Written back by this time, so that the `write` that follows leaves it where it is.
+        // Extrapolated back by this time, so that the next `write` keeps the orientation.
         let since = t - self.set.at_s;
         self.set.angular_velocity = velocity;
         self.set.orientation = UnitQuaternion::from_scaled_axis(velocity * -since) * wanted;
     }
 
-    /// Stays where it is set to be: returns where that is.
+    /// Hold the present set pose, and return it.
     pub fn stop(&mut self) -> (Axes<3>, UnitQuaternion<f64>) {
         let t = self.time_s(self.now_ns);
         let (position, orientation) = self.set.at(t);
@@ -297,12 +300,12 @@ impl SimulatedTool {
         (position, orientation)
     }
 
-    /// How the tool is set to be turned now.
+    /// Present set orientation.
     pub fn set_orientation(&self) -> UnitQuaternion<f64> {
         self.set.at(self.time_s(self.now_ns)).1
     }
 
-    /// The jaws are there, 0 open to 1 closed, and press with a force in N; called at each tick of a tool with a gripper.
+    /// Set the jaw position, 0 open to 1 closed, and the grip force in N; called at each tick of a tool with a gripper.
     pub fn grip(&mut self, jaws: f64, force_n: f64) {
         if !(jaws.is_finite() && force_n.is_finite()) {
             return;
@@ -319,17 +322,17 @@ impl SimulatedTool {
         self.world.held = is_near.then_some(held).or(self.world.held.filter(|_| jaws >= at - JAW_PLAY));
     }
 
-    /// Whether there is anything in its world that the tool could hold.
+    /// True if its world has anything to hold.
     pub fn has_things_to_hold(&self) -> bool {
         !(self.world.handles.is_empty() && self.world.bodies.is_empty())
     }
 
-    /// Where the jaws meet what is between them, 0 open to 1 closed; none where nothing is.
+    /// Position at which the jaws meet the object between them, 0 open to 1 closed; none without an object.
     pub fn between_jaws(&self) -> Option<f64> {
         self.between().map(|(_, at)| at)
     }
 
-    /// What is between the jaws, as if it was taken now, and where they meet it.
+    /// Object between the jaws, as if it were taken now, and the jaw position at which they meet it.
     fn between(&self) -> Option<(Held, f64)> {
         let at = |width: f64| (width <= self.jaw_width).then_some(1.0 - width / self.jaw_width);
         match self.world.held {
@@ -349,7 +352,7 @@ impl SimulatedTool {
         Some((Held::Body(index, hold), at(self.body_width(index))?))
     }
 
-    /// Of a box in m along the closing direction of the jaws.
+    /// Width in m of a box along the closing direction of the jaws.
     fn body_width(&self, index: usize) -> f64 {
         let (body, rigid) = (&self.world.bodies[index], &self.motion.bodies[index]);
         let closing = rigid.orientation.inverse() * (self.motion.tool.orientation * Axes::<3>::x());
@@ -375,17 +378,17 @@ impl SimulatedTool {
         Held::Handle(index, Hold::at(&self.tool_frame(), &frame))
     }
 
-    /// Whether the tool holds something.
+    /// True if the tool holds something.
     pub fn holds(&self) -> bool {
         self.world.held.is_some()
     }
 
-    /// Whether it touches or holds something.
+    /// True if the tool touches or holds something.
     pub fn touches(&self) -> bool {
         self.touches || self.holds()
     }
 
-    /// What was measured at the last read.
+    /// Measurement at the last read.
     pub fn sample(&self) -> &ToolSample {
         &self.sample
     }
@@ -395,13 +398,14 @@ impl SimulatedTool {
         self.motion.handles.get(index).copied()
     }
 
-    /// Middle in m and orientation of a body.
+    /// Centre in m and orientation of a body.
     pub fn body(&self, index: usize) -> Option<(Axes<3>, UnitQuaternion<f64>)> {
         self.motion.bodies.get(index).map(|body| (body.position, body.orientation))
     }
 
-    /// Hands over what is there besides the tool: `hole_depth` in m of its deepest point (0 of a tool without any),
-    /// `handle_angle` in rad, `body_position` in m and `body_orientation`, w first, each for all there are.
+    /// Pass the state of the world to `take`: `hole_depth` in m of its deepest point (0 for a tool without points),
+    /// `handle_angle` in rad, `body_position` in m and `body_orientation`, w first. Each entry covers all objects of
+    /// its kind.
     pub fn world(&self, take: &mut dyn FnMut(&'static str, &[f64])) {
         let tool = &self.motion.tool;
         let deepest = |hole: &Hole| {
@@ -424,7 +428,7 @@ impl SimulatedTool {
         all("body_orientation", bodies.iter().flat_map(turned).collect());
     }
 
-    /// Advances to `now_ns` (monotonic) and returns what the tool measures there.
+    /// Advance to `now_ns` (monotonic) and return the measurement there.
     pub fn read(&mut self, now_ns: u64) -> ToolSample {
         let from = self.time_s(self.now_ns);
         let span = now_ns.saturating_sub(self.now_ns) as f64 * 1e-9;
@@ -459,7 +463,7 @@ impl SimulatedTool {
         self.sample
     }
 
-    /// A step in s from t on, within the smooth piece that holds at time `piece`.
+    /// One step in s from t, within the smooth piece valid at time `piece`.
     fn step(&mut self, piece: f64, t: f64, step: f64) {
         for stage in 0..4 {
             let share = [0.0, 0.5, 0.5, 1.0][stage] * step;
@@ -480,7 +484,8 @@ impl SimulatedTool {
                     motion.handles[index] = [angle + of_angle * share, rate + of_rate * share];
                 }
             }
-            // Each body's turn since the step began is needed again below, so that it is taken before the loads.
+            // The turn of each body since the start of the step is needed again below, so it is computed before the
+            // loads.
             for (index, rates) in bodies.iter().enumerate() {
                 if stage > 0 {
                     motion.bodies[index] = self.motion.bodies[index].after(&rates[stage - 1], share).0;
@@ -515,7 +520,7 @@ impl SimulatedTool {
         self.world.slip(&self.motion);
     }
 
-    /// Kinetic energy of all that moves, in J.
+    /// Kinetic energy of tool, bodies and handles, in J.
     pub fn kinetic_energy_j(&self) -> f64 {
         let tool = self.motion.tool.kinetic_energy_j(&self.world.inertia);
         let bodies = self.motion.bodies.iter().zip(&self.world.bodies);

@@ -1,10 +1,10 @@
-//! A rigid body in space: its state, and how it changes under a wrench.
+//! A rigid body in space: its state, and its rates under a wrench.
 
 use nalgebra::{Unit, UnitQuaternion};
 
 use crate::Axes;
 
-/// Mass, and inertia about the axes of the body's frame, through its centre of mass.
+/// Mass, and moments of inertia about the axes of the body frame through its centre of mass.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Inertia {
     pub(super) mass_kg: f64,
@@ -37,7 +37,7 @@ impl Load {
     }
 }
 
-/// How a body changes: `x'`, `v'`, the body's rotation vector since the step began, `L'`.
+/// Rates of a body: `x'`, `v'`, that of its rotation vector since the start of the step, `L'`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Rate {
     position: Axes<3>,
@@ -61,9 +61,9 @@ impl Rigid {
             + 0.5 * self.momentum.dot(&self.angular_velocity(inertia))
     }
 
-    /// How it changes under a load, having turned by `turn` since the step began.
+    /// Rates under a load, after a rotation by `turn` since the start of the step.
     ///
-    /// `Theta' = w + Theta x w / 2 + Theta x (Theta x w) / 12`, of `R exp(Theta)`, with w in the body's frame.
+    /// `Theta' = w + Theta x w / 2 + Theta x (Theta x w) / 12`, for `R exp(Theta)`, with w in the body frame.
     ///
     /// Source: Munthe-Kaas 1998, section 4, the terms of `dexp^-1` that order 4 needs.
     pub(super) fn rate(&self, inertia: &Inertia, load: &Load, turn: &Axes<3>) -> Rate {
@@ -77,7 +77,7 @@ impl Rigid {
         }
     }
 
-    /// The state `step` s after this one at a rate, and the turn of the body until then.
+    /// State `step` s after this one at constant rates, and the rotation of the body until then.
     pub(super) fn after(&self, rate: &Rate, step: f64) -> (Self, Axes<3>) {
         let turn = rate.turn * step;
         let orientation = self.orientation * UnitQuaternion::from_scaled_axis(turn);
@@ -91,7 +91,7 @@ impl Rigid {
     }
 }
 
-/// The mean of the four rates of Runge and Kutta.
+/// Weighted mean of the four Runge-Kutta rates.
 pub(super) fn mean(rates: &[Rate; 4]) -> Rate {
     let of = |part: fn(&Rate) -> Axes<3>| {
         let [a, b, c, d] = rates.each_ref().map(part);

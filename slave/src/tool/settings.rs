@@ -1,10 +1,10 @@
-//! A tool that turns and its world as the tables of a scene have them.
+//! A tool that rotates and its world, as in the tables of a scene.
 
 use nalgebra::{Quaternion, Unit, UnitQuaternion};
 
 use crate::{Axes, ContactSettings, ModelError, ObjectSettings, PusherSettings, require, require_axes};
 
-/// `[slave.tool]`: a rigid tool that an arm turns; mass, stiffness and damping of its point are those of the arm.
+/// `[slave.tool]`: a rigid tool on an arm with rotation; mass, stiffness and damping of its point are those of the arm.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct ToolSettings {
@@ -15,19 +15,19 @@ pub struct ToolSettings {
     pub rotational_stiffness: f64,
     /// `b_r` in N m s/rad (>= 0).
     pub rotational_damping: f64,
-    /// Fastest that the set orientation turns, in rad/s (> 0); none without a bound.
+    /// Speed limit of the set orientation in rad/s (> 0); none without a limit.
     pub max_angular_speed: Option<f64>,
-    /// How it is turned at the start, unit quaternion w, x, y, z.
+    /// Initial orientation, unit quaternion w, x, y, z.
     pub quat_wxyz: [f64; 4],
-    /// Points of it that touch, in m in its own frame.
+    /// Contact points, in m in the tool frame.
     pub points: Vec<[f64; 3]>,
-    /// Between the open jaws along the tool's x axis, in m (> 0).
+    /// Distance between the open jaws along the tool's x axis, in m (> 0).
     pub jaw_width_m: f64,
     /// Coefficient of friction at the jaws (>= 0).
     pub jaw_friction: f64,
-    /// How the jaws hold, in N/m (> 0).
+    /// Stiffness of the hold between the jaws, in N/m (> 0).
     pub jaw_stiffness: f64,
-    /// Radius in m of a jaw's pad, at which friction withstands moments (> 0).
+    /// Radius in m of a jaw's pad, at which friction resists moments (> 0).
     pub jaw_radius_m: f64,
 }
 
@@ -35,9 +35,9 @@ pub struct ToolSettings {
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct HoleSettings {
-    /// Middle of its entrance, in m.
+    /// Centre of its entrance, in m.
     pub entrance: [f64; 3],
-    /// Its axis, out of the material, of any length but 0.
+    /// Its axis, pointing out of the material, with nonzero length.
     pub axis: [f64; 3],
     /// In m (> 0).
     pub radius: f64,
@@ -45,21 +45,21 @@ pub struct HoleSettings {
     pub depth: f64,
     /// Height in m of a chamfer of 45 degrees (>= 0).
     pub chamfer_m: f64,
-    /// How it resists.
+    /// Its contact law.
     pub contact: ContactSettings,
 }
 
-/// `[[environment.handles]]`: what turns about one axis, as a valve, a crank or a door.
+/// `[[environment.handles]]`: an object that turns about one axis, such as a valve, a crank or a door.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct HandleSettings {
     /// A point on its axis, in m.
     pub point: [f64; 3],
-    /// Its axis, of any length but 0.
+    /// Its axis, with nonzero length.
     pub axis: [f64; 3],
-    /// Where it is gripped while its angle is 0, in m.
+    /// Grip point at angle 0, in m.
     pub grip: [f64; 3],
-    /// How near in m the tool point must be to hold it (> 0).
+    /// Distance in m within which the tool point can hold it (> 0).
     pub reach_m: f64,
     /// Its width in m between the jaws (>= 0).
     pub width_m: f64,
@@ -67,19 +67,19 @@ pub struct HandleSettings {
     pub inertia_kg_m2: f64,
     /// b in N m s/rad (>= 0).
     pub viscous: f64,
-    /// c in N m (>= 0), in full above 0.01 rad/s.
+    /// c in N m (>= 0), fully developed above 0.01 rad/s.
     pub coulomb: f64,
-    /// Of a spring that turns it back to 0, in N m/rad (>= 0).
+    /// Stiffness in N m/rad of a spring that returns it to 0 (>= 0).
     pub stiffness: f64,
     /// Lower and upper stop in rad.
     pub stops_rad: [f64; 2],
-    /// Of a tool that holds it without jaws, or with them: in N/m (> 0).
+    /// Stiffness in N/m of the hold by a tool with or without jaws (> 0).
     pub hold_stiffness: f64,
-    /// In N m/rad (>= 0).
+    /// Rotational stiffness of the hold in N m/rad (>= 0).
     pub hold_rotational_stiffness: f64,
 }
 
-/// `[[environment.bodies]]`: a box that lies on what is touched, and that jaws can hold.
+/// `[[environment.bodies]]`: a box that rests on surfaces and that jaws can hold.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Deserialize, schemars::JsonSchema), serde(deny_unknown_fields))]
 pub struct RigidBodySettings {
@@ -87,22 +87,22 @@ pub struct RigidBodySettings {
     pub mass_kg: f64,
     /// Half of its size in m (> 0).
     pub half_extents: [f64; 3],
-    /// Where its middle begins, in m.
+    /// Initial position of its centre, in m.
     pub position: [f64; 3],
-    /// How it is turned at the start, unit quaternion w, x, y, z.
+    /// Initial orientation, unit quaternion w, x, y, z.
     pub quat_wxyz: [f64; 4],
     /// Gravity along -z, in m/s² (>= 0).
     pub gravity: f64,
 }
 
-/// What surrounds a tool.
+/// Surroundings of a tool.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ToolWorldSettings {
-    /// What is touched.
+    /// Objects that it may touch.
     pub objects: Vec<ObjectSettings<3>>,
     /// Forces on the tool point.
     pub pushers: Vec<PusherSettings<3>>,
-    /// Torques on the tool, in N m where a pusher has N.
+    /// Torques on the tool; force values of a pusher are in N m here.
     pub torques: Vec<PusherSettings<3>>,
     /// Holes.
     pub holes: Vec<HoleSettings>,
@@ -112,7 +112,7 @@ pub struct ToolWorldSettings {
     pub bodies: Vec<RigidBodySettings>,
 }
 
-/// How far the norm of a quaternion that somebody wrote may be from 1.
+/// Allowed deviation of the norm of a given quaternion from 1.
 const UNIT: f64 = 1e-6;
 
 pub(super) fn orientation(
@@ -149,7 +149,7 @@ pub(super) fn non_negative(name: &'static str, value: f64) -> Result<f64, ModelE
 }
 
 impl ToolSettings {
-    /// Refuse what no tool can have.
+    /// Reject invalid settings.
     pub(super) fn check(&self) -> Result<(), ModelError> {
         require_axes("tool inertia_kg_m2", &self.inertia_kg_m2, |one| one > 0.0, "finite and above 0")?;
         non_negative("tool rotational_stiffness", self.rotational_stiffness)?;

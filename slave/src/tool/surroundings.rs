@@ -1,4 +1,4 @@
-//! What a point of a rigid body touches: objects of a scene, and holes.
+//! Surroundings of the points of a rigid body: objects of a scene, and holes.
 
 use nalgebra::Unit;
 
@@ -7,9 +7,9 @@ use crate::{Axes, Contact, FULL_SLIP, ModelError, Object, ObjectSettings};
 
 /// A round hole in a half space, with a chamfer.
 ///
-/// At depth s below the entrance, `rho` from the axis, a point is `s` deep in the half space and `rho - r` deep in the
-/// wall of the hole, `(rho - r - h + s) / sqrt 2` in its chamfer of height h, `s - depth` in its bottom. It is pushed
-/// out the nearest way.
+/// A point at depth s below the entrance and at distance `rho` from the axis is `s` deep in the half space. Its depth
+/// is `rho - r` in the wall of the hole, `(rho - r - h + s) / sqrt 2` in the chamfer of height h and `s - depth` in the
+/// bottom. It is pushed out along the shortest way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Hole {
     entrance: Axes<3>,
@@ -32,7 +32,7 @@ impl Hole {
         })
     }
 
-    /// How deep in the material a point is (> 0 inside), and the way out.
+    /// Depth of a point in the material (> 0 inside), and the direction out of it.
     fn surface(&self, point: &Axes<3>) -> (f64, Axes<3>) {
         let from = point - self.entrance;
         let s = -from.dot(&self.axis);
@@ -45,13 +45,13 @@ impl Hole {
         let side = if s < self.chamfer && slope.0 < wall.0 { slope } else { wall };
         let top = (s, self.axis.into_inner());
         if side.0 <= 0.0 {
-            // In the opening: only the bottom is there.
+            // In the opening there is only the bottom.
             return (s - self.depth, self.axis.into_inner());
         }
         if side.0 < top.0 { side } else { top }
     }
 
-    /// How deep a point is below the entrance, in m; below 0 outside, and zero beside the opening.
+    /// Depth of a point below the entrance, in m; negative outside, and zero beside the opening.
     pub(super) fn depth_of(&self, point: &Axes<3>) -> f64 {
         let from = point - self.entrance;
         let s = -from.dot(&self.axis);
@@ -60,7 +60,7 @@ impl Hole {
     }
 }
 
-/// What is there to be touched.
+/// Objects and holes that can be touched.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Surroundings {
     objects: Vec<Object<3>>,
@@ -81,7 +81,7 @@ impl Surroundings {
         })
     }
 
-    /// K and B in N/m and N s/m of the stiffest.
+    /// K in N/m and B in N s/m of the stiffest contact.
     pub(super) fn stiffest(&self) -> (f64, f64) {
         let contacts =
             self.objects.iter().map(Object::contact).chain(self.holes.iter().map(|hole| &hole.contact));
@@ -90,13 +90,13 @@ impl Surroundings {
             .fold((0.0, 0.0), |(k, b), (stiffness, damping)| (stiffness.max(k), damping.max(b)))
     }
 
-    /// First time in s after t at which the motion of an object jumps.
+    /// First time in s after t at which the velocity of an object jumps.
     pub(super) fn next_kink(&self, t: f64) -> f64 {
         self.objects.iter().map(|object| object.next_kink(t)).fold(f64::INFINITY, f64::min)
     }
 
-    /// Force in N on a point in m that moves with a velocity in m/s, at t in s, on the smooth piece of the objects' motion
-    /// that holds at time `piece`; and whether it is inside of something.
+    /// Force in N on a point in m that moves with a velocity in m/s, at t in s, on the smooth piece of the objects'
+    /// motion valid at time `piece`. The flag is true if the point is inside an object.
     pub(super) fn force(&self, point: &Axes<3>, velocity: &Axes<3>, piece: f64, t: f64) -> (Axes<3>, bool) {
         let (mut force, mut touches) = (Axes::zeros(), false);
         for object in &self.objects {
@@ -124,7 +124,7 @@ impl Surroundings {
     }
 }
 
-/// Of a surface on a point that is `depth` in m inside, and moves with `velocity` in m/s relative to it.
+/// Force of a surface on a point `depth` in m inside it, at `velocity` in m/s relative to it.
 ///
 /// `F_n = max(0, law)`, `F_t = -mu_f F_n v_t / max(|v_t|, 1 mm/s)`.
 fn reaction(contact: &Contact, depth: f64, normal: &Axes<3>, velocity: &Axes<3>) -> Axes<3> {

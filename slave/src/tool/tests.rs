@@ -94,7 +94,7 @@ fn handle() -> HandleSettings {
     }
 }
 
-/// 0.5 kg, 4 cm wide.
+/// A box of 0.5 kg, 4 cm wide.
 fn brick(gravity: f64) -> RigidBodySettings {
     let (position, quat_wxyz) = ([0.0; 3], UPRIGHT);
     RigidBodySettings { mass_kg: 0.5, half_extents: [0.02, 0.02, 0.03], position, quat_wxyz, gravity }
@@ -115,7 +115,7 @@ fn nothing() -> ToolWorldSettings {
     ToolWorldSettings::default()
 }
 
-/// A tool so heavy that it stays, and a body between its jaws.
+/// A tool with a mass that keeps it at rest, and a body between its jaws.
 fn gripping(gravity: f64) -> SimulatedTool {
     let (arm, settings) = free([1e3; 3], vec![[0.0; 3]]);
     let world = ToolWorldSettings { bodies: vec![brick(gravity)], ..nothing() };
@@ -185,7 +185,7 @@ fn the_set_pose_keeps_within_its_speeds() {
         (fastest, turning) =
             (fastest.max(sample.velocity.norm()), turning.max(sample.angular_velocity.norm()));
     }
-    // The set pose goes in steps of a tick: a ripple of (p h)^2 / 8 = 4.5e-4 of the speed.
+    // The set pose advances in steps of a tick: a ripple of (p h)^2 / 8 = 4.5e-4 of the speed.
     assert!((fastest / 0.1 - 1.0).abs() < 1e-3 && (turning / 0.5 - 1.0).abs() < 1e-3, "{fastest} {turning}");
     let (rest, turned) = tool.stop();
     assert_eq!(tool.stop(), (rest, turned));
@@ -193,8 +193,8 @@ fn the_set_pose_keeps_within_its_speeds() {
     assert!((sample.position - rest).norm() < 1e-9 && sample.orientation.angle_to(&turned) < 1e-7);
 }
 
-/// `I phi'' = tau(t)` and `m x'' = f(t)` of a tool that nothing else moves, wherever in a tick the push begins, has risen
-/// and ends: both are cubic in time between these, which order 4 integrates to rounding.
+/// `I phi'' = tau(t)` and `m x'' = f(t)` of a tool under pushes only, which may start, end their rise and stop anywhere
+/// in a tick. Both are cubic in time between these instants, and order 4 integrates a cubic to rounding.
 #[test]
 fn pushes_and_torques_begin_and_end_by_the_closed_form() {
     for (at_s, rise_s, duration_s, started_ns) in [
@@ -207,7 +207,7 @@ fn pushes_and_torques_begin_and_end_by_the_closed_form() {
         (0.0102, 0.0003, 0.0005, 0),
     ] {
         for shape in [PushKind::Ramp, PushKind::Recorded] {
-            // A recorded push is the same ramp.
+            // The recorded push is the same ramp.
             let (time_s, rows) = (vec![0.0, rise_s], |most: V| vec![V::zeros(), most]);
             if shape == PushKind::Recorded && rise_s == 0.0 {
                 continue;
@@ -221,7 +221,7 @@ fn pushes_and_torques_begin_and_end_by_the_closed_form() {
             let world = ToolWorldSettings { pushers, torques, ..nothing() };
             let mut tool = SimulatedTool::new(&arm, &settings, &world, 0).unwrap();
             tool.start(started_ns);
-            // Angle and rate for an acceleration of 1.
+            // Angle and rate for a unit acceleration.
             let rising = |s: f64| [s.powi(3) / (6.0 * rise_s), s * s / (2.0 * rise_s)];
             let goes_on = |[angle, rate]: [f64; 2], s: f64, push: f64| {
                 [angle + rate * s + 0.5 * push * s * s, rate + push * s]
@@ -244,7 +244,7 @@ fn pushes_and_torques_begin_and_end_by_the_closed_form() {
     }
 }
 
-/// A spring whose other end sets off at a velocity u: `x = u (s - sin(o s) / o)` after s, wherever in a tick it sets off.
+/// A spring whose other end starts to move at a velocity u anywhere in a tick: `x = u (s - sin(o s) / o)` after s.
 #[test]
 fn a_spring_sets_off_by_the_closed_form() {
     let (rate, speed) = (50.0, 0.1);
@@ -267,13 +267,14 @@ fn a_spring_sets_off_by_the_closed_form() {
         for tick in 1..=100 {
             let (sample, since) = (tool.read(tick * MS), (tick as f64 * 1e-3 - from_s).max(0.0));
             let off = sample.position.x - speed * (since - (rate * since).sin() / rate);
-            // Order 4 with z = 0.05: z^4 / 120 of the swing for each rad of phase.
+            // Order 4 with z = 0.05: z^4 / 120 of the swing per rad of phase.
             assert!(off.abs() < 5.2e-8 * speed / rate * (rate * since + 0.05), "{from_s} {tick}: {off:e}");
         }
     }
 }
 
-/// `theta = (theta_0 -+ c/k) cos(w t) +- c/k` between turns: each half swing loses `2 c / k`, until `k |theta| <= c`.
+/// `theta = (theta_0 -+ c/k) cos(w t) +- c/k` between reversals. Each half swing loses `2 c / k`, until
+/// `k |theta| <= c`.
 #[test]
 fn a_handle_on_a_spring_swings_and_sticks_by_the_closed_form() {
     // Five half swings of pi / 4 s, or one.
@@ -290,8 +291,8 @@ fn a_handle_on_a_spring_swings_and_sticks_by_the_closed_form() {
             let phase = rate * n as f64 * 1e-3 - half * std::f64::consts::PI;
             let peak = 1.0 - 2.0 * dead * half;
             let expected = sign * ((peak - dead) * phase.cos() + dead);
-            // Below 0.01 rad/s friction is not in full: of a turn 0.005 c / (k theta - c) rad/s are missing, by rate of
-            // the angle; c = k theta - c at the last of them.
+            // Below 0.01 rad/s friction is reduced. A reversal lacks 0.005 c / (k theta - c) rad/s, divided by the rate
+            // for the angle; c = k theta - c at the last one.
             assert!((tool.handle(0).unwrap()[0] - expected).abs() < 0.005 / rate, "{coulomb} {n}");
         }
         if until == 785 {
@@ -303,7 +304,7 @@ fn a_handle_on_a_spring_swings_and_sticks_by_the_closed_form() {
     }
 }
 
-/// A constant torque presses it against a stop: `(theta - stop) 500 = tau - k theta`; and the stop never pulls.
+/// A constant torque presses it against a stop: `(theta - stop) 500 = tau - k theta`. The stop never pulls.
 #[test]
 fn a_handle_stays_within_its_stops() {
     let world =
@@ -317,8 +318,8 @@ fn a_handle_stays_within_its_stops() {
             tool.read(now_ns);
             furthest = furthest.max(tool.handle(0).unwrap()[0] * sign);
         }
-        // Critically damped from speed v: deepest at v / (e w) = 4.9e-3 rad, and it is let go of, not flung back.
-        // Within the step of 1 ms in which it is met its damper, 2 p v in rad/s^2, may be missing: p v h^2 = 6.7e-4 rad.
+        // Critically damped from speed v: deepest at v / (e w) = 4.9e-3 rad, and the handle is released without
+        // rebound. In the 1 ms step of the impact its damper, 2 p v in rad/s^2, may be missing: p v h^2 = 6.7e-4 rad.
         let rate = (500.0_f64 / 0.01).sqrt();
         let late = rate * 3.0 * 1e-6;
         let deepest = 3.0 / (1_f64.exp() * rate);
@@ -331,7 +332,7 @@ fn a_handle_stays_within_its_stops() {
     }
 }
 
-/// A tool that is held to a handle turns it; at rest the torque of the tool is `k theta`.
+/// A tool that holds a handle turns it; at rest the torque of the tool is `k theta`.
 #[test]
 fn a_held_handle_turns_with_the_tool() {
     let world = ToolWorldSettings { handles: vec![handle()], ..nothing() };
@@ -342,7 +343,7 @@ fn a_held_handle_turns_with_the_tool() {
     tool.write(&(to * V::x() * 0.1), &V::zeros());
     let sample = tool.read(2000 * MS);
     let [angle, _] = tool.handle(0).unwrap();
-    // The servo yields k / (K r^2 + k_r) = 0.16 / 16.1 rad, and the hold a little.
+    // The servo yields k / (K r^2 + k_r) = 0.16 / 16.1 rad, and the hold yields a little.
     assert!((0.985..0.991).contains(&angle), "{angle}");
     let about_axis = (sample.position.cross(&sample.force) + sample.torque).z;
     assert!((about_axis + 0.16 * angle).abs() < 1e-9, "{about_axis} {angle}");
@@ -366,7 +367,7 @@ fn a_tilted_tool_on_a_plane_has_the_moment_of_its_contacts() {
         }
         assert!(tool.touches() && force.z > 0.1 && torque.norm() > 1e-3);
         assert!((sample.force - force).norm() < 1e-6 && (sample.torque - torque).norm() < 1e-7);
-        // At rest the servo balances it.
+        // At rest the servo balances the contact force.
         assert!((sample.force.z - 1250.0 * (sample.position.z + 1e-3)).abs() < 1e-6);
         let back = settings::orientation("", quat_wxyz).unwrap();
         let turned = (back * sample.orientation.inverse()).scaled_axis();
@@ -383,7 +384,7 @@ fn a_sliding_box_is_slowed_by_friction() {
     tool.read(100 * MS);
     tool.motion.bodies[0].velocity.x = 1.0;
     tool.read(200 * MS);
-    // It may rock a little at the start; 2 % of 0.294 m/s.
+    // The box may rock a little at the start; 2 % of 0.294 m/s.
     let v = tool.motion.bodies[0].velocity;
     assert!((v.x - (1.0 - 0.3 * 9.81 * 0.1)).abs() < 6e-3, "{v}");
     tool.read(700 * MS);
@@ -391,7 +392,7 @@ fn a_sliding_box_is_slowed_by_friction() {
 }
 
 #[test]
-fn what_the_jaws_hold_slips_at_the_cone() {
+fn held_body_slips_at_the_friction_cone() {
     for (share, slips) in [(0.95, false), (1.05, true)] {
         let mut tool = gripping(9.81);
         let meet = tool.between_jaws().unwrap();
@@ -404,7 +405,7 @@ fn what_the_jaws_hold_slips_at_the_cone() {
             speeds = if tick == 100 { [tool.motion.bodies[0].velocity.norm(); 2] } else { speeds };
         }
         speeds[1] = tool.motion.bodies[0].velocity.norm();
-        // What the sudden load began has ended after 100 ms.
+        // The transient of the sudden load has ended after 100 ms.
         let expected = if slips { (1.0 - 1.0 / share) * 9.81 * 0.1 } else { 0.0 };
         assert!((speeds[1] - speeds[0] - expected).abs() < 1e-3, "{share}: {speeds:?} {expected}");
         assert!(tool.holds() && (slips || speeds[1] < 1e-3), "{speeds:?}");
@@ -419,7 +420,7 @@ fn a_slipping_body_is_slowed_by_the_jaws_alone() {
     let moment = tool.world.bodies[0].inertia.moments.z;
     tool.motion.bodies[0].velocity.y = 1.0;
     tool.motion.bodies[0].momentum.z = moment * 20.0;
-    // Before it has slipped out of them.
+    // Before the body has slipped out of the jaws.
     tool.read(20 * MS);
     let body = &tool.motion.bodies[0];
     let (v, w) = (1.0 - 1.0 / 0.5 * 0.02, 20.0 - 0.01 / moment * 0.02);
@@ -458,13 +459,13 @@ fn gripped_forces_cancel() {
     }
     let after = momenta(&tool);
     assert!((after[0] - before[0]).norm() < 1e-12, "{before:?} {after:?}");
-    // Position and velocity are stepped to order 4, with 200 rad/s h = 0.2: (0.2)^5 / 120 of each step that swings.
+    // Position and velocity are integrated to order 4, with 200 rad/s h = 0.2: (0.2)^5 / 120 of each oscillating step.
     assert!((after[1] - before[1]).norm() < 1e-5, "{before:?} {after:?}");
     assert!(tool.motion.bodies[0].velocity.norm() > 0.1 && tool.kinetic_energy_j() < energy);
 }
 
 #[test]
-fn a_peg_in_a_hole_feels_what_lies_beyond_its_clearance() {
+fn a_peg_in_a_hole_is_loaded_beyond_its_clearance() {
     let ring = |z: f64| [[0.01, 0.0, z], [-0.01, 0.0, z], [0.0, 0.01, z], [0.0, -0.01, z]];
     let points = [ring(0.0), ring(-0.02)].concat();
     let world = ToolWorldSettings { holes: vec![hole(0.0101, 0.0)], ..nothing() };
@@ -473,7 +474,7 @@ fn a_peg_in_a_hole_feels_what_lies_beyond_its_clearance() {
     };
     for (x, expected) in [(0.0, 0.0), (0.9e-4, 0.0), (3e-4, -2e4 * 2e-4 * 2.0)] {
         let sample = measured(x, 0.0);
-        // Points across the offset lie 5 um further out at most: x² / (2 r).
+        // Points across the offset lie at most 5 um further out: x² / (2 r).
         assert!((sample.force.x - expected).abs() < 1e-9 && sample.force.yz().norm() < 1e-9, "{sample:?}");
         assert!((sample.torque.y - expected * -0.01).abs() < 1e-10);
     }
@@ -501,7 +502,7 @@ fn a_tilted_peg_has_the_moment_of_two_points() {
     let expected = -2.0 * 2e4 * depth * arm;
     assert!(sample.force.norm() < 1e-9, "{sample:?}");
     assert!((sample.torque - V::y() * expected).norm() < 1e-9, "{} {expected}", sample.torque);
-    // And it stays finite where the servo presses it.
+    // The state stays finite while the servo presses.
     let sample = tool.read(1000 * MS);
     assert!(sample.velocity.norm() < 1e-6 && sample.angular_velocity.norm() < 1e-6, "{sample:?}");
     tool.world(&mut |name, depths| assert!(name == "hole_depth" && (0.03..0.05).contains(&depths[0])));
@@ -543,7 +544,7 @@ fn torques_and_pushers_begin_once() {
 }
 
 #[test]
-fn what_is_no_number_changes_nothing() {
+fn nan_and_infinity_change_nothing() {
     let world = ToolWorldSettings { bodies: vec![brick(0.0)], ..nothing() };
     let mut one = tool(&servoed(vec![[0.0; 3]]), &world);
     one.grip(0.5, 30.0);
@@ -555,7 +556,7 @@ fn what_is_no_number_changes_nothing() {
     one.grip(f64::NAN, 1.0);
     one.grip(0.0, f64::INFINITY);
     assert_eq!(one, before);
-    // A velocity that is none is no velocity.
+    // An invalid velocity counts as zero.
     one.write_rotation(&turned, &nan);
     one.write(&V::x(), &nan);
     let mut other = before.clone();
@@ -567,7 +568,7 @@ fn what_is_no_number_changes_nothing() {
 }
 
 #[test]
-fn settings_that_nothing_can_have_are_refused() {
+fn invalid_settings_are_refused() {
     let good = || servoed(vec![[0.0; 3]]);
     let refused = |name: &str, (arm, tool): Made, world: ToolWorldSettings| {
         let error = SimulatedTool::new(&arm, &tool, &world, 0).unwrap_err();
@@ -617,7 +618,7 @@ fn vector(size: f64) -> impl Strategy<Value = V> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// A turned world with a turned tool moves as the turned motion does.
+    /// Rotating the world and the tool rotates the motion.
     #[test]
     fn no_frame_is_preferred(axis in vector(3.0), v in vector(0.3), w in vector(5.0)) {
         let c = UnitQuaternion::from_scaled_axis(axis);
@@ -653,7 +654,7 @@ proptest! {
         for tick in 1..=300 {
             tool.read(tick * MS);
             let now = tool.kinetic_energy_j();
-            // Only springs of contacts take and give; a contact that begins within a step is seen late.
+            // Only contact springs exchange energy; a contact that starts within a step is detected late.
             prop_assert!(now <= most * (1.0 + 1e-3), "{tick}: {most} {now}");
         }
     }

@@ -1,4 +1,4 @@
-//! All that surrounds and leads a tool: what acts on it and on what it holds.
+//! Servo and surroundings of a tool: the forces on the tool and on held objects.
 
 use nalgebra::UnitQuaternion;
 
@@ -11,14 +11,14 @@ use super::{
 };
 use crate::{Axes, FULL_SLIP, Pusher};
 
-/// What the servo leads the tool to.
+/// Set pose of the servo.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct SetPose {
     pub(super) position: Axes<3>,
     pub(super) velocity: Axes<3>,
     pub(super) orientation: UnitQuaternion<f64>,
     pub(super) angular_velocity: Axes<3>,
-    /// When it was set, in s.
+    /// Time at which it was set, in s.
     pub(super) at_s: f64,
 }
 
@@ -41,7 +41,7 @@ pub(super) struct Servo {
     pub(super) max_angular_speed: f64,
 }
 
-/// All that moves.
+/// State of everything that moves.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Motion {
     pub(super) tool: Rigid,
@@ -50,25 +50,25 @@ pub(super) struct Motion {
     pub(super) handles: Vec<[f64; 2]>,
 }
 
-/// What acts on all that moves.
+/// Loads on everything that moves.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Loads {
     pub(super) tool: Load,
-    /// What of it is not the servo's.
+    /// The part of the tool's load that is not from the servo.
     pub(super) environment: Load,
     pub(super) bodies: Vec<Load>,
     pub(super) handles: Vec<f64>,
     pub(super) touches: bool,
 }
 
-/// What the tool holds.
+/// Object held by the tool.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Held {
     Handle(usize, Hold),
     Body(usize, Hold),
 }
 
-/// What does not move by itself, and how all is bound.
+/// Everything without its own state, and the couplings.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct World {
     pub(super) servo: Servo,
@@ -81,14 +81,14 @@ pub(super) struct World {
     pub(super) bodies: Vec<Body>,
     pub(super) jaw_stiffness: Stiffness,
     pub(super) held: Option<Held>,
-    /// Of the jaws, where there are any.
+    /// Grip of the jaws, if there are any.
     pub(super) grip: Option<Grip>,
-    /// When the time of pushers and torques begins, in s; infinity before they start.
+    /// Origin of the time of pushers and torques, in s; infinity before they start.
     pub(super) push_from: f64,
 }
 
 impl World {
-    /// In rad/s, at which the stiffest part swings or is damped, all points and corners in contact at once.
+    /// Rate in rad/s of the stiffest part, oscillating or damped, with all points and corners in contact at once.
     pub(super) fn rate(&self) -> f64 {
         let (contact, damping) = self.surroundings.stiffest();
         let swings =
@@ -119,7 +119,7 @@ impl World {
         for body in &self.bodies {
             let Inertia { mass_kg, moments } = body.inertia;
             let lever = 8.0 * body.half_extents.norm_squared();
-            // Friction of its own weight below full slip.
+            // Friction under its own weight below full slip.
             let sliding = body.gravity / FULL_SLIP;
             rate = rate
                 .max(swings(8.0 * contact + most.0, 8.0 * damping + most.1, mass_kg))
@@ -153,14 +153,14 @@ impl World {
         Frame { position, velocity, orientation, angular_velocity }
     }
 
-    /// First time in s after t at which a push, a torque or the motion of an object jumps or bends.
+    /// First time in s after t at which a push, a torque or the motion of an object has a kink.
     pub(super) fn next_kink(&self, t: f64) -> f64 {
         let pushers = self.pushers.iter().chain(&self.torques);
         let pushed = pushers.map(|pusher| pusher.next_kink(t - self.push_from) + self.push_from);
         pushed.fold(self.surroundings.next_kink(t), f64::min)
     }
 
-    /// All that acts at t in s, on the smooth piece that holds at time `piece`.
+    /// All loads at t in s, on the smooth piece valid at time `piece`.
     pub(super) fn loads(&self, motion: &Motion, set: &SetPose, piece: f64, t: f64, loads: &mut Loads) {
         let tool = self.tool_frame(motion);
         let Loads { environment, bodies, handles, touches, .. } = loads;
@@ -218,7 +218,7 @@ impl World {
         };
     }
 
-    /// Gravity, and what a box lies on with its corners.
+    /// Gravity, and the contacts of the corners of a box.
     pub(super) fn lying(&self, body: &Body, frame: &Frame, piece: f64, t: f64) -> Load {
         let mut load = Load::default();
         load.force[2] = -body.inertia.mass_kg * body.gravity;
@@ -233,7 +233,7 @@ impl World {
         load
     }
 
-    /// Let what the jaws cannot keep slip, and go where it has slipped out of them.
+    /// Let a held object slip beyond the grip of the jaws; release it once it has slipped out.
     pub(super) fn slip(&mut self, motion: &Motion) {
         let (Some(grip), Some(held)) = (self.grip, self.held) else { return };
         let tool = self.tool_frame(motion);

@@ -1,5 +1,5 @@
 //! The chain of a UR arm: Denavit-Hartenberg rows, poses of the flange, and a Newton iteration from a posture of the
-//! model to one of this unit.
+//! model to a posture of the unit.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -22,7 +22,7 @@ pub struct UrRows {
     pub alpha: [f64; 6],
 }
 
-/// The six lengths in which UR arms differ, m.
+/// The six lengths in which UR arms differ, in m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct UrLengths {
     pub(crate) d1: f64,
@@ -34,7 +34,8 @@ pub(crate) struct UrLengths {
 }
 
 impl UrRows {
-    /// The lengths, if all else is as in every UR arm: the closed form needs its axes exactly parallel and square.
+    /// The lengths, if the other parameters are those of every UR arm: the closed form needs exactly parallel and
+    /// perpendicular axes.
     pub(crate) fn lengths(&self) -> Result<UrLengths, ModelError> {
         let twists = [FRAC_PI_2, 0.0, 0.0, FRAC_PI_2, -FRAC_PI_2, 0.0];
         for (&seen, &twist) in self.alpha.iter().zip(&twists) {
@@ -71,29 +72,29 @@ impl UrRows {
     }
 }
 
-/// Where a frame is in another, m.
+/// Pose of a frame in another frame, in m.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UrPose {
     pub(crate) rotation: Matrix3<f64>,
     pub(crate) place: Vector3<f64>,
 }
 
-/// How far a matrix may be from a rotation: single precision passes, what was never a rotation does not.
+/// Allowed deviation of a matrix from a rotation: passes single precision and rejects other matrices.
 const NOT_ROTATION: f64 = 1e-6;
-/// What is left of that by double precision.
+/// Deviation below which a matrix is a rotation to double precision.
 const ROUNDED: f64 = 1e-14;
 
 impl UrPose {
-    /// From the upper three rows of a homogeneous transform, row after row.
+    /// Pose from the upper three rows of a homogeneous transform, row by row.
     ///
     /// A matrix that is a rotation to single precision is moved to the nearest one.
     ///
-    /// Source: N. J. Higham, "Computing the Polar Decomposition", SIAM J. Sci. Stat. Comput. 7(4), 1986, for
-    /// Newton's iteration in the form without an inverse.
+    /// Source: N. J. Higham, "Computing the Polar Decomposition", SIAM J. Sci. Stat. Comput. 7(4), 1986, for Newton's
+    /// iteration in the form without an inverse.
     ///
     /// # Errors
     ///
-    /// A number that is not finite, or no rotation within 1e-6.
+    /// A number is not finite, or the matrix is not a rotation within 1e-6.
     pub fn from_rows(rows: &[[f64; 4]; 3]) -> Result<Self, ModelError> {
         for &seen in rows.iter().flatten() {
             if !seen.is_finite() {
@@ -109,7 +110,7 @@ impl UrPose {
             return Err(ModelError { name: "R'R - 1 of the pose", seen, allowed });
         }
         if seen > ROUNDED {
-            // Each step squares what it is off by.
+            // Each step squares the deviation.
             for _ in 0..2 {
                 rotation = rotation * (Matrix3::identity() * 1.5 - rotation.transpose() * rotation * 0.5);
             }
@@ -117,13 +118,13 @@ impl UrPose {
         Ok(Self { rotation, place })
     }
 
-    /// This frame's child in this frame's parent: `a_from_b.then(&b_from_c)` is `a_from_c`.
+    /// Composition: `a_from_b.then(&b_from_c)` is `a_from_c`.
     #[must_use]
     pub fn then(&self, child: &Self) -> Self {
         Self { rotation: self.rotation * child.rotation, place: self.rotation * child.place + self.place }
     }
 
-    /// The parent in this frame.
+    /// Inverse pose: the parent in this frame.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.transpose();
@@ -131,16 +132,16 @@ impl UrPose {
     }
 }
 
-/// What a posture may be off by, in m and rad: a hundredth of what rounding leaves of common normals at 446 m would be
-/// asking too much, and 1e-12 is what is promised.
+/// Allowed error of a posture, in m and rad. The guarantee is 1e-12; rounding of common normals at 446 m makes a
+/// hundredth of this value unattainable.
 pub(crate) const CLOSE: f64 = 5e-13;
-/// Where nothing is left to be gained.
+/// Error below which refinement gains nothing.
 const REFINED: f64 = 2e-14;
-/// A simple root takes 3 to 5; where two branches meet, each step halves the distance: 2^-30 of 1 rad.
+/// A simple root takes 3 to 5 steps. Where two branches meet, each step halves the distance: 2^-30 of 1 rad.
 const MAX_STEPS: usize = 40;
-/// Steps that may fail to halve what a posture is off by, one after the other.
+/// Consecutive steps that may fail to halve the error.
 const MAX_IDLE: usize = 12;
-/// Longest step of a joint, rad: farther, the chain is no longer as straight as a step takes it to be.
+/// Longest step of a joint, in rad; the linearisation does not hold beyond.
 const LONGEST: f64 = 0.5;
 
 /// The chain of one unit.
@@ -186,15 +187,15 @@ impl UrChain {
         (UrPose { rotation, place }, jacobian)
     }
 
-    /// Whether each coordinate of the flange is within `limit`, in m or rad, of `target`.
+    /// True if each coordinate of the flange is within `limit`, in m or rad, of `target`.
     pub(crate) fn is_within(&self, target: &UrPose, q: &[f64; 6], limit: f64) -> bool {
         difference(target, &self.forward(q).0).amax() < limit
     }
 
-    /// The posture near `start` that has the flange at `target`, or how far off it ends.
+    /// Posture near `start` with the flange at `target`, or the remaining error.
     ///
-    /// Steps of Levenberg and Marquardt, `(J'J + |e|^2 / 100) dq = J'e`: quadratic also where solutions are not
-    /// isolated, as at the wrist's singularity.
+    /// Levenberg-Marquardt steps, `(J'J + |e|^2 / 100) dq = J'e`: quadratic also where solutions are not isolated, such
+    /// as at the wrist singularity.
     ///
     /// Source: N. Yamashita, M. Fukushima, "On the Rate of Convergence of the Levenberg-Marquardt Method", Computing
     /// Supplement 15, 2001.
@@ -216,7 +217,7 @@ impl UrChain {
             }
             let transposed = jacobian.transpose();
             let mut normal = transposed * jacobian;
-            // Without the second term the factors of a singular matrix may not exist.
+            // Without the second term a singular matrix may have no factors.
             let damping = 0.01 * error.norm_squared() + 1e-14;
             for i in 0..6 {
                 normal[(i, i)] += damping;
@@ -232,7 +233,7 @@ impl UrChain {
     }
 }
 
-/// What takes one pose to another, in the base: translation over rotation vector.
+/// Difference between two poses in the base: translation over rotation vector.
 pub(crate) fn difference(target: &UrPose, from: &UrPose) -> Vector6<f64> {
     let apart = target.rotation * from.rotation.transpose();
     let axis = Vector3::new(

@@ -1,17 +1,17 @@
 //! Inverse kinematics of a UR arm in closed form: all eight branches.
 //!
-//! Written out anew from the rows of [`UrRows`]. With `u = (s1, -c1, 0)`, the direction of the three parallel axes, and
-//! `m = R' u`, which is `(s5 c6, -s5 s6, c5)`:
+//! Derived from the rows of [`UrRows`]. `u = (s1, -c1, 0)` is the direction of the three parallel axes, and `m = R' u`
+//! is `(s5 c6, -s5 s6, c5)`:
 //!
-//! 1. the wrist's centre `p - d6 z6` is `d4` from the plane through the base's axis along which u is normal: two q1;
-//! 2. q5 is the angle of m from its z axis, either sign, q6 where it points to; both from `atan2`, so that nothing is lost
-//!    where an arc cosine is flat;
-//! 3. what is left is an arm of two links in that plane: two q3, q2, and q4 from the angle of the last link.
+//! 1. The wrist centre `p - d6 z6` is `d4` from the plane through the base axis with normal u: two q1.
+//! 2. q5 is the angle of m from its z axis, with either sign, and m points along q6. Both use `atan2`, which loses no
+//!    digits where an arc cosine is flat.
+//! 3. The rest is a two-link arm in that plane: two q3, q2, and q4 from the angle of the last link.
 //!
-//! Where two branches meet (shoulder: the wrist's centre at d4 from the base's axis; elbow: arm stretched or folded),
-//! joint angles hang on the square root of rounding, yet the pose they lead to is right to rounding: what q1 and q3
-//! miss is of second order, and all after them is solved for the q1 and q3 that were found. Where q5 is 0 or pi
-//! (wrist), q4 and q6 turn about the same line: q6 then stays where it was.
+//! Two branches meet at the shoulder singularity (wrist centre at d4 from the base axis) and at the elbow singularity
+//! (arm stretched or folded). There, joint angles depend on the square root of rounding, but the resulting pose is
+//! right to rounding. The errors of q1 and q3 act in second order, and all later angles are solved for the q1 and q3
+//! found. At the wrist singularity (q5 is 0 or pi), q4 and q6 turn about the same line; q6 then keeps its value.
 //!
 //! Source: K. P. Hawkins, "Analytic Inverse Kinematics for the Universal Robots UR-5/UR-10 Arms", Georgia Institute of
 //! Technology, 2013, for the order of the steps and the eight branches.
@@ -22,43 +22,43 @@ use nalgebra::{Vector2, Vector3};
 
 use crate::{UrPose, ur::chain::UrLengths};
 
-/// What m may be off by, and how far out of reach a pose may be.
+/// Tolerances: error of m, and distance of a pose beyond reach.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Slack {
-    /// rad: over the sine of q5, it leaves q6 open.
+    /// rad; divided by the sine of q5 it is the interval in which q6 is free.
     pub(crate) rotation: f64,
-    /// m: such a pose gets the posture that comes nearest.
+    /// m; a pose within it gets the nearest posture.
     pub(crate) place_m: f64,
 }
 
-/// Rounding, with what the pose brings along.
+/// Rounding, including that of the pose.
 pub(crate) const ROUNDING: Slack = Slack { rotation: 1e-14, place_m: 4e-13 };
 
-/// Why a pose cannot be had.
+/// Reason why a pose cannot be reached.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum UrUnreached {
-    /// The wrist's centre is within the cylinder around the base's axis that no posture enters.
+    /// The wrist centre is within the cylinder around the base axis that no posture reaches.
     #[error("wrist centre {radius_m:.6} m from the axis of the base: must be at least {min_m:.6} m")]
     Shoulder {
-        /// Of the wrist's centre, m.
+        /// Radius of the wrist centre, m.
         radius_m: f64,
-        /// That can be had, m.
+        /// Smallest radius within reach, m.
         min_m: f64,
     },
-    /// The wrist is farther from the shoulder than the arm is long, or nearer than it folds.
+    /// The wrist is farther from the shoulder than the stretched arm, or nearer than the folded arm.
     #[error("wrist {reach_m:.6} m from the shoulder: must be within {min_m:.6} to {max_m:.6} m")]
     Elbow {
-        /// Of the branch that comes nearest, m.
+        /// Reach of the nearest branch, m.
         reach_m: f64,
-        /// Folded, m.
+        /// Reach of the folded arm, m.
         min_m: f64,
-        /// Stretched, m.
+        /// Reach of the stretched arm, m.
         max_m: f64,
     },
-    /// Every branch has a joint that would leave its limits.
+    /// In every branch, a joint would leave its limits.
     #[error("joint {joint} at {angle:.6} rad: no turn of it is within its limits in any branch")]
     Limits {
-        /// Of the branch nearest to where the arm was, from 1.
+        /// Joint of the branch nearest to the previous posture, from 1.
         joint: usize,
         /// Its angle, rad.
         angle: f64,
@@ -66,12 +66,12 @@ pub enum UrUnreached {
     /// No branch of the model leads to a posture of this unit.
     #[error("off by {residual:.3e} m or rad after refinement: must be within 5e-13")]
     Refinement {
-        /// Of the branch that is nearest, m or rad.
+        /// Error of the nearest branch, m or rad.
         residual: f64,
     },
 }
 
-/// Up to eight postures, rad, and why there are none.
+/// Up to eight postures in rad, or the reason why there are none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UrBranches {
     postures: [[f64; 6]; 8],
@@ -84,12 +84,12 @@ impl UrBranches {
         Self { postures: [[0.0; 6]; 8], count: 0, unreached: None }
     }
 
-    /// The postures: shoulder, wrist and elbow one way and the other, in this order.
+    /// The postures, ordered by shoulder, wrist and elbow side.
     pub fn postures(&self) -> &[[f64; 6]] {
         &self.postures[..self.count]
     }
 
-    /// Why there is no posture at all, if there is none.
+    /// Reason why there is no posture; none if there is one.
     pub fn unreached(&self) -> Option<UrUnreached> {
         if self.count == 0 { self.unreached } else { None }
     }
@@ -99,7 +99,7 @@ impl UrBranches {
         self.count += 1;
     }
 
-    /// Drop the others.
+    /// Keep only the wanted postures.
     pub(crate) fn keep(&mut self, wanted: impl Fn(&[f64; 6]) -> bool) {
         let mut kept = 0;
         for index in 0..self.count {
@@ -111,7 +111,7 @@ impl UrBranches {
         self.count = kept;
     }
 
-    /// Keep the reason that comes nearest to having been none.
+    /// Keep the reason of the branch that is closest to reach.
     fn miss_elbow(&mut self, reach_m: f64, min_m: f64, max_m: f64) {
         let short = |reach: f64| (reach - max_m).max(min_m - reach);
         let closer = match self.unreached {
@@ -124,14 +124,14 @@ impl UrBranches {
     }
 }
 
-/// An angle within -pi to pi.
+/// Wrap an angle into -pi to pi.
 pub(crate) fn wrapped(angle: f64) -> f64 {
     angle - 2.0 * PI * (angle / (2.0 * PI)).round()
 }
 
-/// All branches that lead to a pose of the flange.
+/// All branches that reach a pose of the flange.
 ///
-/// Where q5 is so near 0 or pi that q6 is open, q6 is as near to `q6` as that allows.
+/// If q5 is so near 0 or pi that q6 is free, q6 is as near to the argument `q6` as possible.
 pub(crate) fn closed_form(arm: &UrLengths, flange: &UrPose, q6: Option<f64>, slack: Slack) -> UrBranches {
     let mut found = UrBranches::none();
     let (rotation, place) = (&flange.rotation, &flange.place);
@@ -177,14 +177,14 @@ pub(crate) fn closed_form(arm: &UrLengths, flange: &UrPose, q6: Option<f64>, sla
             }
             let (s5, c5) = q5.sin_cos();
             let (s6, c6) = q6.sin_cos();
-            // The x axis of frame 4 as the flange sees it.
+            // The x axis of frame 4 in the base.
             let x4 = rotation * Vector3::new(c5 * c6, -c5 * s6, -s5);
             let q234 = x4.z.atan2(c1 * x4.x + s1 * x4.y);
-            // tan^2(q3/2) of the angle between the links, each factor a difference of what is measured.
+            // tan^2(q3/2) of the angle between the links; each factor is a difference of measured lengths.
             let bent = ((stretched - reach) * (stretched + reach)).max(0.0).sqrt();
             let straight = ((reach - fold) * (reach + fold)).max(0.0).sqrt();
             let between = 2.0 * bent.atan2(straight);
-            // With a2 and a3 of opposite signs, stretched is q3 = pi.
+            // If a2 and a3 have opposite signs, q3 = pi is the stretched arm.
             let elbow = if arm.a2 * arm.a3 > 0.0 { between } else { PI - between };
             let place = wrist.place(q6);
             for up in [1.0, -1.0] {
@@ -198,7 +198,7 @@ pub(crate) fn closed_form(arm: &UrLengths, flange: &UrPose, q6: Option<f64>, sla
     found
 }
 
-/// Where the end of the two links must be in their plane, seen from the shoulder, by q6.
+/// Target of the end of the two links in their plane, seen from the shoulder, as a function of q6.
 struct Wrist {
     centre: Vector2<f64>,
     x6: Vector2<f64>,
@@ -207,15 +207,15 @@ struct Wrist {
 }
 
 impl Wrist {
-    /// `c - d5 z4`, where z4, the axis of joint 5, is `(-s6, -c6, 0)` to the flange.
+    /// `c - d5 z4`, where z4, the axis of joint 5, is `(-s6, -c6, 0)` in the flange frame.
     fn place(&self, q6: f64) -> Vector2<f64> {
         let (s6, c6) = q6.sin_cos();
         self.centre + (self.x6 * s6 + self.y6 * c6) * self.d5
     }
 
-    /// The nearest q6 that has the wrist within reach, if it is not.
+    /// Nearest q6 that brings the wrist within reach, if it is out of reach.
     ///
-    /// For a q6 that is free: then x6 and y6 are square, and `reach^2 = c^2 + d5^2 + 2 d5 k cos(q6 - phase)`.
+    /// For a free q6: x6 and y6 are then perpendicular, and `reach^2 = c^2 + d5^2 + 2 d5 k cos(q6 - phase)`.
     fn brought_within(&self, fold: f64, stretched: f64, reach: f64, q6: f64) -> Option<f64> {
         let limit = if reach > stretched {
             stretched
@@ -228,7 +228,7 @@ impl Wrist {
         let phase = along_x.atan2(along_y);
         let cosine = (limit * limit - self.centre.norm_squared() - self.d5 * self.d5)
             / (2.0 * self.d5 * libm::hypot(along_x, along_y));
-        // Where no q6 has it within reach, the one that comes nearest.
+        // If no q6 brings it within reach, use the one that comes nearest.
         let away = cosine.clamp(-1.0, 1.0).acos();
         away.is_finite().then(|| phase + away.copysign(wrapped(q6 - phase)))
     }

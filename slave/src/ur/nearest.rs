@@ -1,4 +1,4 @@
-//! The posture of a UR arm that is nearest to where it was, among all branches and turns of its joints.
+//! The posture of a UR arm nearest to its previous one, over all branches and turns of its joints.
 
 use std::f64::consts::PI;
 
@@ -8,38 +8,39 @@ use crate::{
     ur::inverse::{ROUNDING, Slack, closed_form, wrapped},
 };
 
-/// How far the reach of a unit may differ from that of its model; its turns are taken as they are.
+/// Allowed difference in reach between a unit and its model; rotations as in the model.
 const UNIT: Slack = Slack { place_m: 0.05, ..ROUNDING };
-/// The same, and its turns may differ too.
+/// The same, with different rotations allowed.
 const LOOSE_UNIT: Slack = Slack { rotation: 0.02, ..UNIT };
-/// Sine of q5 below which that matters.
+/// Sine of q5 below which the difference matters.
 const BESIDE: f64 = 0.2;
-/// Values of q6 that are tried where the turns of the unit leave it open.
+/// Number of q6 values to try where the rotations of the unit leave it free.
 const AROUND: i32 = 8;
-/// How far past its limit a joint may be by rounding, in rad: then it is put on the limit.
+/// Distance in rad by which rounding may put a joint past its limit; it is then set to the limit.
 const SLACK_RAD: f64 = 1e-13;
-/// How much nearer refinement may bring a branch, in rad: one that is farther than that cannot become the nearest.
+/// Largest distance in rad that refinement may move a branch towards the previous posture; more distant branches are
+/// skipped.
 const MOVED_RAD: f64 = 0.3;
 
-/// How near the flange must be to where it shall be, for that to be worth a start, in m and rad.
+/// Distance of the flange from its target, in m and rad, within which a posture is worth a start.
 const WITHIN: f64 = 0.3;
 
 /// Inverse kinematics of one arm: (pose) -> postures, without state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UrInverse {
     arm: UrLengths,
-    /// Of a unit that differs from its model.
+    /// Chain of a unit that differs from its model.
     unit: Option<UrChain>,
     lower: [f64; 6],
     upper: [f64; 6],
 }
 
 impl UrInverse {
-    /// From the rows of the model, those of the unit if it has its own, and the joints' limits in rad.
+    /// Build from the rows of the model, those of the unit if it has its own, and the joint limits in rad.
     ///
     /// # Errors
     ///
-    /// The model is not a UR arm, a number is not finite (a limit may be infinite), or limits leave nothing.
+    /// The model is not a UR arm, a number is not finite (a limit may be infinite), or the limits are empty.
     pub fn new(
         model: &UrRows,
         unit: Option<&UrRows>,
@@ -62,9 +63,9 @@ impl UrInverse {
         Ok(Self { arm, unit: unit.map(UrChain::new), lower, upper })
     }
 
-    /// All branches, each joint within -pi to pi, whatever the limits. Where q6 is free it is any.
+    /// All branches, each joint within -pi to pi, without limits. A free q6 has an arbitrary value.
     ///
-    /// Branches that meet at a singularity stand there twice.
+    /// Branches that meet at a singularity appear twice.
     pub fn all(&self, base_from_flange: &UrPose) -> UrBranches {
         let Some(unit) = &self.unit else {
             return closed_form(&self.arm, base_from_flange, None, ROUNDING);
@@ -81,13 +82,13 @@ impl UrInverse {
         found
     }
 
-    /// The posture within the limits that is nearest to `near`, by the sum of squares over the joints, rad.
+    /// Posture within the limits nearest to `near`, by the sum of squares over the joints, in rad.
     ///
-    /// Where q6 is free it stays where it was.
+    /// A free q6 keeps its value.
     ///
     /// # Errors
     ///
-    /// Why there is none.
+    /// The reason why there is no posture.
     pub fn nearest(&self, base_from_flange: &UrPose, near: &[f64; 6]) -> Result<[f64; 6], UrUnreached> {
         match &self.unit {
             None => {
@@ -110,13 +111,13 @@ impl UrInverse {
     ) -> Result<[f64; 6], UrUnreached> {
         let branches = closed_form(&self.arm, flange, Some(near[5]), UNIT);
         let mut choice = Choice::new(near, branches.unreached());
-        // Where the arm was is a start as well, unless that is far off: beside a singularity a posture may be nearer to
-        // it than to any branch of the model.
+        // The previous posture is a start as well, unless it is far off. Beside a singularity a posture may be nearer
+        // to it than to any branch of the model.
         if unit.is_within(flange, near, WITHIN) {
             choice.offer_refined(self, unit, flange, near);
         }
         self.offer_refined(unit, flange, near, &branches, &mut choice);
-        // Where the arm is all but stretched and q5 all but 0, the q6 of the model may be nowhere near.
+        // If the arm is almost stretched and q5 almost 0, the q6 of the model may be far off.
         for step in 0..AROUND {
             if choice.distance.is_finite() {
                 break;
@@ -129,7 +130,7 @@ impl UrInverse {
         choice.made()
     }
 
-    /// Refines branches of the model, nearest first, as long as they may become the choice.
+    /// Refine branches of the model, nearest first, while they may become the choice.
     fn offer_refined(
         &self,
         unit: &UrChain,
@@ -152,7 +153,7 @@ impl UrInverse {
         }
     }
 
-    /// Each joint at the turn nearest to its angle that its limits allow; else the first joint that has none.
+    /// Each joint at the turn within its limits nearest to its angle; else the first joint without one.
     fn within_limits(&self, posture: &[f64; 6]) -> Result<[f64; 6], UrUnreached> {
         let mut turned = [0.0; 6];
         for (i, turned) in turned.iter_mut().enumerate() {
@@ -185,13 +186,13 @@ fn distance(one: &[f64; 6], other: &[f64; 6]) -> f64 {
     one.iter().zip(other).map(|(a, b)| (a - b) * (a - b)).sum()
 }
 
-/// The nearest of what was offered, and why there was nothing.
+/// Nearest of the offered postures, or the reason why there was none.
 struct Choice<'a> {
     near: &'a [f64; 6],
     posture: [f64; 6],
     distance: f64,
     unreached: Option<UrUnreached>,
-    /// Of the nearest posture that the limits forbid.
+    /// Distance of the nearest posture outside the limits.
     forbidden: f64,
 }
 
@@ -221,7 +222,7 @@ impl<'a> Choice<'a> {
     fn offer_refined(&mut self, arm: &UrInverse, unit: &UrChain, flange: &UrPose, start: &[f64; 6]) {
         match unit.refine(flange, start) {
             Ok(posture) => self.offer(arm, &posture),
-            // A limit says more than a start that led nowhere, and the best of those more than the others.
+            // A limit is more specific than a failed start; of failed starts, keep the best.
             Err(residual) if self.forbidden == f64::INFINITY => match self.unreached {
                 Some(UrUnreached::Refinement { residual: before }) if before <= residual => {}
                 _ => self.unreached = Some(UrUnreached::Refinement { residual }),

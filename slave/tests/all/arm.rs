@@ -12,7 +12,7 @@ fn voigt(stiffness: f64, damping: f64) -> Contact {
     Contact::new(ContactLaw::KelvinVoigt { stiffness, damping }, 0.0).unwrap()
 }
 
-/// A push of no force that is a sine: what makes a scene one for the integrator.
+/// A sine push without force, which forces the use of the integrator.
 fn no_push<const N: usize>() -> Pusher<N> {
     Pusher::shaped(PushShape::Sine { frequency_hz: 1.0 }, 0.0, 1.0, Axes::zeros()).unwrap()
 }
@@ -67,7 +67,7 @@ fn a_velocity_control_is_of_first_order_and_an_admittance() {
         let expected = Axes::<2>::new(0.3, 6.0 / (3.0 * pole)) * rise;
         assert!((v - expected).norm() < 1e-9, "{tick}: {:e}", (v - expected).norm());
     }
-    // Held where it is; then a position, reached with critical damping: never beyond.
+    // Held in place; then moved to a position with critical damping, without overshoot.
     slave.stop();
     slave.write(&Axes::<2>::new(0.5, 0.2), &Axes::zeros());
     let sample = slave.read(3000 * MS);
@@ -90,7 +90,7 @@ fn limits_hold_at_every_sample_and_are_reached() {
                 slave.write(&Axes::<3>::new(0.3 * (k * 2.3).sin(), 0.4 * k.cos(), 0.01 * k), &Axes::zeros());
             }
             let v = slave.read(u64::from(tick) * MS).velocity;
-            // Without an overshoot of its own, the arm smooths: neither speed nor acceleration grows.
+            // The arm has no overshoot and smooths the motion: neither speed nor acceleration grows.
             fastest = fastest.max(v.amax());
             hardest = hardest.max((v - before).amax() / 1e-3);
             before = v;
@@ -120,7 +120,7 @@ fn a_limited_set_position_takes_the_shortest_time_and_does_not_overshoot() {
             lag = Some(t - arrives);
         }
     }
-    // The arm lags by 2 / w = 0.8 ms and settles to 1e-7 within some more of its time constants.
+    // The arm lags by 2 / w = 0.8 ms and settles to 1e-7 within a few more time constants.
     let lag = lag.unwrap();
     assert!((-1e-3..5e-3).contains(&lag), "{lag}");
 }
@@ -143,7 +143,8 @@ fn stop_brakes_within_the_limits() {
 fn exact_and_adaptive_agree() {
     let controls =
         [ArmControl::Position { bandwidth_hz: 15.0 }, ArmControl::Pd { stiffness: 900.0, damping: 30.0 }];
-    // Without a limit on its acceleration the set position arrives within nearly every tick, on each axis at its own time.
+    // Without a limit on its acceleration the set position arrives within nearly every tick, at a different time on
+    // each axis.
     let limits = controls.into_iter().flat_map(|control| [(control, Some(6.0)), (control, None)]);
     for (control, acceleration) in limits {
         for (stiffness, damping) in [(800.0, 0.0), (2e4, 40.0), (1e6, 0.0)] {
@@ -182,7 +183,8 @@ fn exact_and_adaptive_agree() {
             let (exact, adaptive) = (run(None), run(Some(no_push())));
             assert!(exact.1 && !adaptive.1);
             for (tick, (a, b)) in exact.0.iter().zip(&adaptive.0).enumerate() {
-                // 600 ticks of some steps with an error of 1e-10 of some cm each; bounces on a stiff wall spread it.
+                // 600 ticks of several steps, each with an error of 1e-10 of some cm; bounces on a stiff wall amplify
+                // it.
                 let off = (a.position - b.position).norm();
                 assert!(off < 1e-9, "{control:?} {acceleration:?} {stiffness} {damping} {tick}: {off:e}");
             }

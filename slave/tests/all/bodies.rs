@@ -30,7 +30,7 @@ fn an_oblique_push_conserves_momentum() {
             let tool = slave.read(tick * MS).velocity;
             tool * 0.4 + slave.environment().unwrap().body_velocity(0).unwrap() * 0.15
         };
-        // 20 N over half a sine of 10 ms: 2 / pi of it.
+        // 20 N over a half sine of 10 ms: 2 / pi of the product.
         let pushed = Axes::<3>::new(20.0 * 0.01 * 2.0 / std::f64::consts::PI, 0.0, 0.0);
         let start = Axes::<3>::new(-0.1, 0.05, 0.02) * 0.15 + pushed;
         for tick in 10..300 {
@@ -45,7 +45,7 @@ fn an_oblique_push_conserves_momentum() {
 
 #[test]
 fn a_body_stops_where_its_friction_says() {
-    // In reach of the tool (integrated) and far from it (in closed form).
+    // Within reach of the tool (integrated) and far from it (closed form).
     for gap in [0.002, 0.5] {
         let start = Axes::<2>::new(0.24, 0.32);
         let shape = Shape::sphere(Axes::<2>::new(gap + 0.01, 0.0), 0.01).unwrap();
@@ -81,17 +81,17 @@ fn friction_holds_a_body_up_to_its_limit() {
         let environment = slave.environment().unwrap();
         (environment.body_position(0).unwrap()[0], environment.body_velocity(0).unwrap()[0])
     };
-    // While the push rises at 4 N/s the contact, of 100 rad/s, swings about it by up to 4 / 100 N.
+    // While the push rises at 4 N/s the contact, at 100 rad/s, oscillates about it by up to 4 / 100 N.
     assert_eq!(pressed(1.95), (0.0, 0.0), "not by a hair");
     let (position, velocity) = pressed(2.5);
-    // Together they creep at (2.5 - 2) N / 40 N s/m.
+    // Both creep at (2.5 - 2) N / 40 N s/m.
     assert!((velocity - 0.0125).abs() < 1e-6, "{velocity}");
     assert!((0.015..0.025).contains(&position), "{position}");
 }
 
 #[test]
-fn a_bystander_is_moved_by_the_tool_as_the_step_says() {
-    // The same push in one step of 20 ms and in 20 of 1 ms.
+fn a_body_is_moved_alike_in_one_step_and_in_many() {
+    // The same push in one step of 20 ms and in 20 steps of 1 ms.
     let run = |steps: u32| {
         let shape = Shape::sphere(Axes::<2>::new(0.012, 0.003), 0.01).unwrap();
         let body = FreeBody::new(0.05, 0.5, 0.1, Axes::zeros()).unwrap();

@@ -1,4 +1,4 @@
-//! What a contact gives back, and how it rubs.
+//! Restitution and friction of contacts.
 #![allow(clippy::unwrap_used)] // a test may
 
 use haptether_slave::{
@@ -9,7 +9,7 @@ use proptest::prelude::*;
 
 const MS: u64 = 1_000_000;
 
-/// A mass that nothing controls.
+/// A mass without control.
 fn free_mass(mass_kg: f64) -> ArmModel {
     ArmModel::new(ArmControl::Pd { stiffness: 0.0, damping: 0.0 }, mass_kg, None, None).unwrap()
 }
@@ -54,7 +54,7 @@ fn an_undamped_bounce_conserves_energy() {
     }
 }
 
-/// From 20 ms on 20 N speed 0.2 kg up by 0.1 m/s a ms for 50 ms, however often they are started.
+/// From 20 ms, 20 N accelerate 0.2 kg by 0.1 m/s per ms for 50 ms; further starts have no effect.
 #[test]
 fn pushers_begin_once() {
     let push = Pusher::shaped(PushShape::Step, 0.0, 0.05, Axes::<1>::new(20.0)).unwrap();
@@ -81,11 +81,11 @@ fn restitution(chi: f64, v: f64) -> f64 {
 }
 
 #[test]
-fn hunt_and_crossley_give_back_what_the_theory_says() {
+fn hunt_and_crossley_restitution_matches_the_theory() {
     for (exponent, chi, v) in [(1.5, 0.05, 0.2), (1.5, 0.3, 0.2), (1.0, 0.2, 0.5), (2.0, 1.0, 0.3)] {
         let law = ContactLaw::HuntCrossley { stiffness: 1e5, exponent, damping: chi };
         let shape = Shape::plane(Axes::<1>::new(-0.001), Axes::<1>::new(1.0)).unwrap();
-        // The plane comes to the mass.
+        // The plane moves towards the mass.
         let motion = ObjectMotion::new(Axes::<1>::new(v), 0.0, 10.0, Axes::zeros(), 0.0).unwrap();
         let plane = Object::moving(shape, Contact::new(law, 0.0).unwrap(), motion).unwrap();
         let environment = Environment::new(vec![plane], Vec::new());
@@ -95,7 +95,7 @@ fn hunt_and_crossley_give_back_what_the_theory_says() {
         assert_eq!(sample.true_environment_force[0], 0.0, "it has left");
         let e = sample.velocity[0] / v - 1.0;
         assert!((e - restitution(chi, v)).abs() < 1e-8, "{exponent} {chi} {v}: {e} {}", restitution(chi, v));
-        // Hunt and Crossley's first order; the next term is below (chi v)².
+        // First order of Hunt and Crossley; the next term is below (chi v)².
         assert!((e - (1.0 - 2.0 / 3.0 * chi * v)).abs() < (chi * v).powi(2), "{e}");
     }
 }

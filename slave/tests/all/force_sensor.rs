@@ -1,4 +1,4 @@
-//! What a force sensor adds to a force.
+//! Errors that a force sensor adds to a force.
 #![allow(clippy::unwrap_used)] // a test may
 
 use haptether_slave::{
@@ -17,7 +17,8 @@ fn noise_has_its_mean_deviation_and_shape() {
     let count = f64::from(n);
     for axis in 0..3 {
         let moment = |power: i32| draws.iter().map(|d| d[axis].powi(power)).sum::<f64>() / count;
-        // Standard errors of the moments 1 to 4 of n normal numbers: 1, sqrt 2, sqrt 15, sqrt 96 over sqrt n; four each.
+        // Standard errors of the moments 1 to 4 of n normal numbers: 1, sqrt 2, sqrt 15, sqrt 96 over sqrt n; four
+        // times each.
         for (power, mean, deviation) in [(1, 0.0, 1.0), (2, 1.0, 2.0), (3, 0.0, 15.0), (4, 3.0, 96.0_f64)] {
             let off = moment(power) - mean;
             assert!(off.abs() < 4.0 * (deviation / count).sqrt(), "{axis} {power}: {off}");
@@ -47,7 +48,7 @@ fn a_quantum_rounds_to_the_nearest() {
 #[test]
 fn a_slow_sensor_holds_its_samples_on_its_own_grid() {
     let arm = ArmModel::new(ArmControl::Position { bandwidth_hz: 10.0 }, 2.0, None, None).unwrap();
-    // A force that is the time, in N.
+    // A force in N equal to the time in s.
     let ramp = Pusher::shaped(PushShape::Ramp { rise_s: 1.0 }, 0.0, 2.0, Axes::<1>::new(1.0)).unwrap();
     let sensor = ForceSensor::new(0.0, Axes::zeros(), 0.0, Some(300.0), 0).unwrap();
     let environment = Environment::new(Vec::new(), vec![ramp]);
@@ -59,7 +60,7 @@ fn a_slow_sensor_holds_its_samples_on_its_own_grid() {
         let sample = slave.read(begin + u64::from(tick) * MS);
         let t = f64::from(tick) * 1e-3;
         assert!((sample.true_environment_force[0] - t).abs() < 1e-12);
-        // The newest multiple of 1/300 s: in integers, so that rounding does not decide.
+        // The newest multiple of 1/300 s, in integers, so that rounding does not decide.
         let held = f64::from(tick * 300 / 1000) / 300.0;
         assert!(
             (sample.environment_force[0] - held).abs() < 1e-12,

@@ -1,4 +1,4 @@
-//! The integration tests of the slave crate, one binary; those with an allocator of their own are binaries apart.
+//! Integration tests of the slave crate in one binary; tests with their own allocator are separate binaries.
 
 mod arm;
 mod bodies;

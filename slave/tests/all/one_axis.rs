@@ -9,7 +9,7 @@ fn slave(wall: Wall, pusher: Option<Pusher>) -> SimulatedSlave {
     SimulatedSlave::new(ArmParameters::default(), wall, pusher, 0.02, 0).unwrap()
 }
 
-/// Its set position jumps.
+/// A slave whose set position jumps.
 fn fast(wall: Wall) -> SimulatedSlave {
     let arm = ArmParameters { max_speed: 1e6, ..ArmParameters::default() };
     SimulatedSlave::new(arm, wall, None, 0.02, 0).unwrap()
@@ -46,7 +46,7 @@ fn contact_settles_where_springs_in_series_do() {
 
 #[test]
 fn contact_is_located_not_stepped_over() {
-    // The same motion read at once and every 0.1 ms: the crossing falls between reads in one of them.
+    // The same motion, read at once and every 0.1 ms: the crossing falls between reads in one of them.
     let wall = Wall::new(0.0, 1e4).unwrap();
     let (mut coarse, mut fine) = (fast(wall), fast(wall));
     for slave in [&mut coarse, &mut fine] {
@@ -83,8 +83,8 @@ fn the_set_position_moves_no_faster_than_the_arm_may() {
 
 #[test]
 fn the_motion_is_the_same_bit_for_bit() {
-    // FNV-1a over all samples, of the first version of this model but for the push: since its times are whole nanoseconds,
-    // 28 of 18000 values differ by an ulp.
+    // FNV-1a over all samples of the first version of this model. Only the push differs: its times are now whole
+    // nanoseconds, and 28 of 18000 values differ by an ulp.
     let mut hash = 0xcbf2_9ce4_8422_2325_u64;
     let mut add = |value: f64| {
         for byte in value.to_bits().to_le_bytes() {

@@ -1,4 +1,4 @@
-//! Leaving out objects that are out of reach changes no bit.
+//! Skipping objects out of reach changes no bit.
 #![allow(clippy::unwrap_used)] // a test may
 
 use haptether_slave::{
@@ -8,7 +8,7 @@ use haptether_slave::{
 
 type V3 = Axes<3>;
 
-/// A small generator: the test must be the same every time.
+/// A small generator: the test must be deterministic.
 struct Draws(u64);
 
 impl Draws {
@@ -56,7 +56,7 @@ fn a_random_walk_feels_the_same_force() {
     let mut environment = environment(&mut draws, 0.3, false);
     let (mut x, mut touched) = (V3::zeros(), 0);
     for tick in 0..4000_u32 {
-        // Mostly small steps, sometimes a leap.
+        // Mostly small steps, sometimes a large one.
         let size = if tick % 97 == 0 { 0.3 } else { 2e-3 };
         x = (x + draws.vector(size)).map(|c| c.clamp(-0.35, 0.35));
         let v = draws.vector(1.0);
@@ -85,7 +85,7 @@ fn sliding_bodies_are_not_forgotten() {
     assert!(touched > 40, "{touched}");
 }
 
-/// Samples of an arm that draws a Lissajous figure of up to 6 cm above a floor, and at how many ticks it touched.
+/// Samples of an arm that draws a Lissajous figure of up to 6 cm above a floor, and the number of ticks in contact.
 fn drawn(extra: Vec<Object<3>>, pushers: Vec<Pusher<3>>, period_ns: u64) -> (Vec<SlaveSample<3>>, u32) {
     let arm = ArmModel::new(ArmControl::Position { bandwidth_hz: 12.0 }, 3.0, Some(0.6), Some(20.0)).unwrap();
     let law = ContactLaw::KelvinVoigt { stiffness: 900.0, damping: 3.0 };
@@ -114,7 +114,7 @@ fn ball(centre: V3, radius: f64) -> Object<3> {
 }
 
 #[test]
-fn an_arm_moves_as_if_what_is_out_of_reach_were_not_there() {
+fn objects_out_of_reach_do_not_change_the_motion() {
     for period_ns in [500_000, 1_000_000, 8_000_000] {
         let (alone, touched) = drawn(Vec::new(), Vec::new(), period_ns);
         assert!(touched > 20);
@@ -130,20 +130,20 @@ fn an_arm_moves_as_if_what_is_out_of_reach_were_not_there() {
     }
 }
 
-/// Looked at is not touched: 3 or 4 mm from a ball, a box that stands and one that comes near.
+/// Near is not in contact: 3 or 4 mm from a ball, a fixed box and an approaching box.
 #[test]
-fn an_arm_moves_as_if_what_it_comes_near_but_does_not_touch_were_not_there() {
+fn near_objects_without_contact_do_not_change_the_motion() {
     for period_ns in [500_000, 1_000_000] {
         let (alone, touched) = drawn(Vec::new(), Vec::new(), period_ns);
         assert!(touched > 20);
         let farthest = |axis: usize| {
-            // Of those clear of the floor: a tick in which it is touched anew or left has no bound.
+            // Only positions clear of the floor: a tick in which contact starts or ends has no bound.
             let places = alone.iter().map(|sample| sample.position).filter(|position| position[1] > -0.01);
             places.max_by(|a, b| a[axis].total_cmp(&b[axis])).unwrap()
         };
         let (right, top) = (farthest(0), farthest(1));
         let contact = Contact::new(ContactLaw::KelvinVoigt { stiffness: 500.0, damping: 2.0 }, 0.3).unwrap();
-        // Less than the centimetre within which an object is looked at, more than bounds say that a tick can take it.
+        // Less than the radius of 1 cm for near objects, more than the bound on the travel of a tick.
         let gap = 3e-3;
         let lid = Shape::cuboid(top + V3::new(0.0, gap + 0.01, 0.0), V3::repeat(0.01)).unwrap();
         let comes = ObjectMotion::new(V3::new(-0.1, 0.0, 0.0), 0.1, 0.3, V3::zeros(), 0.0).unwrap();
@@ -164,7 +164,7 @@ fn an_arm_moves_as_if_what_it_comes_near_but_does_not_touch_were_not_there() {
 #[test]
 fn an_arm_that_meets_a_ball_is_integrated_there() {
     let met = || vec![ball(V3::new(0.05, 0.03, 0.01), 0.02), ball(V3::new(-0.06, -0.02, 0.01), 0.025)];
-    // A push of no force that is a sine makes all of the motion one for the integrator.
+    // A sine push without force makes the integrator solve the whole motion.
     let no_push = Pusher::shaped(PushShape::Sine { frequency_hz: 1.0 }, 0.0, 1.0, V3::zeros()).unwrap();
     let (alone, at_floor) = drawn(Vec::new(), Vec::new(), 1_000_000);
     let (partly, touched) = drawn(met(), Vec::new(), 1_000_000);
@@ -173,7 +173,7 @@ fn an_arm_that_meets_a_ball_is_integrated_there() {
     assert_ne!(partly, alone);
     let mut exact = 0;
     for ((a, b), free) in partly.iter().zip(&integrated).zip(&alone) {
-        // 2000 steps with an error of 1e-10 of some cm each.
+        // 2000 steps, each with an error of 1e-10 of some cm.
         assert!((a.position - b.position).norm() < 1e-9, "{:e}", (a.position - b.position).norm());
         exact += u32::from(a == free);
     }

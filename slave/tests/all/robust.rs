@@ -1,4 +1,4 @@
-//! Stiff, light and odd scenes end and stay finite; bad numbers are refused by name.
+//! Stiff, light and unusual scenes end and stay finite; invalid parameters are rejected by name.
 #![allow(clippy::unwrap_used)] // a test may
 
 use haptether_slave::{
@@ -35,7 +35,7 @@ fn a_gram_on_a_hard_wall_stays_finite_and_ends() {
                 let finite = sample.position.iter().chain(&sample.velocity).chain(&sample.environment_force);
                 assert!(finite.copied().all(f64::is_finite), "{sample:?}");
             }
-            // 2 g at 1 m/s on 1e7 N/m go 14 um deep; a coarse step of 20 us goes as far again at 1 m/s.
+            // 2 g at 1 m/s on 1e7 N/m go 14 um deep; a coarse step of 20 us moves up to 20 um more.
             assert!(deepest < 1.1e-3 + 4e-5, "{damping} {control:?}: {deepest}");
             assert_eq!(
                 slave.coarse_steps() > 0,
@@ -49,7 +49,7 @@ fn a_gram_on_a_hard_wall_stays_finite_and_ends() {
 
 #[test]
 fn a_coarse_wall_holds_a_pressing_arm_where_it_should() {
-    // So much damping that only coarse steps pass: it must settle at F / K all the same.
+    // With so much damping only coarse steps succeed; it must still settle at F / K.
     let arm = ArmModel::new(ArmControl::Pd { stiffness: 0.0, damping: 1.0 }, 1e-3, None, None).unwrap();
     let shape = Shape::plane(Axes::<1>::zeros(), Axes::<1>::new(1.0)).unwrap();
     let plane = Object::fixed(shape, voigt(1e7, 1e6, 0.0)).unwrap();

@@ -1,4 +1,4 @@
-//! Settings are read from the tables of a scene, and become what they describe.
+//! Settings are read from the tables of a scene and give the described objects.
 
 #![cfg(feature = "serde")]
 #![allow(clippy::unwrap_used)]

@@ -10,7 +10,7 @@ fn point(size: f64) -> impl Strategy<Value = V3> {
     prop::array::uniform3(-size..size).prop_map(V3::from)
 }
 
-/// Distance to the surface of a box at the origin: the least over a dense grid of points on its six faces.
+/// Distance to the surface of a box at the origin: the minimum over a dense grid on its six faces.
 fn brute_force(x: &V3, half: &V3, grid: u32) -> f64 {
     let mut least = f64::INFINITY;
     for axis in 0..3 {
@@ -42,7 +42,7 @@ proptest! {
     #[test]
     fn a_ball_is_its_radius_around_its_centre(x in point(1.0), centre in point(1.0), radius in 0.01..1.0_f64) {
         let (distance, n) = Shape::sphere(centre, radius).unwrap().surface(&x);
-        // Back along the normal by the distance is on the surface.
+        // The point moved back along the normal by the distance is on the surface.
         prop_assert!(((x - n * distance - centre).norm() - radius).abs() < 1e-14);
     }
 
@@ -52,7 +52,7 @@ proptest! {
         let (distance, n) = Shape::cuboid(V3::zeros(), half).unwrap().surface(&x);
         let inside = x.iter().zip(&half).all(|(x, h)| x.abs() < *h);
         prop_assert_eq!(distance < 0.0, inside);
-        // The grid's points lie up to half a diagonal of its cells (1/24 of a face) beside the nearest one.
+        // The grid points are up to half a cell diagonal (1/24 of a face) from the nearest point.
         let cell = half.norm() / 24.0;
         let found = brute_force(&x, &half, 24);
         prop_assert!(found >= distance.abs() - 1e-12);
@@ -70,7 +70,7 @@ proptest! {
             Shape::sphere(centre, half[0]).unwrap(),
             Shape::cuboid(centre, half).unwrap(),
         ];
-        // Away from where the gradient jumps: inside, two faces that are equally near; a centre.
+        // Away from jumps of the gradient: inside, two equally near faces; a centre.
         let mut depths: Vec<f64> = (0..3).map(|i| (x - centre)[i].abs() - half[i]).collect();
         depths.sort_by(f64::total_cmp);
         prop_assume!(depths[2] - depths[1] > 1e-4 && (x - centre).norm() > 1e-2);

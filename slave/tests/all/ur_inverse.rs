@@ -1,4 +1,4 @@
-//! Inverse kinematics of UR arms against forward kinematics written down twice: the pose comes back to 1e-12.
+//! Inverse kinematics of UR arms against an independent forward kinematics: the pose matches to 1e-12.
 #![allow(clippy::unwrap_used)] // a test may
 
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -74,7 +74,7 @@ fn unit() -> (UrRows, UrRows) {
     (model, unit)
 }
 
-/// The flange from one homogeneous matrix a joint, nothing shared with what is tested.
+/// The flange from one homogeneous matrix per joint, without code shared with the tested module.
 fn forward(rows: &UrRows, q: &[f64; 6]) -> Matrix4<f64> {
     (0..6).fold(Matrix4::identity(), |base_from_link, i| {
         let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), q[i] + rows.theta[i]).to_homogeneous();
@@ -101,7 +101,7 @@ fn apart(one: &[f64; 6], other: &[f64; 6]) -> f64 {
     one.iter().zip(other).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
-/// Angles of the joints that are anywhere, and often where branches meet.
+/// Joint angles anywhere, and often where branches meet.
 fn angles() -> impl Strategy<Value = [f64; 6]> {
     let anywhere = -TURN..TURN;
     let special =
@@ -115,7 +115,7 @@ proptest! {
         let rows = models()[arm];
         let target = forward(&rows, &q);
         let found = free(&rows).all(&pose(&target));
-        // The posture that was asked about is one of them, so there is one.
+        // The original posture is one of them, so there is at least one.
         prop_assert!(!found.postures().is_empty(), "{:?}", found.unreached());
         for posture in found.postures() {
             prop_assert!(off(&rows, posture, &target) < 1e-12, "{posture:?} {}", off(&rows, posture, &target));
@@ -126,18 +126,19 @@ proptest! {
     fn the_nearest_is_where_the_arm_was(q in angles(), arm in 0..4_usize) {
         let rows = models()[arm];
         let target = forward(&rows, &q);
-        // Without limits: at one, rounding would send a joint round the other way.
+        // Without limits: at a limit, rounding would send a joint the other way round.
         let endless = UrInverse::new(&rows, None, [f64::NEG_INFINITY; 6], [f64::INFINITY; 6]).unwrap();
         let posture = endless.nearest(&pose(&target), &q).unwrap();
         prop_assert!(off(&rows, &posture, &target) < 1e-12);
-        // With the wrist's centre over the base's axis, rounding moves q1 by its root without moving the flange. If q5 is
-        // 0 as well, that turns q6 by any amount; if the arm is stretched or folded, it may put it out of reach.
+        // With the wrist centre over the base axis, rounding moves q1 by its square root without moving the flange. If
+        // q5 is 0 as well, that turns q6 by any amount; if the arm is stretched or folded, the pose may become
+        // unreachable.
         let centre = target.fixed_view::<3, 1>(0, 3) - target.fixed_view::<3, 1>(0, 2) * rows.d[5];
         let beside = centre.x.hypot(centre.y) - rows.d[3].abs();
         if beside < 1e-2 && (q[4].sin().abs() < 1e-3 || q[2].sin().abs() < 1e-3) {
             return Ok(());
         }
-        // Where two branches meet at q = 0, rounding of e moves both by sqrt(e), and q4 or q6 make up for that: e is a few
+        // Where two branches meet at q = 0, rounding of e moves both by sqrt(e), and q4 or q6 compensate. e is a few
         // roundings of 2 m over the shortest lever of 0.03 m, that of a folded UR3.
         prop_assert!(apart(&posture, &q) < 1e-5, "{posture:?}");
     }
@@ -171,7 +172,7 @@ proptest! {
     }
 }
 
-/// From 2e-3 rad before to 2e-3 rad after, through the very middle: every posture follows the one before.
+/// From 2e-3 rad before to 2e-3 rad after, exactly through the middle: every posture follows the previous one.
 fn assert_continuous(rows: &UrRows, middle: [f64; 6], along: [f64; 6]) {
     let inverse = free(rows);
     let at =
@@ -181,7 +182,8 @@ fn assert_continuous(rows: &UrRows, middle: [f64; 6], along: [f64; 6]) {
         let target = forward(rows, &at(step));
         let next = inverse.nearest(&pose(&target), &posture).unwrap();
         assert!(off(rows, &next, &target) < 1e-12);
-        // A tenth of a degree for a step of 1e-5 rad: what rounding may do beside the middle, not another branch.
+        // A tenth of a degree per step of 1e-5 rad: within the effect of rounding near the middle, and not another
+        // branch.
         assert!(apart(&next, &at(step)) < 2e-3, "step {step}: {next:?} for {:?}", at(step));
         posture = next;
     }
@@ -210,7 +212,7 @@ fn paths_touch_the_elbows_singularity_and_go_on() {
 #[test]
 fn paths_touch_the_shoulders_singularity_and_go_on() {
     for rows in models() {
-        // The wrist's centre over the base's axis: for what is left of q4, x of the centre in frame 1 is 0.
+        // The wrist centre over the base axis: q4 is solved so that x of the centre in frame 1 is 0.
         let reach = |q4: f64| {
             let frame = forward(
                 &UrRows { d: [rows.d[0], 0.0, 0.0, 0.0, rows.d[4], 0.0], ..rows },
@@ -242,7 +244,7 @@ fn at_the_wrists_singularity_the_last_joint_stays_where_it_was() {
 }
 
 #[test]
-fn what_is_out_of_reach_is_said_to_be() {
+fn pose_out_of_reach_has_a_reason() {
     let rows = models()[1];
     let inverse = free(&rows);
     let mut place = Matrix4::identity();
@@ -261,7 +263,7 @@ fn what_is_out_of_reach_is_said_to_be() {
 
     let (model, unit) = unit();
     let inverse = UrInverse::new(&model, Some(&unit), [-TURN; 6], [TURN; 6]).unwrap();
-    // Drawn out of an all but stretched arm: the unit runs out of reach before the slack that is left to units does.
+    // Pulled out of an almost stretched arm: the unit leaves its reach before it leaves the slack for units.
     let mut reasons = Vec::new();
     for millimetres in 0..120 {
         let mut drawn = forward(&model, &[0.3, -0.9, 0.1, 0.2, 1.1, 0.4]);
@@ -295,18 +297,18 @@ fn a_joint_that_may_not_get_there_is_named() {
     let inverse = UrInverse::new(&rows, None, least, most).unwrap();
     let refused = inverse.nearest(&target, &q).unwrap_err();
     assert!(matches!(refused, UrUnreached::Limits { joint: 2, .. }), "{refused}");
-    // A joint that turns without end follows any number of turns.
+    // A joint without limits follows any number of turns.
     let endless = UrInverse::new(&rows, None, [f64::NEG_INFINITY; 6], [f64::INFINITY; 6]).unwrap();
     let far = q.map(|angle| angle + 10.0 * TURN);
     assert!(apart(&endless.nearest(&target, &far).unwrap(), &far) < 1e-9);
-    // At the limit itself rounding does not send the joint round the other way.
+    // At the limit itself, rounding does not send the joint the other way round.
     let edge = [TURN, -1.3, 1.1, 0.6, 0.8, -TURN];
     let found = free(&rows).nearest(&pose(&forward(&rows, &edge)), &edge).unwrap();
     assert!(apart(&found, &edge) < 1e-9 && found[0] <= TURN && found[5] >= -TURN, "{found:?}");
 }
 
 #[test]
-fn what_cannot_be_is_refused() {
+fn invalid_rows_limits_and_poses_are_refused() {
     let rows = models()[1];
     let refused = |rows: &UrRows| UrInverse::new(rows, None, [-TURN; 6], [TURN; 6]).unwrap_err().name;
     assert_eq!(refused(&UrRows { theta: [1e-6; 6], ..rows }), "theta");
@@ -338,7 +340,7 @@ fn a_pose_in_single_precision_is_the_rotation_beside_it() {
     #[allow(clippy::cast_possible_truncation)]
     let single = target.map(|number| f64::from(number as f32));
     let posture = free(&rows).nearest(&pose(&single), &q).unwrap();
-    // A few times what single precision rounds by, over the lever of the wrist.
+    // A few single-precision roundings over the lever of the wrist.
     assert!(apart(&posture, &q) < 1e-5);
     assert!(off(&rows, &posture, &single) < 2e-7);
 }

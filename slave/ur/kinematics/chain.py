@@ -5,9 +5,10 @@
 `calibration.toml` holds the deltas of one unit from its model. Its four keys are those of the controller's
 `calibration.conf`, six numbers each, in m and rad:
 
-    delta_theta = [2.1e-5, 0.97, -1.86, 0.89, 5.7e-5, -7.5e-5] delta_a = [3.9e-4, 0.184, 0.145, -6.4e-5, 7.8e-6, 0.0]
-    delta_d = [4.0e-5, 278.2, -183.7, -94.5, 3.0e-4, 1.2e-4] delta_alpha = [-2.7e-4, 1.3e-3, -3.2e-3, 6.5e-4, -5.9e-4,
-    0.0]
+    delta_theta = [2.1e-5, 0.97, -1.86, 0.89, 5.7e-5, -7.5e-5]
+    delta_a = [3.9e-4, 0.184, 0.145, -6.4e-5, 7.8e-6, 0.0]
+    delta_d = [4.0e-5, 278.2, -183.7, -94.5, 3.0e-4, 1.2e-4]
+    delta_alpha = [-2.7e-4, 1.3e-3, -3.2e-3, 6.5e-4, -5.9e-4, 0.0]
 
 Axes 2, 3 and 4 are nearly parallel. Their common normals, the reference of `d` and `theta`, are therefore
 ill-conditioned and may be hundreds of metres away, compensated by the next row. These rows have wide individual bounds,

@@ -43,9 +43,10 @@ def joint_bounds(
 def _last_speed(distance: Symbol, step: float, period_s: float) -> Symbol:
     """Return the largest velocity from which a joint stops within a distance, if it slows by `step` per period.
 
-    Held for one period, then for one each of v - step, v - 2 step, ..., it moves `T ((n + 1) v - step n (n + 1) / 2)`
-    with `n = floor(v / step)`. So `v = distance / ((n + 1) T) + n step / 2`, with the largest n for which `T step n (n
-    + 1) / 2 <= distance`. At or past its end it is 0. The next allowed velocity is then at most one step away.
+    The velocity is v for one period, then v - step, v - 2 step, ... for one period each. With `n = floor(v / step)`
+    the joint moves by `T ((n + 1) v - step n (n + 1) / 2)`. So `v = distance / ((n + 1) T) + n step / 2`, with the
+    largest n for which `T step n (n + 1) / 2 <= distance`. At or past its end it is 0. The next allowed velocity is
+    then at most one step away.
     """
     casadi = casadi_module()
     left = casadi.fmax(distance, 0.0)

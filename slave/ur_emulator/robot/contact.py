@@ -21,8 +21,7 @@ class ToolEnvironment:
     """Forces on the tool: a scene around it, at rest until `engage`, and pushes on command.
 
     The scene's axes are those of the base. The tool position at `anchor` is the start of the scene's arm. Before
-    `engage`
-    the scene's time stands still and its pushers do not push.
+    `engage` the scene's time stands still and its pushers do not push.
 
     Args:
         scene: The scene's environment; None for free space.

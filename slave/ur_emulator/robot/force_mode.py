@@ -25,10 +25,9 @@ class ForceMode:
     """Virtual body that a compliant axis moves as.
 
     Each compliant axis of the task frame follows `M v' = w + F_e - M d v`. Here w is the wrench that the tool must
-    exert,
-    F_e the wrench of the environment on the tool, `M = 50 kg / gain scaling` (2 kg m² for rotation) and
-    `d = 400 1/s damping`. |v| stays within the limit of that axis. Contact then settles at `F_e = -w`, and an axis
-    without contact drifts at `w / (M d)`. Axes that are not compliant follow the program.
+    exert, and F_e the wrench of the environment on the tool. The virtual mass is `M = 50 kg / gain scaling` (2 kg m²
+    for rotation), the damping `d = 400 1/s damping`. |v| stays within the limit of that axis. Contact then settles at
+    `F_e = -w`, and an axis without contact drifts at `w / (M d)`. Axes that are not compliant follow the program.
 
     The vendor publishes the meaning of damping and gain scaling, not the law. The constants let a wall of up to 10 kN/m
     settle without oscillation at the defaults of ur_rtde (gain scaling 0.5, damping 0.025).

@@ -138,8 +138,7 @@ class StopTool:
 class Servo:
     """Servoj: follows a joint target by a second-order law, exact for a constant target.
 
-    The law is `q'' = gain (q_target - q - lookahead q')`. The lag behind a target that moves at v is thus `lookahead
-    v`.
+    The law is `q'' = gain (q_target - q - lookahead q')`. The lag behind a target at speed v is thus `lookahead v`.
     The natural frequency is `sqrt(gain)` rad/s, the damping ratio `lookahead sqrt(gain) / 2`. Joints keep their speed
     limits.
 

@@ -4,7 +4,7 @@ use simba::simd::AutoF64x4;
 use super::*;
 use crate::{ArmControl, ArmModel, Contact, ContactLaw, PushShape, Pusher, Shape};
 
-/// How the slaves of a test differ.
+/// Parameters in which the slaves of a test differ.
 #[derive(Clone, Copy, Debug)]
 struct Drawn {
     mass_kg: f64,
@@ -73,8 +73,8 @@ fn slave<const N: usize>(drawn: &Drawn, kinds: u8, push_at_s: f64) -> SimulatedS
         .unwrap()
 }
 
-/// Slaves in lanes are as alone, tick for tick and to the bit: all that is measured, and where they come to rest. Returns how
-/// many ticks were taken in lanes.
+/// Slaves in lanes are bit-identical to separate ones at each tick, in all measurements and rest positions. Returns the
+/// number of lane ticks.
 fn check<const N: usize>(
     of: &[Drawn; 4],
     kinds: u8,
@@ -105,7 +105,7 @@ fn check<const N: usize>(
             set(&mut positions, lane, &command(lane));
             set(&mut velocities, lane, &velocity(lane));
         }
-        // The second one, after other commands, is no longer the first.
+        // The second stop follows other commands, so it differs from the first.
         let stops = tick == stop_at || tick == stop_at + 20;
         let rests = stops.then(|| beside.stop(lanes));
         for lane in lanes_of(lanes, 4) {
@@ -124,7 +124,7 @@ fn check<const N: usize>(
                 assert_eq!(of_lane(rests, lane), alone[lane].stop());
             }
         }
-        // Two ticks without a command after a stop, then the same one again.
+        // Two ticks without a command after a stop, then the same command again.
         if tick < stop_at || tick > stop_at + 2 {
             beside.write(lanes, &positions, &velocities);
             for lane in lanes_of(lanes, 4) {
@@ -143,7 +143,7 @@ fn check<const N: usize>(
 
 proptest! {
     #[test]
-    fn slaves_in_lanes_are_as_alone(
+    fn lanes_match_separate_slaves(
         mut of in [drawn(), drawn(), drawn(), drawn()],
         kinds in 0..8u8,
         springs in prop::option::of([-0.03..0.03f64, 1.0..5e3, 0.0..50.0]),
@@ -170,7 +170,7 @@ proptest! {
     }
 }
 
-/// That they are as alone says nothing of whether lanes are used.
+/// Bit-identical results do not show that lanes are used.
 #[test]
 fn nearly_all_ticks_are_taken_in_lanes() {
     let drawn = Drawn {
@@ -187,9 +187,9 @@ fn nearly_all_ticks_are_taken_in_lanes() {
     assert!(taken > 4 * 160 * 3 / 4, "{taken} of 640");
 }
 
-/// A plane that leans by less than what its length tells pushes along the other axes too: not in lanes.
+/// A plane that leans by less than the rounding of its length pushes along the other axes too: not for lanes.
 #[test]
-fn a_plane_that_leans_by_next_to_nothing_is_not_for_lanes() {
+fn slightly_leaning_plane_is_not_for_lanes() {
     let drawn = |lean: f64| {
         let arm = ArmModel::new(ArmControl::Position { bandwidth_hz: 15.0 }, 4.0, Some(1.0), None).unwrap();
         let plane = Shape::plane(Axes::<3>::zeros(), Axes::<3>::new(lean, 1.0, 0.0)).unwrap();

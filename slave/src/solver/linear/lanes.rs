@@ -1,4 +1,4 @@
-//! One axis of several arms side by side, over pieces on which no contact changes.
+//! One axis of several arms in lanes, over pieces without a change of contact.
 
 use nalgebra::SimdBool as _;
 
@@ -8,33 +8,33 @@ use super::{
 };
 use crate::{Real, contact::law::Mode};
 
-/// A plane across the axis, of each arm.
+/// A plane across the axis, one per arm.
 #[derive(Clone, Debug)]
 struct PlaneLanes<S: Real> {
     surface: S,
     normal: S,
     stiffness: S,
     damping: S,
-    /// 1 where it is touched in the present regime, else 0.
+    /// 1 if it is touched in the present regime, else 0.
     touched: S,
 }
 
-/// What acts on one axis of several tools beside the pushers, and what follows from it as long as no contact changes.
+/// Objects that act on one axis of several tools, without the pushers, and the dynamics while no contact changes.
 #[derive(Clone, Debug)]
 pub(crate) struct LineLanes<S: Real> {
     planes: Vec<PlaneLanes<S>>,
     c: S,
     pull: S,
     transition: Transition<S>,
-    /// Over a piece of `step` in s.
+    /// Map over a piece of `step` in s.
     map: TransitionMap<S>,
     step: f64,
-    /// Longest piece in s in which no contact can hide; below 0 where there is no regime that may last over one.
+    /// Longest piece in s in which no contact can hide; negative without a valid regime.
     longest: S,
 }
 
 impl<S: Real> LineLanes<S> {
-    /// Lanes without a regime yet; None unless all have as many planes.
+    /// Lanes without a regime; none unless all have the same number of planes.
     pub(crate) fn gather(of: &[&Line]) -> Option<Self> {
         let planes = of.first()?.planes.len();
         if of.iter().any(|one| one.planes.len() != planes) {
@@ -54,7 +54,7 @@ impl<S: Real> LineLanes<S> {
         })
     }
 
-    /// Takes over the regime of one arm of M, K and B, as its last piece has left it.
+    /// Copy the regime of one arm with M, K and B, as its last piece left it.
     pub(crate) fn load(&mut self, lane: usize, line: &Line, arm: [f64; 3]) {
         let regime = &line.regime;
         let mut lasts = regime.arm == arm && (line.planes.is_empty() || regime.c >= 0.0);
@@ -88,8 +88,8 @@ impl<S: Real> LineLanes<S> {
         self.map.sine.replace(lane, map.sine);
     }
 
-    /// Make the maps over a piece of `step` in s, unless they are.
-    #[inline(always)] // nearly always they are
+    /// Compute the maps over a piece of `step` in s, unless they are kept.
+    #[inline(always)] // nearly always they are kept
     pub(crate) fn prepare(&mut self, step: f64) {
         if self.step.to_bits() != step.to_bits() {
             self.step = step;
@@ -99,8 +99,9 @@ impl<S: Real> LineLanes<S> {
         }
     }
 
-    /// (x, V) after the piece, under an input per kg that is linear in time, of which `bend` is taken off from its instant on
-    /// where `bends`; and where that is what [`Line::advance`] and [`Line::advance_bent`] would find, to the bit.
+    /// (x, V) after the piece, under an input per kg that is linear in time; in lanes of the mask `bends`, `bend` is
+    /// removed from its instant on. The mask holds the lanes whose result is bit-identical to [`Line::advance`] and
+    /// [`Line::advance_bent`].
     #[inline(always)] // once a tick and axis
     pub(crate) fn advance(
         &self,
@@ -138,8 +139,8 @@ impl<S: Real> LineLanes<S> {
         (found, stays)
     }
 
-    /// Where each plane is touched, or not, as the regime says, and bounds say that this stays so.
-    #[inline(always)] // as advance
+    /// Mask of the lanes in which every plane is touched as in the regime, and bounds show that this does not change.
+    #[inline(always)] // like advance
     fn keeps_contacts(&self, course: &Course<S>, [x, v]: [S; 2], t: f64, impulse: S) -> S::SimdBool {
         let zero = S::zero();
         let [farther, fastest] = course.bounds(t);

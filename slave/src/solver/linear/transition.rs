@@ -1,8 +1,8 @@
-//! `y'' + c y' + k y = 0`, solved in closed form: of one state or of several side by side.
+//! Closed-form solution of `y'' + c y' + k y = 0`, for one state or for several in lanes.
 
 use crate::Real;
 
-/// What [`Transition`] makes of a state over some time.
+/// Map of a [`Transition`] over a given time.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TransitionMap<S = f64> {
     pub(super) k: S,
@@ -20,7 +20,7 @@ impl<S: Real> TransitionMap<S> {
     }
 }
 
-/// `y'' + c y' + k y = 0`, solved in closed form.
+/// Closed-form solution of `y'' + c y' + k y = 0`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Transition<S = f64> {
     pub(super) k: S,
@@ -64,7 +64,7 @@ impl Transition {
         let z = discriminant * t * t;
         if z > NEARLY_CRITICAL {
             let root = discriminant.sqrt();
-            // The slow pole by the product of both: no difference of nearly equal numbers.
+            // The slow pole from the product of both: no difference of nearly equal numbers.
             let (slow, fast) = (-k / (half + root), -(half + root));
             let (e_slow, e_fast) = ((slow * t).exp(), (fast * t).exp());
             let sine = (e_slow - e_fast) / (2.0 * root);
@@ -108,14 +108,14 @@ impl<S: Real> Transition<S> {
     }
 }
 
-/// `|(c / 2)² - k| t²` up to which cosine and sine are power series of it.
+/// Bound on `|(c / 2)² - k| t²` below which cosine and sine are computed as power series.
 pub(super) const NEARLY_CRITICAL: f64 = 1e-2;
 
-/// Cosine, and sine by time, near critical damping: both are power series of z; `z^6 / 12!` is below rounding.
+/// Cosine, and sine over time, near critical damping: both are power series of z; `z^6 / 12!` is below rounding.
 #[inline(always)]
 fn nearly_critical<S: Real>(z: S) -> [S; 2] {
     let (mut cosine, mut sine) = (S::zero(), S::zero());
-    // No closure: a call would be built without the processor's vectors.
+    // No closure: its call would be compiled without the vector instructions.
     for n in (0..EVEN_AND_ODD.len()).rev() {
         let [even, odd] = EVEN_AND_ODD[n];
         (cosine, sine) = (S::splat(even) + cosine * z, S::splat(odd) + sine * z);
@@ -123,11 +123,12 @@ fn nearly_critical<S: Real>(z: S) -> [S; 2] {
     [cosine, sine]
 }
 
-/// `|x|` up to which [`exponential`] is one.
+/// Bound on `|x|` for [`exponential`].
 pub(super) const REACH: f64 = 0.5;
 
-/// `e^x` for `|x| <=` [`REACH`], to two roundings: its Taylor series up to `x^15`, for `0.5^16 / 16!` is 7e-19; by pairs of
-/// pairs of terms, so that no term waits for all before it.
+/// `e^x` for `|x| <=` [`REACH`], to two roundings: Taylor series up to `x^15`, since `0.5^16 / 16!` is 7e-19.
+///
+/// The terms are added by pairs of pairs, so that no term waits for all before it.
 ///
 /// Source: G. Estrin, "Organization of computer systems", 1960 (the order of the terms).
 #[inline(always)]
@@ -163,7 +164,7 @@ mod tests {
     use nalgebra::{Matrix2, Vector2};
     use proptest::prelude::*;
 
-    /// The series near critical damping is that of the functions on both sides, and of the limit itself.
+    /// The series near critical damping equals the functions on both sides, and the limit itself.
     #[test]
     fn near_critical_damping_the_series_are_cosine_and_sine() {
         for z in [0.0, 1e-12, -1e-12, 1e-5, -1e-5, 9.9e-3_f64, -9.9e-3] {
@@ -179,7 +180,7 @@ mod tests {
             let half = 3.0_f64;
             let map = Transition { k: half * half - z, per_k: 1.0, half, discriminant: z }.over(1.0);
             let decay = (-half).exp();
-            // A few roundings of numbers near 1 here and in the library; of the sum also those of half of the sine.
+            // A few roundings of numbers near 1 here and in the library; for the sum also those of half of the sine.
             assert!((map.sine / decay - sine).abs() < 4.0 * f64::EPSILON, "{z}");
             let seen = (map.from_y + map.from_v) / (2.0 * decay);
             assert!((seen - cosine).abs() < (4.0 + half) * f64::EPSILON, "{z}");
@@ -187,7 +188,7 @@ mod tests {
     }
 
     proptest! {
-        /// Two roundings of the sums near 1, and the library's own.
+        /// Two roundings of the sums near 1, plus those of the library.
         #[test]
         fn the_exponential_is_that_of_the_library(x in -REACH..=REACH) {
             let exact = x.exp();
