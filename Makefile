@@ -48,7 +48,7 @@ demo: $(EXTENSION) ## run `haptether demo`
 	@$(BIN)/haptether demo
 
 NOT_THOROUGH = $() and not thorough
-LIVE_AT_ONCE := 4
+LIVE_AT_ONCE := 5
 
 # Tests of real time: options and markers of pytest. Each test that fails is retried once, by itself; out/retries.json
 # lists the retries of both runs.

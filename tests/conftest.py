@@ -3,7 +3,7 @@
 HAPTETHER_HYPOTHESIS_PROFILE chooses. `fast` tries the same examples each time, so that a change is
 judged and not the luck of a draw; `slow` draws new ones.
 
-`make test` runs modules with the marker `live` four at a time, for they mostly wait, those with `alone` one after the
+`make test` runs modules with the marker `live` five at a time, for they mostly wait, those with `alone` one after the
 other, and all others two at a time. It leaves out what is `thorough`, which `make thorough` runs as well: what takes
 long and whose subject other tests have, too, and of a test with `sampled(n)` all but n of its cases.
 """

@@ -625,6 +625,7 @@ def test_what_negative_friction_drives_stays_below_the_bound(overrides: tuple[st
     assert has_end or "viscous friction is negative" in endless.text()
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("group", bench.GROUPS)
 def test_no_release_exceeds_the_bound_whatever_the_sign_of_the_friction(group: str) -> None:
     """1440 releases: b of both signs, mu from 0, dying links; `benches/ejection_bound.py` has 100 000."""

@@ -20,7 +20,7 @@ Array = npt.NDArray[np.float64]
 
 pytestmark = pytest.mark.slow
 
-EXAMPLES, POSES = (1000, 250) if settings().max_examples < 1000 else (4000, 2000)
+EXAMPLES, POSES, SWEEPS = (400, 100, 20) if settings().max_examples < 1000 else (4000, 2000, 200)
 """Of the profiles `fast` and `slow`."""
 SEED = 20260
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much])
@@ -286,7 +286,7 @@ def grids(draw: st.DrawFn, scene: Scene) -> dict[str, list[float]]:
 
 @pytest.mark.parametrize("arm", [True, False])
 @seed(SEED)
-@settings(SLOW, max_examples=50, derandomize=False, database=None)
+@settings(SLOW, max_examples=SWEEPS, derandomize=False, database=None)
 @given(data=st.data())
 def test_a_sweep_is_its_rows_whatever_carries_them(arm: bool, data: st.DataObject) -> None:
     scene = data.draw(scenes(arm=arm))
