@@ -234,9 +234,7 @@ def test_no_distance_of_the_arm_to_itself_changes_faster_than_its_levers(name: s
 # At the limit of the tool's speed, the limit is met to a relative 1e-9, and joints to that over a singular value of
 # 0.05.
 @pytest.mark.parametrize(("max_tool_speed", "tolerance"), [(None, 1e-9), (0.4, 1e-8)])
-def test_skipping_the_self_keep_out_check_changes_nothing(
-    max_tool_speed: float | None, tolerance: float
-) -> None:
+def test_skipping_the_self_keep_out_check_changes_nothing(max_tool_speed: float | None, tolerance: float) -> None:
     # The thicker links also apply to the planes.
     limits = msgspec.structs.replace(
         JOINTS, max_tool_speed=max_tool_speed, planes=(TABLE, WALL), self_keep_out=SelfKeepOut(radius_m=0.07)
