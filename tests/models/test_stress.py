@@ -168,7 +168,7 @@ def test_a_spring_five_seconds_late_diverges() -> None:
     assert run(local).metrics.diverged
     remote = unstable(1, True)
     remote["run"]["duration_s"] = 100.0
-    # A press waits for 5 s: over a way there and back of as much nobody can engage.
+    # A press waits for 5 s: with a round trip of the same length it never engages.
     remote["link"] = {"forward": {"delay_s": 2.5}, "backward": {"delay_s": 2.5}}
     assert run(remote).metrics.outcome == "never-engaged"
     remote["link"] = {"forward": {"delay_s": 2.4}, "backward": {"delay_s": 2.4}}
@@ -177,7 +177,7 @@ def test_a_spring_five_seconds_late_diverges() -> None:
 
 @pytest.mark.thorough
 def test_ten_million_ticks() -> None:
-    """A free oscillation keeps its energy over 1e7 ticks: the wall's held force returns what b takes at K = b / T."""
+    """A free oscillation keeps its energy over 1e7 ticks: at K = b / T the wall's held force returns the loss by b."""
     raw: dict[str, Any] = {
         "schema": 1,
         "run": {"duration_s": 100.0, "period_s": 1e-5},
