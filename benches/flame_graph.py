@@ -34,7 +34,7 @@ import sys, time
 import haptether
 scene, seconds, repeats, overrides = sys.argv[1], float(sys.argv[2]), int(sys.argv[3]), sys.argv[4:]
 overrides = [f"run.duration_s={seconds}", *overrides]
-# What is imported and built once is no part of a tick.
+# Imports and one-time construction are not part of a tick.
 haptether.simulate(scene, overrides=["run.duration_s=0.5"])
 least = float("inf")
 for _ in range(repeats):
