@@ -1,8 +1,10 @@
-"""What a driver in Python costs: a loop that it steps, beside the native loop, alternately in the same run.
+"""Cost of a driver in Python: a loop stepped from Python and the native loop, alternately in the same run.
 
-Both are the master of the same scene under the same policy, send to a socket that nobody reads, and wait for the same
-absolute deadlines of 1 ms; one reads its device by a call into Python and back. Two figures: how late each wakes, and
-how long a step takes from Python, conversions included, beside a call that does nothing.
+Both run the master of the same scene under the same policy. They send to a socket that nobody reads and wait for the
+same absolute deadlines, 1 ms apart. The stepped loop reads its device by a call into Python and back.
+
+Two figures: how late each loop wakes, and how long a step takes from Python, conversions included, beside a call that
+does nothing.
 """
 
 import socket

@@ -1,10 +1,10 @@
 """Cost, delay and noise of the velocity and acceleration estimators, and which one is the default.
 
-A hand touches a wall of 200 N/m 3 mm deep, presses it to 39 mm, holds with a tremor of 10 Hz at
-either depth, and lets go over 50 ms with a grip margin of 1.5. The motion is simulated exactly,
-without encoder, once with nothing acting and once with WSC acting, whose device force steps. Then
-the positions are rounded to a PHANTOM Desktop's quantum at several sub-quantum offsets; every
-estimator sees the same. A third run meets the wall at 0.1 m/s, for the false trips at first touch.
+A hand touches a wall of 200 N/m 3 mm deep and presses it to 39 mm. It holds with a tremor of 10 Hz at either depth, and
+lets go over 50 ms with a grip margin of 1.5. The motion is simulated exactly, without encoder: once with nothing acting
+and once with WSC acting, whose device force steps. Then the positions are rounded to a PHANTOM Desktop's quantum at
+several sub-quantum offsets. Every estimator gets the same samples. A third run meets the wall at 0.1 m/s, for the false
+trips at first touch.
 
 Each estimator also runs against a peer in NumPy and SciPy, which must agree with it.
 """

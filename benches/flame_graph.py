@@ -1,10 +1,11 @@
 """Where the time of a simulated tick goes: stacks sampled by `perf` while a scene runs, by part and as a flame graph.
 
-Each checkout runs the scene with its own built extension (a release build says what users have), so that a tree can be
-compared with another, `--before CHECKOUT`, or with stacks that were written before, `--keep FILE` and `--before FILE`.
-Times are shares of the samples times the processor time of a tick, least of some runs. An inlined function appears as
-one of its own, as in the extension's line tables. Needs `perf` (package linux-perf), `addr2line` (binutils) and leave
-to sample (`kernel.perf_event_paranoid` at most 2).
+Each checkout runs the scene with its own built extension; a release build measures what users run. `--before CHECKOUT`
+compares with another tree. `--keep FILE` writes the stacks, and `--before FILE` compares with written ones.
+
+Times are shares of the samples times the processor time of a tick, least of some runs. An inlined function appears as a
+frame of its own, as in the extension's line tables. Needs `perf` (package linux-perf), `addr2line` (binutils) and
+permission to sample (`kernel.perf_event_paranoid` at most 2).
 """
 
 import json
@@ -33,7 +34,7 @@ import sys, time
 import haptether
 scene, seconds, repeats, overrides = sys.argv[1], float(sys.argv[2]), int(sys.argv[3]), sys.argv[4:]
 overrides = [f"run.duration_s={seconds}", *overrides]
-# What is imported and built once is no part of a tick.
+# Imports and one-time construction are not part of a tick.
 haptether.simulate(scene, overrides=["run.duration_s=0.5"])
 least = float("inf")
 for _ in range(repeats):

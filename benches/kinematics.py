@@ -1,14 +1,17 @@
 """Run time against error of the kinematics of UR arms, beside pinocchio, ur-analytic-ik and other solvers.
 
-Forward kinematics with Jacobian: error is the largest of any entry against the same chain in 80 bits. Inverse
-kinematics: each posture that comes back is led through that chain; the errors are the largest over all poses of random
-postures. Streamed steps: error is the largest of any joint's velocity against the minimum, which is refined in 80 bits
-and held to its conditions; a program that a solver gives up is counted.
+- Forward kinematics with Jacobian: the error is the largest of any entry against the same chain in 80 bits.
+- Inverse kinematics: each returned posture goes through that chain. The errors are the largest over all poses of random
+  postures.
+- Streamed steps: the error is the largest of any joint's velocity against the minimum. The minimum is refined in 80
+  bits and held to its conditions. Programs that a solver gives up are counted.
 
-All entries of a table are timed in turns, round by round. Required: forward kinematics and Jacobian in one call in 3
-us, inverse kinematics in 20 us, both within 1e-12 of the chain, the round trip of postures within 1e-10, every streamed
-step within 1e-9 of its conditions, and a period of `UrStreaming` that turns the tool of a UR arm, within the limits of
-its driver, in 10 us.
+All entries of a table are timed in turns, round by round. Required:
+
+- forward kinematics and Jacobian in one call in 3 us, inverse kinematics in 20 us, both within 1e-12 of the chain,
+- the round trip of postures within 1e-10,
+- every streamed step within 1e-9 of its conditions,
+- a period of `UrStreaming` that turns the tool of a UR arm, within the limits of its driver, in 10 us.
 """
 
 import importlib

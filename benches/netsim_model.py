@@ -1,9 +1,9 @@
-"""What a verdict of the network model costs in virtual time, and what a link costs in a run of the engine.
+"""Cost of a verdict of the network model in virtual time, and of a link in a run of the engine.
 
-Packets of one direction at 1 kHz go through `judge_all`, beside the same delay, jitter and loss drawn by NumPy for all
-packets at once and by Python's `random` for one after the other. The peers keep no order, name no cause and key no draw
-by its packet. A run of the engine is measured as in `scene_cost.py`: the time of a long one less that of a short one,
-by the packets between them. All times are the processor's.
+Packets of one direction at 1 kHz go through `judge_all`. Beside it, NumPy draws the same delay, jitter and loss for all
+packets at once, and Python's `random` draws them packet by packet. These peers keep no order, name no cause and key no
+draw by its packet. A run of the engine is measured as in `scene_cost.py`: the time of a long run less that of a short
+run, divided by the packets between them. All times are processor times.
 
 Ends with status 1 if a link without a rule costs more than 10 % of a run.
 """

@@ -1,12 +1,12 @@
-"""What telemetry and a recording cost a live tick, against the same tick without them, in one run.
+"""Cost of telemetry and of a recording in a live tick, against the same tick without them, in one run.
 
 Four loops of a master of three axes tick one after the other in one thread at 1 kHz, in another order each time
-(`bridge/examples/recorded_tick.rs`): without either, with telemetry that a reader takes, with a recording, with both.
-Then how late the live loop wakes without either, with telemetry, and with both, in turn: what their threads take of the
-processors.
+(`bridge/examples/recorded_tick.rs`): with neither, with telemetry that a reader takes, with a recording, with both.
+Then the lateness of the live loop is measured with neither, with telemetry, and with both, in turn. It shows how much
+processor time their threads take.
 
-Required: telemetry adds at most 100 ns to a tick, by the median of the differences of the same period; with it p99 of a
-tick and of the lateness are at most 1.05 times those without, by the median over rounds.
+Required: telemetry adds at most 100 ns to a tick, by the median of the differences of the same period. With telemetry,
+p99 of a tick and of the lateness are at most 1.05 times those without, by the median over rounds.
 """
 
 import json

@@ -1,18 +1,28 @@
-"""What a stylus does after a hand has let go of it under a push that lasts, by how an intervention ends.
+"""Motion of a released stylus under a lasting push, by the law that ends an intervention.
 
-A hand holds the stylus against a push, lets go within 20 ms, and does not come back; the push goes on for 10 s. Three
-laws end an intervention: as the paper prints it (the force is back as soon as no controller trips), by time (hold-off
-0.1 s, a ramp of 0.2 s), and the default: a probe that a hand must answer, or, where friction hides one (kind "omni"),
-a hand that moves the device. Measured from the release on:
+A hand holds the stylus against a push, lets go within 20 ms, and does not come back. The push goes on for 10 s. Three
+laws end an intervention:
 
-- MEV: the greatest speed of the first 0.3 s; later: the greatest after that, beside how often it rose above 0.15 m/s,
+- printed: as the paper prints it, the force is back as soon as no controller trips,
+- by time: hold-off 0.1 s, a ramp of 0.2 s,
+- default: a probe that a hand must answer. Where friction hides the probe (kind "omni"), a hand must move the device.
+
+Measured from the release on:
+
+- MEV: the greatest speed of the first 0.3 s,
+- later: the greatest speed after that, beside how often it rose above 0.15 m/s,
 - way: the largest displacement from where the stylus was 0.3 s after the release,
-- trips each second; the RMS of the device force above 30 Hz (all below is taken away from its spectrum) after those
-  0.3 s, so without the one step down at the first trip, which no law is without.
+- trips each second,
+- the RMS of the device force above 30 Hz after those 0.3 s; all below is removed from its spectrum. This leaves out the
+  one step down at the first trip, which every law has.
 
-Ends with status 1 if by default a stylus goes further than 20 mm, is thrown twice, is faster than 0.1 m/s later,
-rattles more than a tenth as much as printed, or is thrown by more than 5 % faster and faster than the probe itself
-moves a device.
+Ends with status 1 if under the default law a stylus
+
+- moves more than 20 mm,
+- is thrown twice,
+- is faster than 0.1 m/s later,
+- rattles more than a tenth as much as under the printed law, or
+- is thrown more than 5 % faster than there and also faster than the probe itself moves a device.
 """
 
 import sys

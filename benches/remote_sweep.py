@@ -1,9 +1,8 @@
-"""What a row of a sweep of remote scenes costs where rows share link and ladders, and where each has its own.
+"""Cost of a row of a sweep of remote scenes where rows share link and ladders, and where each has its own.
 
-Rows that share differ in the stiffness of the hand, and stand side by side in lanes. Their peers in the same call are
-the same rows one by one, and rows of which each has a seed of its network as well. Each number of rows is swept on one
-thread, least of the repeats. Rows at equal distances must have the outcomes that they have by themselves, to the last
-bit.
+Rows that share differ in the stiffness of the hand and run side by side in lanes. Their peers in the same call are the
+same rows one by one, and rows of which each also has a seed of its network. Each number of rows is swept on one thread,
+least of the repeats. Rows at equal distances must have the outcomes of single runs, to the last bit.
 
 Required: at most 80 ns a tick of a row on one axis where link and ladders are shared, of the largest number of rows.
 Ends with status 1 where that does not hold, or where a row differs.

@@ -1,9 +1,9 @@
-"""What a tick of a remote scene in virtual time costs: hand, network of delay, correlated jitter and loss, and arm.
+"""Cost of a tick of a remote scene in virtual time: hand, network of delay, correlated jitter and loss, and arm.
 
-Each scene is run as it is, and with every frame encoded and decoded as on a live link: the peer of each row, which must
-give the same signals, events and counts (`bridge/examples/remote_tick.rs`). The time of a tick is that of a long run
-less that of a short one by the ticks between them, least of the repeats, on one thread; what a run takes before its
-first tick stands beside it.
+Each scene runs as it is, and with every frame encoded and decoded as on a live link. The second run is the peer of each
+row and must give the same signals, events and counts (`bridge/examples/remote_tick.rs`). The time of a tick is that of
+a long run less that of a short run, divided by the ticks between them, least of the repeats, on one thread. The time of
+a run before its first tick stands beside it.
 
 Required: at most 350 ns a tick on one axis, 1000 on three. Ends with status 1 where that does not hold, or where the
 two runs of a scene differ.

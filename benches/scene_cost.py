@@ -1,13 +1,16 @@
-"""What a scene costs per tick, and that it pays only for what it uses; what the commands cost before they begin.
+"""Cost of a scene per tick, proof that it pays only for what it uses, and the time of commands before they begin.
 
 Each row is a scene that differs from its base in one thing. The time of a tick is that of a long run less that of a
-short one, by the number of ticks between them, so that what is built once does not count. A tick's time is by the
-clock, all scenes in turns, the least of the repeats: of some milliseconds the processor's own account is too coarse on
-a virtual machine. What a process takes is the processor's time.
+short run, divided by the ticks between them; this leaves out one-time setup. Ticks are timed by the clock, all scenes
+in turns, the least of the repeats. On a virtual machine the processor's own account is too coarse for some
+milliseconds. The time of a process is processor time.
 
-Ends with status 1 if an exact tick without an arm takes longer than required, if 1000 objects out of reach cost more
-than half as much again as none, if `haptether --help` takes longer than it may, or if running a scene loads a library
-that it does not use.
+Ends with status 1 if
+
+- an exact tick without an arm takes longer than required,
+- 1000 objects out of reach cost more than 1.5 times as much as none,
+- `haptether --help` takes longer than it may, or
+- running a scene loads a library that it does not use.
 """
 
 import math

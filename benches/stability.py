@@ -1,12 +1,12 @@
 """Where simulated loops lose their stability, against closed forms: sampled walls, delayed springs, position-force.
 
-Every loop here has one gain K and the characteristic equation K + h(s) = 0, so the first root that leaves the stable
-region does so at the least K = -Re h(j w) > 0 with Im h(j w) = 0 (D-decomposition). The simulated gain is the one at
-which a free oscillation neither grows nor decays, found by bisection on its measured growth.
+Every loop here has one gain K and the characteristic equation K + h(s) = 0. The first root that leaves the stable
+region does so at the least K = -Re h(j w) > 0 with Im h(j w) = 0 (D-decomposition). At the simulated gain a free
+oscillation neither grows nor decays; bisection on its measured growth finds it.
 
-Rows: the wall of a sampled device (Colgate and Schenkel 1994; Gil et al. 2004), the delayed spring
-m x'' + b x' + K x(t - tau) = 0, and position-force coupling with and without a round trip (Daniel and McAree 1998).
-A row that is off by more than 1 % fails.
+Rows: the wall of a sampled device (Colgate and Schenkel 1994; Gil et al. 2004), the delayed spring m x'' + b x' + K x(t
+- tau) = 0, and position-force coupling with and without a round trip (Daniel and McAree 1998). A row that is off by
+more than 1 % fails.
 """
 
 import sys

@@ -1,11 +1,13 @@
-"""What a stored sweep costs from a thousand rows to a million: rate and memory, against the engine alone.
+"""Cost of a stored sweep from a thousand rows to a million: rate and memory, against the engine alone.
 
-Each size runs in a process of its own: `sweep_to_file` over delay and seed of `remote_push`, a tenth of a second
-each, and the engine alone on the same rows before and after (`_core.sweep_scenes`, at most 20000 of them, in memory).
-`--study` runs the 9300 rows of 4 s of 31 delays, three choices of controllers and 100 seeds instead, in slices of both
-in turn. Required: at least 0.9 of the engine's rate in the study; of the sizes, rates of those that take a second that
-are within 1.5 times, and at most 1.5 times the memory of the smallest at the largest. Ends with status 1 where that
-does not hold.
+Each size runs in a process of its own: `sweep_to_file` over delay and seed of `remote_push`, a tenth of a second each.
+Before and after it the engine alone runs the same rows (`_core.sweep_scenes`, at most 20000 of them, in memory).
+`--study` instead runs the 9300 rows of 4 s of 31 delays, three choices of controllers and 100 seeds, in slices of both
+in turn.
+
+Required: in the study, at least 0.9 of the engine's rate. Among the sizes that take a second, rates are within a factor
+of 1.5, and the largest size uses at most 1.5 times the memory of the smallest. Ends with status 1 where that does not
+hold.
 """
 
 import json

@@ -1,15 +1,16 @@
-"""Whether `haptether tune` predicts the false trips of hands that it has not seen.
+"""Count how well `haptether tune` predicts the false trips of unseen hands.
 
-Pairs of sets of recordings are simulated, each recording of another random hand that does a task and holds throughout.
-From one set of a pair the boundary of each observer is found at a rate of false trips, with its intervals; then
+Pairs of sets of recordings are simulated. Each recording is of another random hand that does a task and holds
+throughout. The first set of a pair gives the boundary of each observer at a rate of false trips, with its intervals.
+Three figures follow:
 
 - held out: exceedances of that boundary in the other set, against the interval of their count,
 - all: its rate in the recordings of all pairs, against the interval of the rate,
 - closed loop: false trips of the hands of the other set where the controller watches with that threshold and
   intervenes, against the interval of their count.
 
-Counted is how often each lies within its interval; these shares have exact intervals (Clopper and Pearson 1934). The
-pairs are independent. Ends with status 1 if a share of held-out sets is below the confidence beyond chance.
+The report counts how often each lies within its interval; these shares have exact intervals (Clopper and Pearson 1934).
+The pairs are independent. Ends with status 1 if a share of held-out sets is below the confidence beyond chance.
 """
 
 import argparse

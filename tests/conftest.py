@@ -1,11 +1,17 @@
-"""Hypothesis profiles: `fast` for every run, `slow` for a search that takes its time.
+"""Hypothesis profiles: `fast` for every run, `slow` for a long search.
 
-HAPTETHER_HYPOTHESIS_PROFILE chooses. `fast` tries the same examples each time, so that a change is
-judged and not the luck of a draw; `slow` draws new ones.
+HAPTETHER_HYPOTHESIS_PROFILE chooses. `fast` tries the same examples each time, so that it judges the change and not the
+luck of a draw. `slow` draws new ones.
 
+<<<<<<< HEAD
 `make test` runs modules with the marker `live` five at a time, for they mostly wait, those with `alone` one after the
 other, and all others two at a time. It leaves out what is `thorough`, which `make thorough` runs as well: what takes
 long and whose subject other tests have, too, and of a test with `sampled(n)` all but n of its cases.
+=======
+`make test` runs modules with the marker `live` four at a time, because they mostly wait. It runs modules with `alone`
+one after the other, and all others two at a time. It leaves out `thorough` tests, which `make thorough` also runs: slow
+tests whose subject other tests cover. Of a test with `sampled(n)`, all but n cases are `thorough`.
+>>>>>>> 9727f8fffd60a81b8a1ab07193075dd349fd5fdf
 """
 
 import os
@@ -22,7 +28,7 @@ settings.register_profile("fast", max_examples=50, deadline=None, derandomize=Tr
 settings.register_profile("slow", max_examples=2000, deadline=None)
 settings.load_profile(os.environ.get("HAPTETHER_HYPOTHESIS_PROFILE", "fast"))
 
-# Whoever runs the tests in the background, or under nohup, must not have what they start ignore its signals.
+# Processes that tests start must not ignore signals, even if the tests run in the background or under nohup.
 for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
     if signal.getsignal(number) is signal.SIG_IGN:
         signal.signal(number, handler)
@@ -30,7 +36,7 @@ for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIG
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Of a test with `sampled(n)`, has n cases that lie evenly among all be for every run and the others `thorough`."""
+    """Mark all but n evenly spaced cases of a test with `sampled(n)` as `thorough`."""
     cases: dict[str, list[pytest.Item]] = {}
     for item in items:
         if item.get_closest_marker("sampled"):
@@ -45,7 +51,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(autouse=True)
 def ordinary_scheduling() -> Iterator[None]:
-    """Real time that a test leaves to its thread is a fault of what it tests: all later ones would starve others."""
+    """Fail a test that leaves real time to its thread: all later tests would starve others."""
     before = _scheduling()
     yield
     left = _scheduling()
@@ -66,7 +72,7 @@ def _scheduling() -> tuple[int, int]:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Passes over modules that have nothing of what is wanted: several processes would load them all for nothing."""
+    """Skip modules without the wanted marker, so that several processes do not load them all for nothing."""
     if collection_path.suffix != ".py":
         return None
     text = collection_path.read_text("utf-8")

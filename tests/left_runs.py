@@ -1,4 +1,4 @@
-"""Loops of drivers that a test has left running: where it failed nobody ended them, and later tests would suffer."""
+"""Driver loops that a failed test has left running: nothing else ends them, and they would disturb later tests."""
 
 import threading
 import weakref
@@ -6,11 +6,11 @@ import weakref
 from haptether.bridge.devices.loop import DeviceRun
 
 _GIVEN_UP: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
-"""Threads of drivers that hang: nothing ends them."""
+"""Threads of drivers that hang: nothing can end them."""
 
 
 def end_left_runs() -> int:
-    """End them, so that the interpreter and its threads are as before the first; how many there were."""
+    """End these loops, so that the interpreter and its threads are as before the first; return their number."""
     left = [thread for thread in threading.enumerate() if thread.name == "haptether-loop" and thread not in _GIVEN_UP]
     for thread in left:
         run = getattr(getattr(thread, "_target", None), "__self__", None)

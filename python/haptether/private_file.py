@@ -24,10 +24,10 @@ def refuse_link(path: Path) -> None:
 
 
 def refuse_existing(path: Path) -> None:
-    """Refuses to replace a file; pipes, devices and streams of this process are written to.
+    """Refuse to replace a file; pipes, devices and streams of this process are permitted.
 
     Raises:
-        FileExistsError: There is a file.
+        FileExistsError: The file exists.
     """
     if path.is_file() and not is_stream(path):
         message = f"{path}: is there already: --force replaces it, or give another file"

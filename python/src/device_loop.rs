@@ -239,12 +239,12 @@ impl DeviceClock {
     }
 }
 
-/// What a master's loop keeps from one tick for the next.
+/// State of a master's loop that the next tick needs.
 #[derive(Clone, Copy, Default)]
 struct LastTick {
     /// Force in N; None for a trigger without feedback.
     trigger_force: Option<f64>,
-    /// True if the device measures it; None before the first sample.
+    /// True if the device measures its velocity; None before the first sample.
     has_velocity: Option<bool>,
     has_angular_velocity: Option<bool>,
     clock: DeviceClock,

@@ -146,7 +146,7 @@ def test_paper_draws_its_figures(tmp_path: Path) -> None:
 def test_a_scene_presses_its_clutch_anew_only_where_the_command_says_so(clutch: str) -> None:
     scene = load_scene("ur_peg")
     assert scene.operator is not None
-    # The default of a scene, for simulations.
+    # The default of a scene is for simulations.
     assert scene.operator.clutch == "auto"
     live = with_clutch(scene, clutch)
     assert live.operator is not None
@@ -215,7 +215,7 @@ def test_output_that_cannot_be_written_is_one_line_or_none(
         found = subprocess.run(
             [*COMMAND, *arguments], stdout=stdout, stderr=stderr, timeout=60, check=False, env=env, cwd=tmp_path
         )
-        # What is shown beside JSON is on standard error.
+        # Output beside JSON is on standard error.
         return found.returncode, b"" if "--json" in arguments else found.stderr
 
     with Path("/dev/full").open("wb") as full:
@@ -228,7 +228,7 @@ def test_output_that_cannot_be_written_is_one_line_or_none(
     assert closed.returncode == 1
     assert closed.stderr.endswith(b"haptether: standard output: is closed, must be open: nothing is written there\n")
     assert b"Traceback" not in closed.stderr
-    # What it makes beside it is there.
+    # The key file is written in any case.
     assert ("keygen" in arguments) == (tmp_path / "a.key").exists()
     reading, writing = os.pipe()
     os.close(reading)
@@ -284,7 +284,7 @@ def test_what_is_wrong_goes_to_a_closed_pipe_without_a_word(arguments: list[str]
          "push_force_n = 5: nothing pushes: give --push-at-s, or leave it out"),
     ],
 )  # fmt: skip
-def test_what_would_be_passed_over_is_refused(arguments: list[str], said: str) -> None:
+def test_option_without_effect_is_refused(arguments: list[str], said: str) -> None:
     ended = run(*arguments)
     assert ended.returncode == 2
     assert said in ended.stderr
@@ -301,7 +301,7 @@ def test_what_would_be_passed_over_is_refused(arguments: list[str], said: str) -
          "usage: haptether sweep"),
     ],
 )  # fmt: skip
-def test_what_is_no_option_given_twice_is_not_refused_as_one(arguments: list[str], status: int, said: str) -> None:
+def test_repeated_value_of_another_option_is_not_refused(arguments: list[str], status: int, said: str) -> None:
     ended = run(*arguments)
     assert ended.returncode == status
     assert said in ended.stdout + ended.stderr

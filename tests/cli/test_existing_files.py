@@ -1,4 +1,4 @@
-"""A file that is there: every option of every command that writes one refuses it before anything runs."""
+"""Existing files: each option of each command that writes a file refuses an existing one before anything runs."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -48,7 +48,7 @@ WRITTEN: dict[str, tuple[list[str], dict[str, str]]] = {
     "netsim record": (["127.0.0.1:9"], {"csv": "a.csv", **JSON}),
     "netsim compare": (["delay 1ms"], JSON),
 }
-"""Of each command the least that it takes, and a file for each option that writes one; some are in a folder."""
+"""Per command: the minimal arguments, and a file for each writing option; some files are in a folder."""
 MORE = {
     "keygen": ["keygen", "a.key"],
     "calibrate": ["dynamixel", "calibrate", "/dev/none", "a.toml", "--yes"],
@@ -74,7 +74,7 @@ THERE = {
     "a folder of a demo": "folder/wsc.npz",
 }
 NAMES = {"json", "plot", "out", "record", "csv", "parquet", "npz", "foxglove", "screenshot", "movie", "html", "log"}
-"""Of options that write, whatever the command."""
+"""Names of the options that write a file, over all commands."""
 CASES = {
     f"{command} --{option}": (
         [*command.split(), *arguments, f"--{option}", file.partition("/")[0] if "/" in file else file],
@@ -98,7 +98,7 @@ def test_no_option_that_writes_is_left_out() -> None:
         for field in fields(command)
         if field.name in NAMES and "Path" in str(get_type_hints(command)[field.name])
     }
-    # It has a rule of its own: an empty folder, or none.
+    # This option has its own rule: the folder must be empty or absent.
     written -= {("new-driver", "out")}
     assert written == {(name, option) for name, (_, of) in WRITTEN.items() for option in of if option in NAMES}
 

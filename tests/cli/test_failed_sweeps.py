@@ -1,4 +1,4 @@
-"""Sweeps of which no row ran as it should: exit status 1, with all that was measured."""
+"""Sweeps without a valid row: exit status 1, and the output has every measurement."""
 
 import json
 from pathlib import Path
@@ -33,7 +33,7 @@ def test_a_sweep_of_failed_rows_fails(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     given = arguments if "run.duration_s=1" in arguments else [*arguments, *SHORT]
-    # Twice: nothing is left that keeps a second one from running.
+    # Run twice: nothing left over may block the second run.
     for replaced in ([], ["--force"]):
         assert main(["sweep", "remote_push", *given, *stored, "--json", "rows.json", *replaced]) == status
         errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("haptether: ")]

@@ -1,4 +1,4 @@
-"""Every reader of a file answers the same questions alike: it reads odd bytes, or refuses them with the file's name."""
+"""Readers of files: each one reads odd bytes or refuses them with the name of the file."""
 
 import os
 import re
@@ -59,7 +59,7 @@ def a_key(folder: Path) -> bytes:
 
 
 def npz(folder: Path, **arrays: list[float]) -> bytes:
-    np.savez(folder / "made.npz", **arrays)  # type: ignore[arg-type]  # its other keyword is no array
+    np.savez(folder / "made.npz", **arrays)  # type: ignore[arg-type]  # the other keyword is not an array
     return (folder / "made.npz").read_bytes()
 
 
@@ -73,14 +73,14 @@ IRTT = b"""{"round_trips": [
 
 @dataclass(frozen=True)
 class Reader:
-    """A reader of files: what it makes of one, and a file that it takes."""
+    """A reader of files: its function, and a valid file."""
 
     name: str
     suffix: str
     read: Callable[[Path], Any]
     content: bytes | Callable[[Path], bytes]
     shifted: bytes | Callable[[Path], bytes] | None = None
-    """The same file later in time; none of a file without times."""
+    """The same file later in time; None for a file without times."""
     is_text: bool = True
     takes_links: bool = True
 
@@ -125,7 +125,7 @@ EVERY = pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.nam
 
 
 def refusal(reader: Reader, path: Path) -> str:
-    """The message about a file that it refuses: one short line with the file's name."""
+    """Return the refusal of a file: one short line with the name of the file."""
     with pytest.raises((ValueError, OSError)) as raised:
         reader.read(path)
     text = str(raised.value)
@@ -186,7 +186,7 @@ def a_socket(path: Path) -> None:
 
 
 def a_device(path: Path) -> None:
-    """That of `/dev/zero`, which never ends."""
+    """Create a device like `/dev/zero`, which never ends."""
     try:
         os.mknod(path, stat.S_IFCHR | 0o600, os.makedev(1, 5))
     except PermissionError:

@@ -1,4 +1,4 @@
-"""What commands write is for their user alone, and goes to the path that was given and nowhere else."""
+"""Files of commands are private to their user and go to the given path only."""
 
 import os
 import stat
@@ -51,7 +51,7 @@ WRITERS: dict[str, tuple[str, ...]] = {
     "master.mcap": (*MASTER, "--min-free-bytes", "0", "--record"),
     "emulator.json": (*EMULATOR, "--json"),
 }
-"""The last option takes the file."""
+"""The file is the value of the last option."""
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -123,14 +123,14 @@ def test_streams_and_pipes_are_written_to(arguments: tuple[str, ...], tmp_path: 
 def test_what_is_not_written_to_its_end_leaves_the_file_that_was_there(tmp_path: Path) -> None:
     path = tmp_path / "a"
     write_private(path, b"before")
-    with pytest.raises(KeyboardInterrupt), private_file(path) as file:  # noqa: PT012  # what ends it in the middle
+    with pytest.raises(KeyboardInterrupt), private_file(path) as file:  # noqa: PT012  # interrupted in the middle
         file.write(b"half")
         raise KeyboardInterrupt
     assert path.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [path]
     with pytest.raises(FileNotFoundError, match=r"nowhere/a'"):
         write_private(tmp_path / "nowhere" / "a", b"")
-    # As long a name as there may be.
+    # The longest permitted name.
     long = tmp_path / ("a" * 255)
     before = os.umask(0o777)
     try:
@@ -160,5 +160,5 @@ def test_what_opens_a_file_by_its_name_finds_a_private_one(tmp_path: Path) -> No
     with pytest.raises(OSError, match="symbolic link"):
         Log.checked(tmp_path / "link.csv", force=True)
     os.mkfifo(tmp_path / "pipe")
-    # It would wait for a reader.
+    # An ordinary open would wait for a reader.
     begin_private(tmp_path / "pipe")

@@ -1,4 +1,4 @@
-"""Progress on standard error: nothing for two seconds, then how much is done."""
+"""Progress on standard error: nothing for two seconds, then the completed share."""
 
 import re
 import time

@@ -1,4 +1,4 @@
-"""What the commands print: at 80 columns nothing is cut, and no text of others acts on the terminal."""
+"""Printed output of the commands: at 80 columns nothing is cut, and no foreign text acts on the terminal."""
 
 import io
 import json
@@ -47,7 +47,7 @@ FORBIDDEN = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u202a-\u
 
 
 def shown(*of: RenderableType) -> str:
-    """What stands on a screen of 80 columns."""
+    """Return the text of a screen of 80 columns."""
     file = io.StringIO()
     screen = Screen(file=file, width=WIDTH, color_system=None)
     for one in of:
@@ -56,7 +56,7 @@ def shown(*of: RenderableType) -> str:
 
 
 def fits(text: str) -> None:
-    """No line is too long, and nothing is cut."""
+    """Assert that no line is too long, and nothing is cut."""
     assert text.strip()
     assert "…" not in text
     for line in text.splitlines():
@@ -153,7 +153,7 @@ def test_the_table_of_a_measurement_fits(capsys: pytest.CaptureFixture[str], mon
 @pytest.mark.parametrize("command", [["paper"], ["raven"], ["list"], ["netsim", "list"], ["simulate", "--list"],
                                      ["simulate", "remote_push"], ["simulate", "three_axis_box"],
                                      ["netsim", "sample", "--preset", "lte-driving"]])  # fmt: skip
-def test_what_a_command_prints_fits(
+def test_output_of_commands_fits(
     command: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", str(WIDTH))
@@ -351,7 +351,7 @@ def test_explain_says_the_cause_in_80_columns_whatever_the_words(
             assert said in " ".join(text.split()) or said in text, said
     fits(text)
     assert not FORBIDDEN.search(text)
-    # Broken in the middle of a word where that is longer than a line, and nothing lost.
+    # Words longer than a line are broken, and no letter is lost.
     letters = "".join(character for character in printable(words) if not character.isspace())
     assert f"1.5000s,hold:{letters}" in "".join(text.split())
     assert f"1.mendthecause,thenacknowledgeit:{letters}" in "".join(text.split())
@@ -447,7 +447,7 @@ def test_a_screen_takes_every_string_for_text() -> None:
     screen = Screen(file=file, width=WIDTH, force_terminal=True, color_system=None)
     with screen.status(HOSTILE):
         pass
-    # The escapes are rich's own.
+    # The remaining escapes are rich's own.
     assert "]0;title\x07" not in file.getvalue()
 
 
@@ -521,7 +521,7 @@ def test_a_name_that_is_none_is_answered_by_the_nearest(
 
 
 def numbers_of(command: type[Any]) -> list[str]:
-    """Options that take a number, also where they may be left out or take several."""
+    """Return the options that take numbers, also optional or repeated ones."""
     hints = get_type_hints(command)
     scalars = {name: set(get_args(hint)) - {type(None)} or {hint} for name, hint in hints.items()}
     return [name for name, types in scalars.items() if types <= {int, float}]
@@ -616,7 +616,7 @@ def test_files_of_commands_are_their_users_alone(tmp_path: Path, capsys: pytest.
     written = [path for path in out.rglob("*") if path.is_file()]
     assert len(written) == 10
     assert {stat.S_IMODE(path.stat().st_mode) for path in written} == {0o600}
-    # Of the process it is only while a command runs.
+    # The mask of the process changes only while a command runs.
     (tmp_path / "mine").touch()
     assert stat.S_IMODE((tmp_path / "mine").stat().st_mode) != 0o600
 

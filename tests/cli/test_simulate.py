@@ -1,4 +1,4 @@
-"""`haptether simulate` and `haptether sweep`: what they print, keep and refuse. The extension is played."""
+"""`haptether simulate` and `haptether sweep`: output, files and refusals, with a simulated extension."""
 
 import json
 import re
@@ -35,7 +35,7 @@ class Played:
 
 @pytest.fixture
 def given(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    """The scenes that were run; a seed of 13 diverges."""
+    """Return the scenes that were run; a seed of 13 diverges."""
     scenes: list[dict[str, Any]] = []
 
     def simulate_scene(scene: bytes, _record: object = None, _research: object = None) -> Played:
@@ -50,7 +50,7 @@ def given(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         _research: object = None,
         metrics: list[str] | None = None,
     ) -> list[dict[str, npt.NDArray[Any]]]:
-        assert metrics in (None, ["max_ejection_velocity", "false_trips"])  # one example of the help asks for these
+        assert metrics in (None, ["max_ejection_velocity", "false_trips"])  # an example of the help has these
         assert threads >= 1
         assert lanes
         tables = []
@@ -94,7 +94,7 @@ def test_json_alone_is_on_standard_output(given: list[dict[str, Any]], capsys: p
     }  # fmt: skip
     assert report["metrics"]["time_to_trip_s"] is None
     assert "largest device force" in captured.err
-    # Nothing turns in it: that is null there, and no row here.
+    # Nothing turns in this scene: the value is null in JSON, and has no row.
     assert report["metrics"]["peak_device_torque"] is None
     assert "torque" not in captured.err
 
@@ -231,7 +231,7 @@ def test_a_sweep_is_shown_and_kept(
     }  # fmt: skip
     assert len(table.read_text().splitlines()) == 9
     said = capsys.readouterr().out
-    # The name is folded, from line to line of its column.
+    # The name is folded over several lines of its column.
     assert re.search(r"peak_ *\n.*device_ *\n.*force", said)
     assert "trip_s" not in said
     assert "8 rows: 8 complete" in said
@@ -457,7 +457,7 @@ def test_the_examples_in_the_help_work(
     for example in examples:
         assert main(example) == 0, example
         assert not re.search(r"rows: .*refused", capsys.readouterr().out), example
-    # Of a sweep with a file there is a run for each batch.
+    # A sweep with a file has one run for each batch.
     assert len(given) >= 11
 
 

@@ -1,4 +1,4 @@
-"""Output whose encoding lacks characters, and places that a user's environment makes unusual."""
+"""Output encodings that lack characters, and unusual settings of a user's environment."""
 
 import os
 import subprocess
@@ -25,7 +25,7 @@ def test_help_is_whole_in_any_encoding(arguments: list[str], encoding: str) -> N
         seen = subprocess.run(command, env=environment, capture_output=True, timeout=60, check=False)
         assert seen.returncode == 0, seen.stderr
         texts.append("".join(character for character in seen.stdout.decode(each) if character.isalnum()))
-    # Tables wrap otherwise, and what has no character is left out.
+    # Tables wrap differently, and characters missing in the encoding are left out.
     assert len(texts[1]) > 0.95 * len(texts[0]) > 100
 
 

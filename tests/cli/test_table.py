@@ -1,4 +1,4 @@
-"""`Rows`: at any width of a terminal nothing is cut, and no number is broken."""
+"""`Rows`: at every terminal width nothing is cut, and no number is broken."""
 
 import io
 import re

@@ -1,4 +1,4 @@
-"""The unit question of every command that takes numbers of a scene: 50 for 0.05."""
+"""The question about units, in every command that takes numbers of a scene: 50 instead of 0.05."""
 
 import json
 from pathlib import Path

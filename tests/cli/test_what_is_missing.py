@@ -1,4 +1,4 @@
-"""A missing argument, file, scene or controller is named in one line, with what there is."""
+"""A missing argument, file, scene or controller is named in one line, with the available ones."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Drivers for tests: one of a stylus and one of an arm that are right, and each wrong in one way."""
+"""Drivers for tests: a valid stylus, a valid arm, and variants with one defect each."""
 
 import functools
 import math
@@ -16,23 +16,23 @@ from haptether.master import MasterSample
 from haptether.slave import GripperCommand, GripperSample, SlaveSample
 
 WRITTEN = "WRITTEN"
-"""Names a file that gets a line for each call but `read`."""
+"""Environment variable with the path of a file that gets a line for each call except `read`."""
 
 
 @functools.cache
 def opened(path: str) -> int:
-    """A file to add lines to."""
+    """Open a file for appending."""
     return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
 
 
 def note(text: str) -> None:
-    """Add a line to that file, if one is named."""
+    """Append a line to that file, if the variable names one."""
     if path := os.environ.get(WRITTEN):
         os.write(opened(path), f"{text}\n".encode())
 
 
 class Stylus:
-    """A hand moves it by 3 cm on three axes, at 1 Hz and its multiples; it does not pace."""
+    """Stylus that a hand moves by 3 cm on three axes, at 1 Hz and its multiples; it does not pace."""
 
     paces = False
     sign = 1.0
@@ -50,7 +50,7 @@ class Stylus:
         note("open")
 
     def at(self, time_s: float) -> tuple[list[float], list[float]]:
-        """Position and velocity."""
+        """Return position and velocity."""
         rates = [2.0 * math.pi * (axis + 1) for axis in range(3)]
         x = [0.03 * math.sin(rate * time_s) for rate in rates]
         v = [0.03 * rate * math.cos(rate * time_s) for rate in rates]
@@ -66,7 +66,7 @@ class Stylus:
     def write(self, force: tuple[float, ...]) -> None:
         assert isinstance(force, tuple)
         self.forces.append(force)
-        # Something soft holds it: it gives way in the direction of the force.
+        # A soft hand holds it: it yields in the direction of the force.
         self.pushed_m += 1e-3 * (self.sign * 0.02 * force[0] - self.pushed_m) / 0.1
         note(f"write {' '.join(f'{value:.4f}' for value in force)}")
 
@@ -76,25 +76,25 @@ class Stylus:
 
 
 class BearsItself(Stylus):
-    """Exerts against its weight from `open` on."""
+    """Exerts a force against its weight from `open` on."""
 
     exerts_by_itself = True
 
 
 class OfAnyKind(Stylus):
-    """Says that it may be of joints as well."""
+    """Declares joints as a further kind."""
 
     kinds = ("linear", "joints")
 
 
 class Turned(Stylus):
-    """One that pushes the other way."""
+    """Pushes in the wrong direction."""
 
     sign = -1.0
 
 
 class Paced(Stylus):
-    """It waits for its samples."""
+    """Waits for its samples."""
 
     paces = True
     period_s = 0.002
@@ -110,19 +110,19 @@ class Paced(Stylus):
 
 
 class WrongPeriod(Paced):
-    """Says another period than it has."""
+    """Declares a wrong period."""
 
     period_s = 0.001
 
 
 class DoesNotWait(Stylus):
-    """Says that it paces, and does not."""
+    """Declares that it paces, and does not."""
 
     paces = True
 
 
 class RaisesInOpen(Stylus):
-    """Has no bus."""
+    """Raises in `open`: the bus is missing."""
 
     def open(self) -> None:
         super().open()
@@ -131,7 +131,7 @@ class RaisesInOpen(Stylus):
 
 
 class RaisesInRead(Stylus):
-    """Fails after 50 samples."""
+    """Raises after 50 samples."""
 
     def read(self) -> MasterSample:
         if len(self.forces) > 50:
@@ -141,7 +141,7 @@ class RaisesInRead(Stylus):
 
 
 class RaisesInWrite(Stylus):
-    """Fails once."""
+    """Raises once in `write`."""
 
     def write(self, force: tuple[float, ...]) -> None:
         if len(self.forces) == 50:
@@ -152,7 +152,7 @@ class RaisesInWrite(Stylus):
 
 
 class RaisesInEveryWrite(Stylus):
-    """Takes nothing."""
+    """Raises in every `write`."""
 
     def write(self, force: tuple[float, ...]) -> None:
         message = f"unplugged: {force}"
@@ -160,7 +160,7 @@ class RaisesInEveryWrite(Stylus):
 
 
 class RaisesInClose(Stylus):
-    """Fails when it is closed."""
+    """Raises in `close`."""
 
     def close(self) -> None:
         super().close()
@@ -169,7 +169,7 @@ class RaisesInClose(Stylus):
 
 
 class NotANumber(Stylus):
-    """One sample is not finite."""
+    """Returns one sample that is not finite."""
 
     def read(self) -> MasterSample:
         sample = super().read()
@@ -177,7 +177,7 @@ class NotANumber(Stylus):
 
 
 class WrongShape(Stylus):
-    """Its velocity has another shape."""
+    """Returns a velocity of the wrong shape."""
 
     def read(self) -> MasterSample:
         sample = super().read()
@@ -185,14 +185,14 @@ class WrongShape(Stylus):
 
 
 class TwoFields(Stylus):
-    """Its samples are none."""
+    """Returns tuples that are not samples."""
 
     def read(self) -> MasterSample:
-        return 0.0, 0.0  # type: ignore[return-value]  # what it must not do
+        return 0.0, 0.0  # type: ignore[return-value]  # invalid on purpose
 
 
 class ChangingAxes(Stylus):
-    """One sample has fewer axes."""
+    """Returns one sample with fewer axes."""
 
     def read(self) -> MasterSample:
         sample = super().read()
@@ -200,7 +200,7 @@ class ChangingAxes(Stylus):
 
 
 class Blocking(Stylus):
-    """Each hundredth `read` takes 50 ms."""
+    """Blocks for 50 ms in each hundredth `read`."""
 
     def read(self) -> MasterSample:
         if len(self.forces) % 100 == 99:
@@ -209,7 +209,7 @@ class Blocking(Stylus):
 
 
 class Millimetres(Stylus):
-    """Counts in mm."""
+    """Returns positions in mm."""
 
     def read(self) -> MasterSample:
         x, v = self.at(time.monotonic() - self.begun_s)
@@ -217,14 +217,14 @@ class Millimetres(Stylus):
 
 
 class Slow(Stylus):
-    """Samples every 4 ms."""
+    """Has a new sample every 4 ms only."""
 
     def at(self, time_s: float) -> tuple[list[float], list[float]]:
         return super().at(4e-3 * math.floor(time_s / 4e-3))
 
 
 class MillimetresPerSecond(Stylus):
-    """Its velocity is in mm/s."""
+    """Returns the velocity in mm/s."""
 
     def read(self) -> MasterSample:
         sample = super().read()
@@ -233,7 +233,7 @@ class MillimetresPerSecond(Stylus):
 
 
 class WrongSign(Stylus):
-    """Its velocity has the other sign."""
+    """Returns the velocity with the wrong sign."""
 
     def read(self) -> MasterSample:
         sample = super().read()
@@ -242,7 +242,7 @@ class WrongSign(Stylus):
 
 
 class SometimesVelocity(Stylus):
-    """Every other sample has a velocity."""
+    """Returns a velocity in every other sample."""
 
     def read(self) -> MasterSample:
         sample = super().read()
@@ -261,9 +261,9 @@ class Jumps(Stylus):
 
 
 class TextKinds(Stylus):
-    """Its kinds are a text."""
+    """Declares its kinds as a string."""
 
-    kinds = "linear"  # type: ignore[assignment]  # what it must not be
+    kinds = "linear"  # type: ignore[assignment]  # invalid on purpose
 
 
 class Faulty(Stylus):
@@ -282,7 +282,7 @@ class FaultyAndSaysSo(Faulty):
 
 
 class Refused(Stylus):
-    """Is refused by its checklist."""
+    """Fails its checklist."""
 
     refusals: tuple[tuple[str, str, str], ...] = (("supply", "off", "plug it in"),)
 
@@ -295,13 +295,13 @@ class Refused(Stylus):
 
 
 class RefusedTwice(Refused):
-    """Is refused for two reasons."""
+    """Fails its checklist for two reasons."""
 
     refusals = (*Refused.refusals, ("cover", f"open by {'more and ' * 20}more", "close it"))
 
 
 class Unplugged(Stylus):
-    """Raises the same in every call after some samples."""
+    """Raises the same error in every call after some samples."""
 
     def read(self) -> MasterSample:
         if len(self.forces) > 50:
@@ -323,7 +323,7 @@ class Unplugged(Stylus):
 
 
 class HungInOpen(Stylus):
-    """Does not open."""
+    """Hangs in `open`."""
 
     def open(self) -> None:
         super().open()
@@ -331,7 +331,7 @@ class HungInOpen(Stylus):
 
 
 class HungInRead(Stylus):
-    """Does not return from `read` after 50 samples."""
+    """Hangs in `read` after 50 samples."""
 
     def read(self) -> MasterSample:
         if len(self.forces) == 50:
@@ -340,28 +340,28 @@ class HungInRead(Stylus):
 
 
 class HangsAndBearsItself(HungInRead):
-    """Both."""
+    """Hangs in `read`, and exerts a force by itself."""
 
     exerts_by_itself = True
 
 
 class HangsInOpenAndBearsItself(Stylus):
-    """Does not return from `open`."""
+    """Hangs in `open`, and exerts a force by itself."""
 
     exerts_by_itself = True
 
     def open(self) -> None:
-        """Never ends."""
+        """Block for 60 s."""
         threading.Event().wait(60.0)
 
 
 class Pose(Stylus):
-    """Turns about z at 1 rad/s, and x at 0.5 rad/s about itself."""
+    """Turns about z at 1 rad/s, and about its own x at 0.5 rad/s."""
 
     kinds = ("pose",)
 
     def turn(self, time_s: float) -> tuple[list[float], list[float]]:
-        """`quat_wxyz` and angular velocity in the base frame."""
+        """Return `quat_wxyz` and the angular velocity in the base frame."""
         a, b = 0.5 * time_s, 0.25 * time_s
         # R = Rz(t) Rx(t / 2): w = z + Rz(t) x / 2.
         ca, sa, cb, sb = math.cos(a), math.sin(a), math.cos(b), math.sin(b)
@@ -382,7 +382,7 @@ class Pose(Stylus):
 
 
 class NotUnit(Pose):
-    """Its quaternion is not of length 1."""
+    """Returns a quaternion that is not of length 1."""
 
     def read(self) -> MasterSample:
         sample = super().read()
@@ -391,7 +391,7 @@ class NotUnit(Pose):
 
 
 class OwnFrame(Pose):
-    """Its angular velocity is in its own frame: R^T w."""
+    """Returns its angular velocity in its own frame: R^T w."""
 
     def turn(self, time_s: float) -> tuple[list[float], list[float]]:
         quaternion, _ = super().turn(time_s)
@@ -399,7 +399,7 @@ class OwnFrame(Pose):
 
 
 class Arm:
-    """An arm at rest that feels nothing."""
+    """Arm at rest that measures no force."""
 
     paces = False
 
@@ -430,28 +430,28 @@ class Arm:
 
 
 class ArmThatHolds(Arm):
-    """Has torque of its own while it is open."""
+    """Has torque by itself while it is open."""
 
     exerts_by_itself = True
 
 
 class ArmThatHangsInOpen(ArmThatHolds):
-    """Does not return from `open`."""
+    """Hangs in `open`."""
 
     def open(self) -> None:
-        """Never ends."""
+        """Block for 60 s."""
         threading.Event().wait(60.0)
 
 
 class Drifting(Arm):
-    """Says that it moves while it is at rest."""
+    """Reports a velocity while it is at rest."""
 
     def read(self) -> SlaveSample:
         return SlaveSample(0.02, 0.5, 0.0)
 
 
 class RaisesInStop(Arm):
-    """Cannot be stopped."""
+    """Raises in `stop`."""
 
     def stop(self) -> None:
         super().stop()
@@ -460,7 +460,7 @@ class RaisesInStop(Arm):
 
 
 class OtherAxes(Arm):
-    """Says another number of axes."""
+    """Declares another number of axes."""
 
     def __init__(self) -> None:
         super().__init__(1)
@@ -471,7 +471,7 @@ class OtherAxes(Arm):
 
 
 def declared(folder: Path, group: str = "haptether.masters", **drivers: str) -> dict[str, str]:
-    """The environment of a process that finds drivers of this module, or others, under names of their own."""
+    """Return the environment of a process that finds drivers of this module, or others, by the given names."""
     package = folder / "bench_drivers-1.0.dist-info"
     package.mkdir()
     (package / "METADATA").write_text("Metadata-Version: 2.1\nName: bench-drivers\nVersion: 1.0\n")
@@ -484,14 +484,14 @@ def declared(folder: Path, group: str = "haptether.masters", **drivers: str) -> 
 
 
 class RaisesWhenMade:
-    """Cannot be made."""
+    """Raises in its constructor."""
 
     def __init__(self) -> None:
         raise KeyError("counts per turn")
 
 
 class Free:
-    """A device of one axis that nobody holds: 0.1 kg, 0.5 N s/m, 0.1 N, an encoder of 0.023 mm."""
+    """Device of one axis that nobody holds: 0.1 kg, 0.5 N s/m, 0.1 N, an encoder of 0.023 mm."""
 
     paces = False
     kinds = ("linear",)
@@ -521,7 +521,7 @@ class Free:
 
 
 class Jaws:
-    """A gripper that stays where it is; or wrong in one way."""
+    """Gripper that stays in place, or has one defect."""
 
     def __init__(self, *, wrong: str = "") -> None:
         self.wrong = wrong

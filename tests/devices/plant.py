@@ -9,7 +9,7 @@ from haptether.master import MasterSample
 
 
 class Plant:
-    """One axis, advanced exactly between two changes of force; at rest friction withstands up to c.
+    """One axis, advanced exactly between two changes of force; at rest, friction resists up to c.
 
     Source: paper Eq. 3, solved under a constant force: `V = V_inf + (V_0 - V_inf) exp(-b t / m)`.
     """
@@ -19,7 +19,7 @@ class Plant:
         self.x = self.v = 0.0
 
     def _free(self, force: float, t: float) -> tuple[float, float]:
-        """Displacement and velocity after t under a constant force, friction included."""
+        """Return displacement and velocity after t under a constant force that includes friction."""
         if abs(self.b) * t / self.m < 1e-9:
             a = force / self.m
             return self.v * t + 0.5 * a * t * t, self.v + a * t
@@ -28,7 +28,7 @@ class Plant:
         return steady * t + (self.v - steady) * (1.0 - decay) / rate, steady + (self.v - steady) * decay
 
     def advance(self, force: float, t: float) -> None:
-        """By a time in s under a force in N."""
+        """Advance by a time in s under a force in N."""
         force += self.offset_n
         while t > 0.0:
             if self.v == 0.0:
@@ -54,7 +54,7 @@ class Plant:
 
 
 class VirtualDevice:
-    """Several axes behind a driver's eyes.
+    """Several axes, as a driver sees them.
 
     Args:
         plants: One an axis.
@@ -77,7 +77,7 @@ class VirtualDevice:
         self.written.append((at_s + self.delay_s, force))
 
     def read(self, at_s: float) -> MasterSample:
-        """The position at a time, not before the last."""
+        """Return the position at a time that is not before the previous one."""
         while self.written and self.written[0][0] <= at_s:
             acts_s, force = self.written.popleft()
             self._advance(acts_s)

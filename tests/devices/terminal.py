@@ -1,4 +1,4 @@
-"""A command on a terminal of its own, as a person has it."""
+"""A command on its own terminal, as a person runs it."""
 
 import os
 import pty
@@ -12,7 +12,7 @@ QUESTION = "Type yes and press Enter"
 
 
 class Terminal:
-    """A command on a terminal of its own, and what it has printed."""
+    """A command on its own terminal, and its output."""
 
     def __init__(self, environment: dict[str, str], *arguments: str) -> None:
         self.master, slave = pty.openpty()
@@ -23,7 +23,7 @@ class Terminal:
         self.printed = ""
 
     def until(self, text: str, seconds: float = 30.0, count: int = 1) -> None:
-        """Reads until a text was printed, so often."""
+        """Read until the text has appeared `count` times."""
         end_s = time.monotonic() + seconds
         while self.printed.count(text) < count:
             assert time.monotonic() < end_s, self.printed
@@ -31,7 +31,7 @@ class Terminal:
                 assert self.printed.count(text) >= count, self.printed
 
     def read(self, seconds: float) -> bool:
-        """Read what there is; false at the end."""
+        """Read the available output; false at its end."""
         if not select.select([self.master], [], [], seconds)[0]:
             return True
         try:
@@ -42,11 +42,11 @@ class Terminal:
         return bool(part)
 
     def answer(self, text: str) -> None:
-        """Types."""
+        """Type a text."""
         os.write(self.master, text.encode())
 
     def end(self) -> int:
-        """Waits for the command and returns its status."""
+        """Wait for the command to end; return its status."""
         end_s = time.monotonic() + 30.0
         try:
             while self.read(0.1) and time.monotonic() < end_s:

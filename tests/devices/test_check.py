@@ -1,4 +1,4 @@
-"""`DeviceCheck`: what it says of drivers that are right and of each that is wrong in one way."""
+"""`DeviceCheck`: its findings for valid drivers and for each driver with one defect."""
 
 import itertools
 import math
@@ -26,8 +26,8 @@ live = pytest.mark.live
 
 
 def checked(device: object, seconds: float = 1.2, side: str = "master") -> dict[str, tuple[str, str]]:
-    """Verdict and text of each finding, of a run that ends after that time."""
-    check = DeviceCheck(device, side)  # type: ignore[arg-type]  # one of two
+    """Return verdict and text of each finding of a run of that length."""
+    check = DeviceCheck(device, side)  # type: ignore[arg-type]  # one of the two types
     wait_until(lambda: check.run.finished, seconds)
     check.end()
     return {finding.check: (finding.verdict, finding.text) for finding in check.findings()}
@@ -83,7 +83,7 @@ def test_what_is_to_be_mended_is_named_with_the_remedy(name: str) -> None:
     assert found[check][0] == "mend", found
     assert re.search(said, found[check][1]), found[check]
     assert device.closed == 1
-    # Whatever is wrong, no force but zero was ever written.
+    # Whatever the defect, only zero force is ever written.
     assert not any(any(force) for force in device.forces)
 
 
@@ -154,7 +154,7 @@ def test_a_push_is_ramped_bounded_ends_by_itself_and_shows_the_sign(
     forces = [force[0] for force in device.forces]
     assert max(forces) == pytest.approx(0.5)
     assert min(forces) >= 0.0
-    # 1 N/s up and down, and a tick that may be late by 19 ms.
+    # The force rises and falls by 1 N/s, and a tick may be 19 ms late.
     assert max(abs(after - before) for before, after in itertools.pairwise(forces)) < 0.021
     assert not any(any(force) for force in device.forces[-20:])
     assert not any(force[1] or force[2] for force in device.forces)
@@ -171,7 +171,7 @@ def test_a_push_is_refused_beyond_its_bound_and_void_where_it_comes_late() -> No
     wait_until(lambda: check.lead.push is not None and check.lead.push.ended is not None, 2.0)
     check.end()
     assert check.lead.push.ended == "it was asked for too long ago"
-    assert not any(any(force) for force in check.run.watched.device.forces)  # type: ignore[attr-defined]  # of the test
+    assert not any(any(force) for force in check.run.watched.device.forces)  # type: ignore[attr-defined]  # a test's
 
 
 AT_REST = Reading((0.0, 0.0), None, None, None, None, None)
@@ -237,7 +237,7 @@ def test_after_an_exception_in_the_loop_a_driver_is_at_rest_and_closed() -> None
     assert (device.opened, device.closed, device.forces[-1]) == (1, 1, (0.0, 0.0, 0.0))
     for bad in (drivers.RaisesInClose(), drivers.RaisesInOpen()):
         second = SecondRun(bad, check, lambda: False)
-        wait_until(lambda run=second.run: run.finished, 5.0)  # type: ignore[misc]  # bound at once
+        wait_until(lambda run=second.run: run.finished, 5.0)  # type: ignore[misc]  # bound in the same iteration
         found = second.finding()
         assert found.verdict == "mend"
         assert "when it is opened again" in found.text
@@ -258,7 +258,7 @@ NUMBERS = st.one_of(
 def test_no_sample_whatever_it_holds_ends_the_check_and_what_passes_is_finite(
     parts: list[object], side: str, kind: str, count: int
 ) -> None:
-    form = SampleForm(side, kind)  # type: ignore[arg-type]  # one of each
+    form = SampleForm(side, kind)  # type: ignore[arg-type]  # both literal types
     for sample in (tuple(parts), tuple(parts)[:count], parts[0], MasterSample(*parts)):  # type: ignore[arg-type]  # any
         reading = form.take(sample)
         assert len(form.findings()) == 7
@@ -291,7 +291,7 @@ def test_no_sample_whatever_it_holds_ends_the_check_and_what_passes_is_finite(
 )
 def test_what_is_wrong_with_a_field_is_said(field: str, value: object, check: str, said: str) -> None:
     form = SampleForm("master", "linear")
-    assert form.take(MasterSample(0.0)._replace(**{field: value})) is None  # type: ignore[arg-type]  # what is wrong
+    assert form.take(MasterSample(0.0)._replace(**{field: value})) is None  # type: ignore[arg-type]  # invalid
     found = {finding.check: finding for finding in form.findings()}
     assert found[check].verdict == "mend"
     assert said in found[check].text
@@ -305,7 +305,7 @@ def test_what_is_wrong_with_a_field_is_said(field: str, value: object, check: st
         ([0.002, 0.001], "time_s = 0.001: is before the last sample's, 0.002: must not go back"),
         ([0.0, None], "time_s is there at some samples and missing at others"),
         ([None, 0.0], "time_s is there at some samples and missing at others"),
-        # A device that was restarted has another clock.
+        # A restarted device has a new clock.
         ([5.0, "restarted", 0.0], None),
     ],
 )
@@ -325,7 +325,7 @@ def test_the_times_of_a_device_never_go_back_but_after_a_fault(
 def renewed(
     every: float, *, quantum: float = 0.0, speed: float = 0.2, loop_s: float = 1e-3, stamped: bool = False
 ) -> tuple[str, str]:
-    """Verdict and text on a device that a hand moves for 4 s, and that has a new sample every few ticks."""
+    """Return verdict and text for a device that a hand moves for 4 s, with a new sample every few ticks."""
     ticks = np.arange(round(4.0 / loop_s))
     sampled = np.floor(ticks / every + 0.3) * every * loop_s
     x = speed * (np.sin(9.0 * sampled) / 9.0 + 0.3 * np.sin(23.0 * sampled) / 23.0)
@@ -351,13 +351,13 @@ def renewed(
         ({"every": 8.0}, "mend", r"at 1[23] %.*set \[run\] period_s = 0\.008,"),
         ({"every": 2.0, "loop_s": 2e-3}, "mend", r"one each 4 ms: must be one each 2 ms"),
         ({"every": 20.0}, "mend", r"period_s = 0\.02,"),
-        # A coarse encoder is not slow, whatever its speed.
+        # A coarse encoder does not count as slow, at any speed.
         *(({"every": 1.0, "quantum": 1e-4, "speed": speed}, "pass", "100 %") for speed in (0.2, 0.6)),
         *(({"every": 1.0, "quantum": 1e-4, "speed": speed}, "unseen", "move it faster") for speed in (0.002, 0.02)),
         ({"every": 4.0, "quantum": 2e-5}, "mend", "at 25 %"),
         ({"every": 4.0, "quantum": 1e-4, "speed": 0.02}, "unseen", "move it faster"),
         ({"every": 1.0, "speed": 0.0}, "unseen", "it did not move: move it along every axis"),
-        # By its own times also at rest, and whatever its encoder.
+        # With time stamps the rate is known even at rest, and for any encoder.
         ({"every": 1.0, "speed": 0.0, "stamped": True}, "pass", "100 %"),
         ({"every": 4.0, "quantum": 1e-4, "speed": 0.02, "stamped": True}, "mend", "at 25 %"),
         ({"every": 2.0, "speed": 0.0, "stamped": True}, "mend", "at 50 %"),
@@ -391,8 +391,8 @@ def test_kinds_that_there_are_pass(kinds: object) -> None:
 
     device = Device()
     assert check_kinds(device).verdict == "pass"
-    device.kinds = kinds  # type: ignore[attr-defined]  # as of a driver
+    device.kinds = kinds  # type: ignore[attr-defined]  # an attribute of drivers
     assert check_kinds(device).verdict == "pass"
     for bad in ("linear", (), ("line",), 3):
-        device.kinds = bad  # type: ignore[attr-defined]  # as of a driver
+        device.kinds = bad  # type: ignore[attr-defined]  # an attribute of drivers
         assert check_kinds(device).verdict == "mend"

@@ -1,4 +1,4 @@
-"""`haptether check-device` and `haptether list`, as processes: status, what is asked, what a device is written."""
+"""`haptether check-device` and `haptether list` as processes: status, questions, and the forces written to a device."""
 
 import json
 import re
@@ -23,7 +23,7 @@ def run(environment: dict[str, str], *arguments: str, timeout: float = 60.0) -> 
 
 
 def forces(path: Path) -> list[float]:
-    """Along the first axis, as the driver was told."""
+    """Return the forces on the first axis that the driver was given."""
     return [float(line.split()[1]) for line in path.read_text().splitlines() if line.startswith("write")]
 
 
@@ -39,7 +39,7 @@ def test_a_driver_that_is_right_is_status_0_and_one_that_is_not_is_status_1_with
     bad = run(environment, "check-device", "broken", "--duration-s", "1")
     assert bad.returncode == 1
     assert "KeyError: 'encoder'" in bad.stdout
-    # The source helps the author of the driver.
+    # Source lines help only the author of the driver.
     assert "drivers.py" not in bad.stdout + bad.stderr
     assert "Traceback" not in bad.stderr
     assert "1 to mend" in bad.stdout
@@ -72,7 +72,7 @@ def test_each_error_is_printed_once_and_without_its_source(
     assert printed.count(message) == 1, printed
     assert verdict in ended.stdout
     assert ".py" not in printed
-    # The report is complete by itself.
+    # The report is complete without the printed text.
     assert message in (tmp_path / "report.json").read_text()
     debug = run(environment, *command, "--debug")
     assert ("drivers.py" in debug.stderr) == (driver not in {"Faulty", "FaultyAndSaysSo"})
@@ -180,12 +180,12 @@ def test_jaws_that_an_activation_moves_are_activated_on_a_persons_word_only(tmp_
 def test_nothing_but_a_yes_on_the_terminal_pushes(tmp_path: Path, answer: str) -> None:
     environment = declared(tmp_path, stylus="Stylus") | {WRITTEN: str(tmp_path / "written")}
     terminal = Terminal(environment, "check-device", "stylus", "--duration-s", "0.5", "--push-n", "0.5")
-    # What is typed before the question is no answer to it.
+    # An answer typed before the question does not count.
     terminal.answer("yes\n")
     terminal.until(QUESTION)
     terminal.answer(answer)
     if answer == "yes":
-        # Without Enter, until somebody ends it.
+        # The answer has no Enter, so the question waits until Ctrl-C.
         time.sleep(0.5)
         terminal.process.send_signal(signal.SIGINT)
     assert terminal.end() == (130 if answer == "yes" else 0), terminal.printed
@@ -230,7 +230,7 @@ def test_a_signal_takes_the_push_away_at_once(tmp_path: Path, number: signal.Sig
     told = forces(written)
     assert written.read_text().split()[-1] == "close"
     assert told[-1] == 0.0
-    # 1 s of the push was left.
+    # At least 1 s of the push was left.
     assert sum(force > 0.0 for force in told[at:]) < 400
 
 
@@ -296,7 +296,7 @@ def test_each_time_that_a_device_exerts_by_itself_its_begin_and_its_end_are_said
     terminal = Terminal(environment, "check-device", "bears", "--duration-s", "0.5")
     terminal.until(QUESTION)
     terminal.answer("yes\n")
-    # Anew before it is opened again: the yes was about the first time.
+    # It asks again before it opens again: the yes was for the first opening.
     terminal.until("bears will be opened again.")
     terminal.until(QUESTION, count=2)
     terminal.answer("yes\n")
@@ -326,7 +326,7 @@ def test_a_second_opening_has_a_yes_of_its_own(tmp_path: Path, answer: str) -> N
     assert terminal.end() == (0 if answer == "no" else 130)
     assert written.read_text().split().count("open") == 1
     if answer == "no":
-        # What nobody looked at has not passed.
+        # An unchecked property has not passed.
         assert "close after an exception" in terminal.printed
         assert "nobody said yes: it was not opened" in terminal.printed
 
@@ -346,7 +346,7 @@ raise SystemExit(main(sys.argv[1:]))
 
 @pytest.mark.parametrize("driver", ["BearsItself", "Stylus"])
 def test_ctrl_c_while_its_samples_are_looked_at_opens_nothing(tmp_path: Path, driver: str) -> None:
-    """The findings of many samples take their time, in which a person may end it."""
+    """Evaluating many samples takes time, in which a person may press Ctrl-C."""
     written = tmp_path / "written"
     environment = declared(tmp_path, device=driver) | {WRITTEN: str(written)}
     ended = subprocess.run(

@@ -1,4 +1,4 @@
-"""`haptether identify`: the model of simulated devices is found to 2 %, with intervals that hold, and within bounds."""
+"""`haptether identify`: the model of simulated devices is found to 2 %, with valid intervals, and within bounds."""
 
 import json
 import math
@@ -21,7 +21,7 @@ from haptether.studies.identification.table import encoder_quantum, master_table
 
 
 class Motion:
-    """What an excitation has made of a device in virtual time, and all that was written."""
+    """Response of a device in virtual time to an excitation, with all written forces."""
 
     def __init__(
         self,
@@ -57,20 +57,20 @@ class Motion:
         self.written_s, self.force = np.array(written_s), np.array(force)
 
     def fitted(self, axis: int = 0) -> IdentifiedAxis:
-        """The model of an axis."""
+        """Return the fitted model of an axis."""
         begin_s, end_s = self.lead.spans[axis]
         moved = (self.time_s >= begin_s) & (self.time_s <= end_s)
         return fit_axis(self.time_s[moved], self.position[moved, axis], self.written_s, self.force[:, axis])
 
 
 def off(estimate: Estimate, truth: float) -> float:
-    """By how much of the truth."""
+    """Return the relative error of an estimate."""
     return abs(estimate.value / truth - 1.0)
 
 
 REAL: Any = {"quantum": 2.3e-5, "delay_s": 2e-3, "noise": 1e-5}
 DEVICES = {
-    # m, b, c, and what is between them and the bridge.
+    # m, b, c, and the errors between the device and the bridge.
     "a desktop device with friction": (0.1, 0.5, 0.1, REAL, "linear", None),
     "a heavy one": (1.0, 1.0, 0.2, REAL, "linear", None),
     "a light one": (0.02, 0.2, 0.02, {**REAL, "delay_s": 4e-3}, "linear", None),
@@ -89,7 +89,7 @@ def test_mass_and_friction_are_found_to_2_percent(name: str) -> None:
     found = motion.fitted()
     assert off(found.mass_kg, mass_kg) < 0.02
     assert off(found.coulomb, coulomb) < 0.02
-    # b of the joint is a tenth of its friction at the speed that it has: as good as its own interval.
+    # The torque of b is a tenth of the joint's friction at this speed, so the interval of b sets the tolerance.
     assert off(found.viscous, viscous) < (0.1 if kind == "joints" else 0.02)
     assert abs(found.viscous.value - viscous) < 2.5 * found.viscous.half
     assert found.delay_s.value == pytest.approx(between["delay_s"], abs=3e-4)
@@ -100,7 +100,7 @@ def test_mass_and_friction_are_found_to_2_percent(name: str) -> None:
 
 @pytest.mark.slow
 def test_the_paper_s_device_is_found_and_its_viscous_friction_as_uncertain_as_it_is() -> None:
-    """The paper has m = 0.157 kg, c = 0.038 N, and b = -0.005 N s/m, which is 1 mN at the speed that it may have."""
+    """The paper has m = 0.157 kg, c = 0.038 N and b = -0.005 N s/m: 1 mN at the permitted speed."""
     found = Motion(VirtualDevice([Plant(0.157, -0.005, 0.038)], **REAL)).fitted()
     assert off(found.mass_kg, 0.157) < 0.02
     assert off(found.coulomb, 0.038) < 0.02
@@ -149,7 +149,7 @@ def test_a_device_that_the_motion_does_not_tell_is_no_number(plant: Plant, said:
 
 
 class Held(Plant):
-    """In a hand: a spring of 300 N/m with a damper of 8 N s/m, whose force nobody measures."""
+    """A device in a hand: a spring of 300 N/m with a damper of 8 N s/m, whose force nobody measures."""
 
     def advance(self, force: float, t: float) -> None:
         super().advance(force - 300.0 * self.x - 8.0 * self.v, t)
@@ -157,12 +157,12 @@ class Held(Plant):
 
 @pytest.mark.slow
 def test_a_hand_that_holds_it_shows_as_what_the_model_does_not_explain() -> None:
-    """Why nobody may hold it."""
+    """The device must not be held for this reason."""
     motion = Motion(VirtualDevice([Held(0.157, 0.0, 0.038)], **REAL), period_s=2e-3)
     try:
         found = motion.fitted()
     except NotDeterminedError as error:
-        assert "held" in str(error)  # noqa: PT017  # or what follows
+        assert "held" in str(error)  # noqa: PT017  # otherwise see below
     else:
         assert off(found.mass_kg, 0.157) > 0.2
         assert any("unexplained" in line for line in warnings({0: found}, "linear"))
@@ -199,14 +199,14 @@ def test_whatever_the_device_force_travel_and_speed_stay_bounded_and_it_ends(
     assert np.abs(motion.force).max(initial=0.0) <= force
     # The sample beyond a bound is the last: nothing is written after it.
     assert np.abs(motion.position - motion.position[0]).max(initial=0.0) <= 0.02
-    # From zero, up a ramp.
+    # The force begins at zero and ramps up.
     assert np.abs(motion.force[0]).max() == 0.0
     early = motion.time_s < 0.1
     assert np.abs(motion.force[early]).max(initial=0.0) <= 0.4 * force
 
 
 def stepped(lead: Excitation, *steps: tuple[float, MasterSample]) -> list[float]:
-    """The forces of samples, until it ends."""
+    """Return the forces for the samples, until the run ends."""
     forces = []
     for at_s, sample in steps:
         try:
@@ -219,7 +219,7 @@ def stepped(lead: Excitation, *steps: tuple[float, MasterSample]) -> list[float]
 
 
 def moving(count: int = 4000) -> Excitation:
-    """One whose force is on."""
+    """Return an excitation whose force is on."""
     lead = Excitation("linear", DEFAULT_BOUNDS["linear"])
     lead.request(0.0)
     forces = stepped(lead, *((1e-3 * tick, MasterSample(0.0)) for tick in range(count)))
@@ -271,7 +271,7 @@ def test_the_table_is_one_that_a_scene_takes(tmp_path: Path, kind: str, count: i
     text = master_table('my "stylus"', options, kind, axes, 2.3e-5)
     table = tomllib.loads(text)["master"]
     assert table["mass_kg"] == (0.1 if count == 1 else [0.1, 0.11, 0.12])
-    # b cannot be told from 0, and no friction is below it.
+    # b is not distinguishable from 0, and no friction is negative.
     assert table["viscous"] == table["coulomb"] == (0.0 if count == 1 else [0.0] * 3)
     assert table.get("options", {}) == options
     (tmp_path / "scene.toml").write_text(f"schema = 1\nslave = {{}}\n{text}\n")

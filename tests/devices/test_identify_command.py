@@ -1,4 +1,4 @@
-"""`haptether identify` as a process: asked first, bounded, ended by a signal, and the table that it prints."""
+"""`haptether identify` as a process: its question, its bounds, its end by a signal, and its table."""
 
 import json
 import signal
@@ -39,7 +39,7 @@ def test_a_device_that_moves_in_real_time_is_identified_and_left_without_force(
     assert ended.returncode == 0, ended.stdout + ended.stderr
     result = json.loads((folder / "result").read_text())
     (axis,) = result["results"]
-    # The system's timer writes each force at another moment, with the time of which it is known.
+    # The system's timer delays each force differently; the time of each write is known.
     assert axis["mass_kg"]["value"] == pytest.approx(0.1, rel=0.03)
     assert axis["coulomb"]["value"] == pytest.approx(0.1, rel=0.05)
     assert axis["viscous"]["value"] == pytest.approx(0.5, rel=0.1)

@@ -1,4 +1,4 @@
-"""Every way out of a driver ends in zero force or a stop, of every driver: by end, exception, Ctrl-C, refusal, loss."""
+"""Every end of every driver leaves zero force or a stop: end of run, exception, Ctrl-C, refusal, lost connection."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -34,7 +34,7 @@ FORCE = (0.5, 0.3, -0.2)
 
 @dataclass
 class Loop:
-    """A loop that has the device exert something, and ends in the way that is wanted."""
+    """A loop that has the device exert something, and ends as requested."""
 
     order: tuple[Any, ...]
     axes: int
@@ -74,7 +74,7 @@ class Loop:
 
 
 class Failing:
-    """A driver one of whose methods raises after so many calls, once the device has done what it was called for."""
+    """A driver one of whose methods raises after some calls, once the device has executed the call."""
 
     def __init__(self, driver: Any, method: str, error: BaseException, after: int) -> None:  # noqa: ANN401
         self._driver, self._method, self._error, self._left = driver, method, error, after
@@ -95,7 +95,7 @@ class Failing:
 
 
 class Plain:
-    """A driver of another package: a device that keeps what it was written last, and closes as it is."""
+    """A driver of another package: a device that keeps its last command, and closes without a reset."""
 
     paces = False
 
@@ -115,14 +115,14 @@ class Plain:
 
 
 class PlainMaster(Plain):
-    """A haptic device."""
+    """A haptic device of another package."""
 
     def read(self) -> MasterSample:
         return MasterSample((0.0, 0.0, 0.0))
 
 
 class PlainSlave(Plain):
-    """An arm."""
+    """An arm of another package."""
 
     def read(self) -> SlaveSample:
         return SlaveSample((0.0, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3)
@@ -133,14 +133,14 @@ class PlainSlave(Plain):
 
 @dataclass
 class Device:
-    """A driver, its loop, whether something acts on what it drives, and whether that has come to rest."""
+    """A driver, its loop, and the tests for an acting and for a resting device."""
 
     driver: Any
     loop: Callable[[], Loop]
     acts: Callable[[], bool]
     rests: Callable[[], bool]
     lose: Callable[[], object] | None = None
-    """What makes the driver give up while it is read."""
+    """Makes the driver give up during a read."""
 
 
 def master(order: tuple[float, ...] = FORCE, kind: str = "linear") -> Callable[[], Loop]:
@@ -148,7 +148,7 @@ def master(order: tuple[float, ...] = FORCE, kind: str = "linear") -> Callable[[
 
 
 class Parts:
-    """Processes and libraries that stand for devices, each begun once."""
+    """Processes and libraries that simulate devices, each started once."""
 
     def __init__(self, stack: ExitStack, folder: Path) -> None:
         self.stack, self.folder = stack, folder
@@ -284,11 +284,11 @@ WAYS: dict[str, tuple[str, str, BaseException | None, int]] = {
     "the loop does not begin": ("loop", "begin", None, 0),
     "another period": ("period", "", None, 0),
 }
-"""Whose method raises what after how many calls."""
+"""Object and method that raise, the exception, and the number of calls before it."""
 
 
 def left_at_rest(device: Device, way: str) -> None:
-    """Drives a device until the way out, and looks what is left on it."""
+    """Drive a device until it ends this way, and assert that it comes to rest."""
     whose, method, error, after = WAYS[way]
     loop, driver, period_s = device.loop(), device.driver, None
     if whose == "driver":
@@ -340,7 +340,7 @@ def test_a_device_of_ours_is_left_at_rest(devices: Callable[[str], Device], name
 @pytest.mark.parametrize("name", ["inverse3", "force-dimension", "touch", "dynamixel leader", "dynamixel follower"])
 @anew_after_stalls
 def test_a_driver_that_gives_up_leaves_its_device_at_rest(devices: Callable[[str], Device], name: str) -> None:
-    """Before it is closed, which may be much later: the run goes on until its fault is acknowledged."""
+    """The device rests before it is closed: a run goes on until its fault is acknowledged, which may be much later."""
     device = devices(name)
     driver, order = device.driver, device.loop().order
     command = order[1:] if order[0] == "move" else (order,)
@@ -350,7 +350,7 @@ def test_a_driver_that_gives_up_leaves_its_device_at_rest(devices: Callable[[str
         while not device.acts():
             assert time.monotonic() < end_s
             if driver.read().fault is not None:
-                # Of a machine that was late.
+                # A late machine can cause this fault.
                 driver.acknowledge()
             driver.write(*command)
             time.sleep(0.002)

@@ -1,4 +1,4 @@
-"""`haptether new-driver`: what it writes is sound, can be installed, passes the check, and runs live; with its page."""
+"""`haptether new-driver`: its package is sound, installs, passes the check and runs live; so does its page."""
 
 import os
 import re
@@ -34,7 +34,7 @@ def run(
 
 
 def environment_of(folder: Path) -> dict[str, str]:
-    """One that finds what is installed in `folder/site`, and nothing of the repository but Haptether."""
+    """Return an environment with the packages in `folder/site`; of the repository it has Haptether only."""
     return {
         "PYTHONPATH": str(folder / "site"), "PATH": "/usr/bin:/bin", "COLUMNS": "200", "HOME": str(folder),
         "UV_CACHE_DIR": str(folder / "cache"), "UV_PYTHON_DOWNLOADS": "never",
@@ -42,7 +42,7 @@ def environment_of(folder: Path) -> dict[str, str]:
 
 
 def install(package: Path, folder: Path) -> None:
-    """As `pip install` does, without a network."""
+    """Install as `pip install` does, without a network."""
     place = ["--python", sys.executable, "--target", str(folder / "site")]
     run(UV, "pip", "install", "--quiet", "--offline", "--no-deps", *place, str(package), cwd=folder,
         environment=environment_of(folder))  # fmt: skip
@@ -55,7 +55,7 @@ def test_what_it_writes_is_sound_and_its_own_test_passes_once_it_is_installed(
 ) -> None:
     said = run(*COMMAND, "new-driver", side, name, "--out", str(tmp_path / "made"), cwd=tmp_path).stdout
     made = tmp_path / "made"
-    # The line that it advises is one that this environment has the means for.
+    # The advised command must work in this environment.
     advised = shlex.split(said.partition("next: ")[2].partition(" && ")[0])
     assert advised[-2:] == ["-e", str(made)]
     run(*advised, "--dry-run", "--no-deps", *(["--offline"] if advised[1] == "pip" else []), cwd=tmp_path,
@@ -81,13 +81,13 @@ def test_what_it_writes_is_sound_and_its_own_test_passes_once_it_is_installed(
 
 
 def commands(text: str) -> list[str]:
-    """What the page has its reader type, line by line."""
+    """Return the commands of the page, line by line."""
     return [line for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for line in block.splitlines() if line]
 
 
 @pytest.mark.timeout(300)
 def test_the_page_is_true_command_by_command(tmp_path: Path) -> None:
-    """Its package is installed without a network, checked, and leads a simulated arm."""
+    """The package of the page is installed without a network, checked, and leads a simulated arm."""
     environment = environment_of(tmp_path)
     slave, address = None, ""
     typed = commands((ROOT / "docs" / "new_device.md").read_text())
@@ -102,7 +102,7 @@ def test_the_page_is_true_command_by_command(tmp_path: Path) -> None:
             elif words[0] == "python":
                 run(sys.executable, *words[1:], "-p", "no:cacheprovider", cwd=tmp_path, environment=environment)
             elif words[:2] == ["haptether", "slave"]:
-                # Another test may have that port.
+                # Another test may use that port.
                 words[words.index("--listen") + 1] = "127.0.0.1:0"
                 slave = subprocess.Popen(
                     [*COMMAND, *words[1:]], cwd=tmp_path, env=environment, stdin=subprocess.DEVNULL,

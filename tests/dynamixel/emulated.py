@@ -10,12 +10,13 @@ from dynamixel_sdk import PacketHandler, PortHandler, port_handler  # type: igno
 from tests.ur.emulated import START_S, Emulated
 
 BAUD = 4_000_000
-# What the client waits for an answer beyond its bytes: 2 n + 2 ms, of which a machine that tests may take more than 34.
+# The client waits this long for an answer beyond its bytes. Its default is 2 n + 2 ms; a loaded test machine may need
+# more than 34 ms.
 port_handler.LATENCY_TIMER = 150
 
 
 class EmulatedBus(Emulated):
-    """A bus that runs."""
+    """A running bus."""
 
     @property
     def port(self) -> str:
@@ -23,14 +24,14 @@ class EmulatedBus(Emulated):
         return self.host
 
     def as_new(self) -> "EmulatedBus":
-        """Itself, as after its start, behind a new terminal: no client of an earlier test has it open."""
+        """Reset the bus behind a new terminal, so that no client of an earlier test has it open."""
         self.do("unplug")
         self.do("reset")
         self.host = self.do("plug")
         return self
 
     def servo(self, servo_id: int) -> dict[str, Any]:
-        """State of one servo."""
+        """Return the state of one servo."""
         servos: list[dict[str, Any]] = self.status()["servos"]
         return next(servo for servo in servos if servo["id"] == servo_id)
 
@@ -71,13 +72,13 @@ class VendorClient:
         self.port.closePort()
 
     def read(self, servo_id: int, address: int, size: int) -> tuple[int, int, int]:
-        """Value, result of the transfer, error byte."""
+        """Return value, result of the transfer, error byte."""
         read = {1: self.packets.read1ByteTxRx, 2: self.packets.read2ByteTxRx, 4: self.packets.read4ByteTxRx}[size]
         value, result, error = read(self.port, servo_id, address)
         return int(value), int(result), int(error)
 
     def write(self, servo_id: int, address: int, size: int, value: int) -> tuple[int, int]:
-        """Result of the transfer, error byte."""
+        """Return result of the transfer, error byte."""
         write = {1: self.packets.write1ByteTxRx, 2: self.packets.write2ByteTxRx, 4: self.packets.write4ByteTxRx}[size]
         result, error = write(self.port, servo_id, address, value % (1 << (8 * size)))
         return int(result), int(error)

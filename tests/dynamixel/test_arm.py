@@ -1,4 +1,4 @@
-"""An arm of servos on an emulated bus: its checklist, its joint frame, its caps, and what each fault ends in."""
+"""An arm of servos on an emulated bus: its checklist, joint frame and caps, and the end of each fault."""
 
 import math
 import os
@@ -27,19 +27,19 @@ pytestmark = pytest.mark.live
 
 PATIENCE_S = 10.0
 TIMEOUT_S = 0.1
-"""More than a machine that tests may make of an answer."""
+"""Longest time of an answer on a loaded test machine."""
 SERVOS = ("1=XM430-W350", "2=XL330-M288", "3=XL330-M288")
 CURRENT_UNIT = SERVO_MODELS["XM430-W350"].current_unit_a or 0.0
 
 
 def arm_of(port: str, **changes: Any) -> ServoArm:  # noqa: ANN401  # fields of the settings
-    """Two joints led by current, the second reversed with an offset, and one that holds an angle."""
+    """Return two joints led by current, the second reversed with an offset, and one that holds an angle."""
     servos = (
         ServoSettings(servo_id=1, model="XM430-W350"),
         ServoSettings(servo_id=2, model="XL330-M288", sign=-1, offset_rad=math.pi / 2),
         ServoSettings(servo_id=3, model="XL330-M288", mode=OperatingMode.CURRENT_BASED_POSITION, low_rad=-1.0),
     )
-    # Patient: a machine that tests may halt a process for longer than an arm bears.
+    # The times are long because a test machine may halt a process for longer than an arm permits.
     settings = {
         "servos": servos, "timeout_s": TIMEOUT_S, "watchdog_s": 0.5, "lost_after_s": 0.05, "ramp_s": 0.0,
         "release_s": 0.0, "verify_watchdog": False,
@@ -69,7 +69,7 @@ def emulated(shared: EmulatedBus) -> EmulatedBus:
 
 
 def until(condition: Callable[[], bool], patience_s: float = PATIENCE_S) -> float:
-    """How long it took until something is so, in s."""
+    """Return the time in s until a condition holds."""
     begin = time.monotonic()
     while not condition():
         assert time.monotonic() - begin < patience_s
@@ -82,7 +82,7 @@ def torques(emulated: EmulatedBus) -> list[bool]:
 
 
 def at_rest(emulated: EmulatedBus) -> bool:
-    """Whether no servo has current."""
+    """Return true if no servo has current."""
     return all(servo["current_a"] == 0.0 for servo in emulated.status()["servos"])
 
 
@@ -224,7 +224,7 @@ def test_a_servo_that_answers_little_is_told_to_answer_all(emulated: EmulatedBus
     assert [line for line in lines if "return level" in line] == [
         f"dynamixel {emulated.port}: ok       servo 2: status return level was {level}, and is 2 now"
     ]
-    # No joint was taken for one with torque.
+    # Torque was not reported for any joint.
     assert not any("HOLD THE ARM" in line for line in lines)
 
 
@@ -240,7 +240,7 @@ def test_no_servo_with_newer_firmware_starts_with_torque(emulated: EmulatedBus) 
 
 def test_older_firmware_has_no_startup_configuration() -> None:
     class Older:
-        """A servo that refuses to read what it does not have."""
+        """A servo that refuses to read a missing register."""
 
         def __init__(self, said: str) -> None:
             self.said = said
@@ -292,7 +292,7 @@ def test_joints_are_in_their_own_frame(emulated: EmulatedBus) -> None:
         # q = sign (p - offset): p is 0.3, 0.5 and 0.2.
         assert arm.position == pytest.approx([0.3, math.pi / 2 - 0.5, 0.2], abs=1e-3)
         arm.write_currents([0.1, 0.1])
-        # A current that is positive in the joint's frame drives the joint ahead: the second servo turns back.
+        # A current that is positive in the joint's frame drives the joint forwards: the second servo turns backwards.
         until(lambda: emulated.servo(2)["position_rad"] < 0.45)
         assert emulated.servo(2)["current_a"] == pytest.approx(-0.1, abs=1e-3)
         assert arm.read()
@@ -303,11 +303,11 @@ def test_joints_are_in_their_own_frame(emulated: EmulatedBus) -> None:
 def test_the_turn_is_that_within_the_limits(emulated: EmulatedBus) -> None:
     emulated.do("place 1 2.0")
     servos = (ServoSettings(servo_id=1, model="XM430-W350", offset_rad=-3.0, low_rad=-3.0, high_rad=1.0),)
-    # 2 + 3 rad is out of the limits; a turn less is -1.28.
+    # 2 + 3 rad is beyond the limits; one turn less is -1.28.
     with opened(emulated, servos=servos) as arm:
         assert arm.read()
         assert arm.position[0] == pytest.approx(5.0 - 2.0 * math.pi, abs=2e-3)
-        # Through the end of the servo's turn.
+        # The angle passes the end of the servo's turn.
         emulated.do("place 1 3.5")
         assert arm.read()
         assert arm.position[0] == pytest.approx(6.5 - 2.0 * math.pi, abs=2e-3)
@@ -317,7 +317,7 @@ def test_currents_are_capped_and_rise(emulated: EmulatedBus) -> None:
     with opened(emulated, ramp_s=1e-9) as arm:
         arm.write_currents([99.0, -99.0])
         goals = written(emulated, arm, 1), written(emulated, arm, 2)
-        # Not rounded up; of the second the sign is its servo's.
+        # The caps are not rounded up, and the second has the sign of its servo.
         assert goals == (math.floor(0.3 * 1193 + 1e-9), math.floor(0.3 * 1750 + 1e-9))
     with opened(emulated, ramp_s=10.0) as arm:
         arm.write_currents([99.0, -99.0])
@@ -326,7 +326,7 @@ def test_currents_are_capped_and_rise(emulated: EmulatedBus) -> None:
 
 
 def written(_emulated: EmulatedBus, arm: ServoArm, servo_id: int) -> int:
-    """Goal Current as the servo has it."""
+    """Return Goal Current of the servo."""
     return int(struct.unpack("<h", arm._opened.read(servo_id, 102, 2))[0])
 
 
@@ -356,7 +356,7 @@ def test_a_number_that_is_none_ends_the_torque(emulated: EmulatedBus, number: fl
 
 
 def driven_into(emulated: EmulatedBus, arm: ServoArm, fault: str) -> float:
-    """Commands a current until the arm has a fault; time from the fault to no current anywhere, in s."""
+    """Command a current until the arm has a fault; return the time in s from the fault until no servo has current."""
     begin = time.monotonic()
     while emulated.servo(1)["current_a"] == 0.0:
         assert arm.read(), arm.fault
@@ -368,7 +368,7 @@ def driven_into(emulated: EmulatedBus, arm: ServoArm, fault: str) -> float:
         if arm.read():
             arm.write_currents([0.1, 0.1])
         else:
-            # Neither zeros nor old values stand in.
+            # Neither zeros nor old values stand in for missing positions.
             assert np.isnan(arm.position).all() or arm.fault is not None
         assert time.monotonic() - begin < PATIENCE_S
     until(lambda: at_rest(emulated))
@@ -396,12 +396,12 @@ def driven_into(emulated: EmulatedBus, arm: ServoArm, fault: str) -> float:
 def test_a_fault_has_a_name_and_ends_the_current(emulated: EmulatedBus, fault: str, kind: FaultKind) -> None:
     with opened(emulated) as arm:
         took_s = driven_into(emulated, arm, fault)
-        # Who is silent is asked for once there is no torque, with the reads that follow.
+        # Silent servos are searched for once there is no torque, by the following reads.
         until(lambda: arm.read() or arm.fault_kind == kind)
         assert arm.fault_kind == kind
-        # The watchdog's half a second where nothing can be sent, and what a loaded machine takes.
+        # The watchdog takes half a second if nothing can be sent; the rest is for a loaded machine.
         assert took_s < 5.0
-        # It stays, and nothing is sent.
+        # The fault stays, and nothing is sent.
         arm.write_currents([0.1, 0.1])
         arm.read()
         assert arm.fault_kind == kind
@@ -417,7 +417,7 @@ def test_no_read_of_a_bus_that_fails_waits_for_more_than_one_servo(
         bus, pings = arm._opened, [0]
 
         class Counted:
-            """The bus, and how often it was asked who is there."""
+            """The bus with a counter of pings."""
 
             def __getattr__(self, name: str) -> object:
                 pings[-1] += name == "ping"
@@ -477,7 +477,7 @@ def test_an_acknowledged_fault_is_mended(tmp_path: Path, fault: str) -> None:
             if fault == "unplug":
                 arm.acknowledge(arm.fault)
                 until(lambda: not (arm.recovering and not arm.read() and arm.recovering))
-                # It is not plugged in yet.
+                # The adapter is not plugged in yet.
                 assert arm.fault_kind == FaultKind.NOT_READY
                 assert "is not there" in str(arm.fault)
                 emulated.do("plug")
@@ -500,7 +500,7 @@ def test_the_end_says_who_keeps_torque(emulated: EmulatedBus) -> None:
     arm.close()
     assert arm.kept == (2,)
     assert "servo 2 may KEEP torque" in lines[-1]
-    # It hears all the same.
+    # It receives commands all the same.
     until(lambda: torques(emulated) == [False] * 3)
 
 
@@ -518,7 +518,7 @@ def test_closing_does_not_wait_for_servos_that_are_silent() -> None:
     try:
         opening = threading.Thread(target=run)
         opening.start()
-        # It has begun to ask, and has three servos and seven rates before it.
+        # It has begun to ask, with three servos and seven rates to go.
         assert os.read(near, 1)
         arm.close()
         opening.join(PATIENCE_S)
@@ -575,7 +575,7 @@ def test_an_arm_is_let_down(emulated: EmulatedBus) -> None:
         falling.append(emulated.servo(1))
         assert time.monotonic() - begin < PATIENCE_S
     closing.join()
-    # Its own weight turns it, and the motor brakes.
+    # Its own weight turns the arm, and the motor brakes.
     assert min(servo["current_a"] for servo in falling) < -0.02
     assert torques(emulated) == [False] * 3
 
@@ -617,7 +617,7 @@ def test_the_current_ends_with_the_process(emulated: EmulatedBus, end: str) -> N
                 process.wait(PATIENCE_S)
                 assert torques(emulated)[0] is False
             else:
-                # The servo's own doing: nobody has told it anything.
+                # The servo's own watchdog has ended the torque, without a command.
                 assert emulated.servo(1)["bus_watchdog"] == -1
         finally:
             process.kill()
@@ -627,7 +627,7 @@ def test_the_current_ends_with_the_process(emulated: EmulatedBus, end: str) -> N
 @pytest.mark.parametrize("mode", [OperatingMode.CURRENT_BASED_POSITION, OperatingMode.EXTENDED_POSITION])
 def test_a_profile_of_another_program_is_ended(emulated: EmulatedBus, mode: OperatingMode) -> None:
     bus = DynamixelBus(emulated.port, baud=4_000_000, timeout_s=TIMEOUT_S)
-    # The mode is as it shall be, for a change of it would reset the profile: 2 units are 0.05 rad/s.
+    # The mode is already right, because a change of mode would reset the profile: 2 units are 0.05 rad/s.
     for address, value in ((11, bytes((mode,))), (108, struct.pack("<I", 7)), (112, struct.pack("<I", 2))):
         bus.write(3, address, value)
     bus.close()
@@ -656,7 +656,7 @@ def test_a_servo_that_keeps_its_profile_is_refused(emulated: EmulatedBus, addres
     bus.write(3, address, struct.pack("<I", 9))
 
     class Keeps:
-        """Does not take what is written there."""
+        """A servo that ignores one write."""
 
         read = staticmethod(bus.read)
 
@@ -701,7 +701,7 @@ def test_an_arm_that_another_program_holds_is_named_before_its_torque_is_taken_o
     assert held == [{1: True, 2: False, 3: True}]
     assert len(begun_s) == 3
     assert begun_s[1] - begun_s[0] >= HELD_S
-    # Nothing to hold, and no wait.
+    # There is no torque to hold, and no wait.
     lines.clear()
     arm.open()
     arm.close()
@@ -711,7 +711,7 @@ def test_an_arm_that_another_program_holds_is_named_before_its_torque_is_taken_o
 def test_torque_of_another_program_is_announced_where_the_arm_is_refused_too(
     emulated: EmulatedBus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Servo 2 is another than was said, and has torque; servo 9, which is not there, nobody speaks for."""
+    """Servo 2 is of another model than configured, and has torque; servo 9 is missing and not reported."""
     monkeypatch.setattr("haptether.dynamixel.arm.arm.HELD_S", 0.3)
     bus = DynamixelBus(emulated.port, baud=4_000_000, timeout_s=TIMEOUT_S)
     bus.write(2, 64, b"\1")
@@ -731,7 +731,7 @@ def test_torque_of_another_program_is_announced_where_the_arm_is_refused_too(
         arm.open()
     assert time.monotonic() - begin > 0.3
     assert held == [True]
-    # It answered: its rate is not searched for.
+    # It answered, so its rate is not searched for.
     assert not any("baud" in line for line in lines)
     assert not emulated.servo(2)["torque"]
 

@@ -1,4 +1,4 @@
-"""The emulated bus byte for byte: the packets of the e-Manual, who answers and who does not, and garbage."""
+"""The emulated bus byte for byte: the packets of the e-Manual, answering and silent servos, and garbage."""
 
 import pytest
 from hypothesis import given
@@ -28,7 +28,7 @@ def packet(servo_id: int, body: bytes) -> bytes:
 
 
 def asked(bus: Bus, servo_id: int, body: str | bytes, now_s: float = 1.0) -> list[bytes]:
-    """What the servos answer to an instruction and its parameters."""
+    """Return the servos' answers to an instruction with its parameters."""
     raw = bytes.fromhex(body) if isinstance(body, str) else body
     return [answer.sent for answer in bus.receive(packet(servo_id, raw), now_s)]
 
@@ -75,7 +75,7 @@ def test_a_silent_servo_ends_the_answers_of_all_after_it(bus: Bus) -> None:
     assert asked(bus, 0xFE, f"8A {READ_POSITION} 01 02") == [whole[: 8 + 8]]
     assert len(asked(bus, 0xFE, f"82 {READ_POSITION} 01 02")) == 1
     assert not asked(bus, 0xFE, f"82 {READ_POSITION} 02 01")
-    # It does what it is bidden.
+    # It executes the instruction.
     assert not asked(bus, 2, "03 41 00 01")
     assert bus.servo(2).value("LED") == 1
 
@@ -88,7 +88,7 @@ def test_a_silent_servo_ends_the_answers_of_all_after_it(bus: Bus) -> None:
     ],
 )
 def test_status_return_levels(bus: Bus, level: int, answers: dict[str, int]) -> None:
-    # What sets it is still answered.
+    # The write of the level itself is answered.
     assert len(asked(bus, 1, f"03 44 00 {level:02x}")) == 1
     assert {body: len(asked(bus, 1, body)) for body in answers} == answers
 

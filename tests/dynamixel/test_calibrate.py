@@ -1,4 +1,4 @@
-"""`haptether dynamixel find` and `calibrate`, with an emulated arm that answers as a person's would."""
+"""`haptether dynamixel find` and `calibrate`, with an emulated arm that answers like a person."""
 
 import math
 import os
@@ -40,7 +40,7 @@ def emulated(shared: EmulatedBus) -> EmulatedBus:
 
 
 class Calibration:
-    """The command, and whoever answers it."""
+    """The command, and the emulated person who answers it."""
 
     def __init__(
         self, emulated: EmulatedBus, path: Path, *arguments: str, ids: tuple[str, ...] = ("1", "2"), yes: bool = True
@@ -56,7 +56,7 @@ class Calibration:
         self.said = Emulated(self.process, "")
 
     def until(self, begin: str) -> list[str]:
-        """The lines up to one that begins so."""
+        """Return the lines up to the first with this prefix."""
         lines = [self.said.line(PATIENCE_S)]
         while not lines[-1].startswith(begin):
             lines.append(self.said.line(PATIENCE_S))
@@ -68,7 +68,7 @@ class Calibration:
         self.process.stdin.flush()
 
     def place(self, *angles: float) -> None:
-        """Joint angles, by the offsets and directions that are to be found."""
+        """Place the joints at these angles, with the offsets and directions to be found."""
         for servo_id, q, offset, sign in zip((1, 2), angles, OFFSETS, SIGNS, strict=True):
             self.emulated.do(f"place {servo_id} {sign * q + offset}")
 
@@ -88,7 +88,7 @@ class Calibration:
 
 
 def guided(emulated: EmulatedBus, path: Path, *arguments: str, beside: float = 0.0) -> tuple[int, str]:
-    """A calibration from begin to end."""
+    """Run a calibration from start to end."""
     run = Calibration(emulated, path, *arguments, "--pose", *map(str, POSE))
     try:
         run.until("hold the arm")
@@ -97,7 +97,7 @@ def guided(emulated: EmulatedBus, path: Path, *arguments: str, beside: float = 0
         run.place(POSE[0] + beside, POSE[1] - beside)
         run.enter()
         run.until("turn joint 1")
-        # The wrong joint, too little, and then what was asked for.
+        # First the wrong joint, then a too small turn, then the requested turn.
         run.place(POSE[0] + beside, POSE[1] - beside + 0.4)
         run.enter()
         run.until("joint 2 (servo 2) moved instead: once more")
@@ -112,7 +112,7 @@ def guided(emulated: EmulatedBus, path: Path, *arguments: str, beside: float = 0
         run.place(POSE[0] + beside + 0.5, POSE[1] - beside + 0.8)
         run.enter()
         run.until("move each joint")
-        # Through the end of the turn of each servo.
+        # Cross the end of the turn of each servo.
         for q1, q2 in ((-1.0, -2.0), (0.5, -1.0), (2.0, 0.0), (2.5, 0.5)):
             run.place(q1, q2)
             at_least_one_read()
@@ -123,14 +123,14 @@ def guided(emulated: EmulatedBus, path: Path, *arguments: str, beside: float = 0
 
 
 class HeldArm:
-    """Two joints that a person turns to a place at each Enter."""
+    """Two joints that a person turns to the next place at each Enter."""
 
     def __init__(self, *places: tuple[float, float]) -> None:
         self.said: list[str] = []
         self._places = iter(places)
         self._place = 0.0, 0.0
         servos = [FoundServo(baud=1_000_000, servo_id=servo_id, number=1020, firmware=52) for servo_id in (1, 2)]
-        self.guide = Guide(self, servos, self.said.append, self._enter)  # type: ignore[arg-type]  # what it asks of a bus
+        self.guide = Guide(self, servos, self.said.append, self._enter)  # type: ignore[arg-type]  # the used part
 
     def sync_read(self, _read: object) -> bytes:
         return np.rint(np.array(self._place) / RAD_PER_TICK + CENTRE).astype("<i4").tobytes()
@@ -143,12 +143,12 @@ class HeldArm:
 @pytest.mark.parametrize(
     ("tries", "refusals"),
     [
-        # Too little, and on from there, or back to the begin first.
+        # The first turn is too small; the person turns on, or back to the start first.
         ([(0.15, 0.0), (0.35, 0.0)], ["it moved 0.15 rad"]),
         ([(0.15, 0.0), (0.21, 0.0)], ["it moved 0.15 rad"]),
-        # Another joint with it; both are put back, and the joint is turned less far than before.
+        # Another joint moves along; both return, and then the joint turns less far than before.
         ([(0.5, 0.4), (0.25, 0.0)], ["joint 2 (servo 2) moved instead"]),
-        # The other stays where it was.
+        # The other joint stays in place.
         ([(0.5, 0.4), (0.3, 0.4)], ["joint 2 (servo 2) moved instead"]),
         ([(0.5, 0.4), (0.1, 0.0), (0.3, 0.0)], ["joint 2 (servo 2) moved instead", "it moved 0.10 rad"]),
     ],
@@ -178,7 +178,7 @@ def test_a_guided_calibration(emulated: EmulatedBus, tmp_path: Path) -> None:
     assert baud == 1_000_000
     assert (first.servo_id, first.model, first.sign) == (1, "XM430-W350", 1)
     assert (second.servo_id, second.model, second.sign) == (2, "XL330-M288", -1)
-    # Whole turns are the limits' part.
+    # The limits settle whole turns.
     assert math.remainder(first.offset_rad - OFFSETS[0], TURN) == pytest.approx(0.0, abs=3e-3)
     assert math.remainder(second.offset_rad - OFFSETS[1], TURN) == pytest.approx(0.0, abs=3e-3)
     assert (first.low_rad, first.high_rad) == pytest.approx((-0.95, 2.45), abs=0.01)
@@ -221,7 +221,7 @@ def test_nobody_there(emulated: EmulatedBus, tmp_path: Path) -> None:
     status, said = Calibration(emulated, tmp_path / "arm.toml").end()
     assert status == 1
     assert "standard input has ended: a person must answer" in said
-    # Nobody has said that the arm is held.
+    # Nobody has confirmed that the arm is held.
     assert emulated.servo(1)["torque"] is True
     assert not (tmp_path / "arm.toml").exists()
 
@@ -231,7 +231,7 @@ def test_the_torque_ends_after_enter_and_what_loses_it_is_said_before(emulated: 
     for servo_id in (1, 2):
         bus.write(servo_id, 64, b"\1")
     bus.close()
-    # The second is a gripper's, of which the arm's calibration has nothing.
+    # The second servo drives a gripper, which the calibration of the arm leaves out.
     run = Calibration(emulated, tmp_path / "arm.toml", ids=("1",))
     try:
         before = run.until("hold the arm")
@@ -347,7 +347,7 @@ def test_what_was_typed_before_a_question_is_no_answer_to_it(emulated: EmulatedB
         run.process.stdin.write(b"\n\n\n")
         run.process.stdin.flush()
         run.until("put the arm into the pose")
-        # The two that were too many are not taken for the pose: it is asked for until somebody answers.
+        # The two surplus Enters do not confirm the pose: the command waits for a new one.
         with pytest.raises(TimeoutError):
             run.said.line(0.5)
         run.enter()
@@ -374,7 +374,7 @@ def test_a_link_to_a_file_stays_and_the_file_is_replaced(tmp_path: Path) -> None
     (tmp_path / "kept").mkdir()
     file, link = tmp_path / "kept" / "arm.toml", tmp_path / "link.toml"
     link.symlink_to(file)
-    # One that leads to nothing yet, and then to a file.
+    # The link first points to a missing file, then to an existing one.
     for baud in (57_600, 1_000_000):
         write_calibration(link, baud, ONE)
         assert link.is_symlink()
@@ -405,5 +405,5 @@ def test_file_and_folder_are_synchronised(tmp_path: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(os, "fsync", fsync)
     write_calibration(path, 57_600, ONE)
-    # The file before it has its name, its folder after.
+    # The file is synchronised before the rename, its folder after it.
     assert seen == [(False, False), (True, True)]

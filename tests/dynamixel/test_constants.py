@@ -1,4 +1,4 @@
-"""Torque per ampere: limits in N m hold for each published constant, and a weight measures that of one servo."""
+"""Torque per ampere: limits in N m hold for each published constant, and a weight measures it for one servo."""
 
 import re
 import subprocess
@@ -98,7 +98,7 @@ def test_a_leader_exerts_no_more_than_its_limit_whatever_its_servo_is(
         finally:
             leader.close()
     assert max(exerted) <= limit_nm * 1.001
-    # By so much less as the largest constant is above this one, and by less than a unit of the current.
+    # The ratio of this constant to the largest one and less than one unit of current reduce the torque.
     model = SERVO_MODELS[name]
     assert (
         max(exerted) > (limit_nm / model.largest_nm_per_a - model.table["Goal Current"].scale) * true_nm_per_a * 0.999
@@ -145,10 +145,10 @@ UNIT_A = 2.69e-3
     st.floats(0.5, 3.0), st.floats(0.2, 1.0), st.floats(-0.3, 0.3), st.floats(0.0, 0.5), st.floats(0.0, 0.3),
     st.lists(st.floats(-0.5, 0.5), min_size=12, max_size=12),
 )  # fmt: skip
-def test_friction_and_the_weight_of_the_arm_drop_out(  # noqa: PLR0917  # all are drawn
+def test_friction_and_the_weight_of_the_arm_drop_out(  # noqa: PLR0917
     constant: float, load_nm: float, own_nm: float, coulomb_nm: float, with_load: float, noise: list[float]
 ) -> None:
-    """I = (tau +- (c + mu |tau|)) / K_t up and down, each wrong by half a unit at most."""
+    """Check the equation with noise, I = (tau +- (c + mu |tau|)) / K_t up and down, each off by half a unit at most."""
     ways = iter(noise)
 
     def cycles(tau: float) -> list[tuple[float, float]]:
@@ -188,7 +188,7 @@ def test_calibrate_measures_a_constant_with_a_weight(tmp_path: Path, true_nm_per
     path, mass, lever = tmp_path / "arm.toml", 0.5, 0.12
     write_calibration(path, 4_000_000, (SERVO, ServoSettings(servo_id=2, model="XL330-M288", sign=-1)))
     with emulated_bus("--servos", "1=XM430-W350", "2=XL330-M288", "--constants", f"1={true_nm_per_a}") as bus:
-        # The weight of the arm itself.
+        # The arm's own weight.
         bus.do("push 1 -0.1")
         run = Calibration(bus, path, "--weigh", "1", "--mass", str(mass), "--lever", str(lever), ids=())
         try:

@@ -21,11 +21,11 @@ from haptether.dynamixel import (
 MODELS = list(SERVO_MODELS.values())
 by_model = pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
 NAMES_BY_SDK = {"Indirect Address Write", "Indirect Data Write", "Indirect Address Read", "Indirect Data Read"}
-"""Entries that are no addresses of a servo but shares of the indirect ones."""
+"""Names in the client's lists for ranges of indirect entries, not for single addresses."""
 
 
 def listed_by_sdk(name: str) -> dict[str, tuple[int, int]]:
-    """Address and size of each entry, by name."""
+    """Return address and size of each entry, by name."""
     folder = resources.files("dynamixel_easy_sdk") / "control_table"
     stem = name.lower().replace("-", "_")
     files = [folder / f"{stem}_fw52.model", folder / f"{stem}.model"]

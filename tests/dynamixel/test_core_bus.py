@@ -1,4 +1,4 @@
-"""The bus of the extension on an emulated one: what it reads, what it refuses, and what it never takes for a value."""
+"""The extension's bus on an emulated one: its reads, its refusals, and the answers that it must reject."""
 
 import struct
 import time
@@ -16,7 +16,7 @@ IDS = {model.name: 1 + index for index, model in enumerate(MODELS)}
 XM, XL = IDS["XM430-W350"], IDS["XL330-M288"]
 LED, GOAL_CURRENT, GOAL_POSITION, PRESENT_CURRENT, PRESENT_POSITION = 65, 102, 116, 126, 132
 TIMEOUT_S = 0.2
-"""More than a machine that tests may make of an answer."""
+"""Longest time of an answer on a loaded test machine."""
 MEASURED = struct.Struct("<hii")
 """Present Current, Present Velocity, Present Position."""
 
@@ -73,7 +73,7 @@ def test_an_answer_that_goes_wrong_gives_no_value(
     with pytest.raises((TimeoutError, RuntimeError)):
         bus.sync_read(read)
     assert read.alerts == ()
-    # The next is as if nothing had been.
+    # The next read is unaffected.
     assert bus.sync_read(read) == before
 
 
@@ -82,7 +82,7 @@ def test_a_silent_servo_is_named(emulated: EmulatedBus, bus: DynamixelBus, fast:
     emulated.do(f"silent {XL} on")
     with pytest.raises(TimeoutError, match=f"id {XL} did not answer within 200 ms"):
         bus.ping(XL)
-    # Of a fast read none is known to have answered.
+    # In a fast read no servo is known to have answered.
     named = XM if fast else XL
     with pytest.raises(TimeoutError, match=f"id {named} did not answer within 200 ms"):
         bus.sync_read(SyncRead(PRESENT_POSITION, 4, [XM, XL], fast=fast))
@@ -150,7 +150,7 @@ def test_current_ends_with_the_client(emulated: EmulatedBus, bus: DynamixelBus) 
     end = time.monotonic() + 5.0
     while MEASURED.unpack(bus.sync_read(read))[0] < 90:
         assert time.monotonic() < end
-    # Nobody asks anything any more.
+    # Nobody sends any more.
     end = time.monotonic() + 5.0
     # The model of the motor follows in its next step.
     while (servo := emulated.servo(XM))["bus_watchdog"] != -1 or servo["current_a"] != 0.0:
@@ -233,7 +233,7 @@ def test_an_unplugged_port_is_an_error_at_once() -> None:
 
 
 def test_a_late_answer_is_not_taken_for_that_to_the_next_instruction() -> None:
-    # Each answer comes 300 ms late, which is after the timeout of 200 ms.
+    # Each answer is 300 ms late, after the timeout of 200 ms.
     with emulated_bus("--servos", "1=XM430-W350", "--latency-ms", "300") as emulated:
         bus = DynamixelBus(emulated.port, baud=BAUD, timeout_s=TIMEOUT_S)
         for entry in (PRESENT_POSITION, PRESENT_CURRENT):

@@ -1,4 +1,4 @@
-"""How long a cycle takes on the bus, and that a loop which is faster is refused with the number."""
+"""Duration of a cycle on the bus; a faster loop is refused with that number."""
 
 from pathlib import Path
 
@@ -31,7 +31,7 @@ def test_the_bytes_of_six_servos(baud: int, fast: bool, expected_ms: float) -> N
 def test_positions_are_longer_than_currents() -> None:
     both = (*servos(2), ServoSettings(servo_id=3, model="XM430-W350", mode=OperatingMode.CURRENT_BASED_POSITION))
     of = [cycle_s(ArmSettings(port="/dev/null", servos=one), fast=True) for one in (both[:2], both)]
-    # Asked for, answered with, and a write of its own.
+    # The request, the answer and a write of its own.
     assert of[1] - of[0] == pytest.approx(10 * (1 + 14 + 19) / 4_000_000)
 
 

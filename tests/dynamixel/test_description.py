@@ -1,4 +1,4 @@
-"""Descriptions of arms: what is refused, kinematics and gravity against closed forms, differences and Pinocchio."""
+"""Descriptions of arms: refusals, and kinematics and gravity against closed forms, differences and Pinocchio."""
 
 import math
 from pathlib import Path
@@ -68,7 +68,7 @@ def two(tmp_path: Path) -> ArmDescription:
 
 
 def pinocchio_of(arm: ArmDescription) -> pin.Model:
-    """The same arm, built in another library."""
+    """Build the same arm in Pinocchio."""
     model = pin.Model()
     model.gravity.linear = np.array(arm.gravity_m_s2)
     parent = 0
@@ -182,7 +182,7 @@ def test_two_links_have_their_closed_form(two: ArmDescription, q: tuple[float, f
 
 
 def test_gello_stands_as_a_ur_does_where_its_angles_are_zero() -> None:
-    """A UR's arm lies along -x then, its third wrist joint's axis along -y."""
+    """With all angles zero, a UR's arm lies along -x, and the axis of its third wrist joint along -y."""
     arm = load_arm("gello-ur")
     kinematics = ArmKinematics(arm)
     position, quat, _ = kinematics.state([0.0] * 6, [0.0] * 6)

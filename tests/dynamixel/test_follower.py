@@ -47,7 +47,7 @@ def emulated(shared: EmulatedBus) -> EmulatedBus:
 def opened(
     emulated: EmulatedBus,
     tmp_path: Path,
-    **options: Any,  # noqa: ANN401  # of the driver
+    **options: Any,  # noqa: ANN401  # options of the driver
 ) -> Iterator[DynamixelSlave]:
     arm = tmp_path / "arm.toml"
     arm.write_text(ARM)
@@ -61,7 +61,7 @@ def opened(
 
 
 def led(driver: DynamixelSlave, goal: tuple[float, ...], holds: Callable[[SlaveSample], bool]) -> SlaveSample:
-    """Commands a goal until a sample is as it should be."""
+    """Command a goal until a sample meets the condition."""
     end = time.monotonic() + PATIENCE_S
     while not holds(sample := driver.read()):
         driver.write(goal, (0.0,) * len(goal))
@@ -71,7 +71,7 @@ def led(driver: DynamixelSlave, goal: tuple[float, ...], holds: Callable[[SlaveS
 
 
 def without_torque(emulated: EmulatedBus) -> None:
-    """Once the bus has heard it: nothing answers a stop."""
+    """Wait until no servo has torque: no answer confirms a stop."""
     end = time.monotonic() + PATIENCE_S
     while any(servo["torque"] for servo in emulated.status()["servos"]):
         assert time.monotonic() < end
@@ -127,7 +127,7 @@ def test_joints_follow_within_limits_and_speed(emulated: EmulatedBus, tmp_path: 
         led(driver, (1.3, -0.4), near((1.3, -0.4)))
         assert time.monotonic() - begin > 0.4
         assert emulated.servo(2)["position_rad"] == pytest.approx(0.9, abs=0.03)
-        # Beyond its limit it is held at that.
+        # A goal beyond the limit is held at the limit.
         led(driver, (1.3, -3.0), near((1.3, -1.0)))
         driver.stop()
         time.sleep(0.05)
@@ -152,10 +152,10 @@ def test_what_blocks_a_joint_lets_it_go_no_further_than_its_lag(emulated: Emulat
 
         led(driver, (0.3, 0.0), near((0.3, 0.0)))
         emulated.do("stops 1 -1 0.4")
-        # For much longer than the way to the goal takes.
+        # Press for much longer than the motion to the goal takes.
         blocked = pressed(1.5)
         assert blocked == pytest.approx(0.4, abs=0.02)
-        # Nothing new is commanded: the lag, and what the servo overshoots of it.
+        # Without a new command the arm moves by the allowed lag and the servo's overshoot.
         assert freed() == pytest.approx(blocked + 0.2, abs=0.04)
         emulated.do("stops 1 -1 0.7")
         blocked = pressed(0.5)
@@ -170,7 +170,7 @@ def test_a_first_command_far_away_is_refused(emulated: EmulatedBus, tmp_path: Pa
         driver.write((0.8, 0.0), (0.0, 0.0))
         fault = str(driver.read().fault)
         assert fault.startswith("misaligned start: the first command has joint 1 0.4"), fault
-        # It holds its joints: nothing falls.
+        # The arm holds its joints, so that nothing falls.
         assert [servo["torque"] for servo in emulated.status()["servos"]] == [True, True]
         driver.write((0.35, 0.0), (0.0, 0.0))
         assert driver.read().fault == fault
@@ -193,7 +193,7 @@ def test_a_push_is_felt_with_its_sign(emulated: EmulatedBus, tmp_path: Path) -> 
         led(driver, (0.3, 0.0), near((0.3, 0.0)))
         emulated.do("push 1 0.4")
         emulated.do("push 2 0.05")
-        # The second joint's q is reversed.
+        # The second joint has a negative sign.
         sample = led(driver, (0.3, 0.0), lambda s: s.force[0] > 0.2 and s.force[1] < -0.02)  # type: ignore[index]
         assert sample.force[0] < 0.5  # type: ignore[index]
 
@@ -207,7 +207,7 @@ def test_a_fault_keeps_the_last_place_and_no_force(emulated: EmulatedBus, tmp_pa
         assert list(sample.force) == [0.0, 0.0]  # type: ignore[arg-type]
         assert all(map(math.isfinite, sample.position))  # type: ignore[arg-type]
         without_torque(emulated)
-        # Where it is acknowledged by somebody who has seen it, it is started anew.
+        # After an acknowledgement by a person who has seen it, the servo restarts.
         driver.acknowledge()
         led(driver, (0.3, 0.0), lambda s: s.fault is None)
         assert [servo["torque"] for servo in emulated.status()["servos"]] == [True, True]

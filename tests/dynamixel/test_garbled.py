@@ -1,4 +1,4 @@
-"""A million garbled bytes on a bus, to servos and to a client: memory does not grow, and what follows is understood."""
+"""A million garbled bytes on a bus, to servos and to a client: memory does not grow, and later packets are read."""
 
 import contextlib
 import os
@@ -18,7 +18,7 @@ from haptether.dynamixel.emulator.protocol import HEADER, MAX_PACKET, Instructio
 BYTES = 1_000_000
 PIECE = 64
 MAX_GROWTH = 3 * BYTES // 4
-"""Of memory; seen are 0.07 and 0.34 MB, for an interpreter takes some for other things."""
+"""Largest growth of memory in bytes; observed are 0.07 and 0.34 MB, because the interpreter also allocates."""
 
 
 def instruction(servo_id: int, body: bytes) -> bytes:
@@ -27,7 +27,7 @@ def instruction(servo_id: int, body: bytes) -> bytes:
 
 
 def garbled(seed: int, packet: bytes) -> Iterator[bytes]:
-    """Noise, headers with lengths that need not be true, packets with a wrong bit, and some that are right."""
+    """Yield noise, headers with wrong lengths, packets with a wrong bit, and some valid packets."""
     made, source = 0, random.Random(seed)
     while made < BYTES:
         kind, noise = source.randrange(4), source.randbytes(source.randrange(1, PIECE))
@@ -44,11 +44,11 @@ def garbled(seed: int, packet: bytes) -> Iterator[bytes]:
 
 
 def resident(process: int) -> int:
-    """Bytes of memory that a process has."""
+    """Return the resident memory of a process in bytes."""
     return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
 
 
-def test_what_a_servo_keeps_of_garbled_bytes_is_less_than_a_packet() -> None:
+def test_servo_buffers_less_than_a_packet_of_garbled_bytes() -> None:
     reader = InstructionReader()
     found = 0
     for piece in garbled(1, instruction(1, b"\x01")):
@@ -65,7 +65,7 @@ def test_a_process_of_servos_that_is_fed_garbled_bytes_stays_as_it_is() -> None:
         line = os.open(emulated.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             before, end_s = resident(emulated.process.pid), time.monotonic() + 60.0
-            # A read of its model: nothing is set by what happens to be right.
+            # The packet reads the model, so that an accidentally valid one sets nothing.
             for piece in garbled(2, instruction(1, b"\x02\x00\x00\x02\x00")):
                 left = piece
                 while left:
@@ -78,7 +78,7 @@ def test_a_process_of_servos_that_is_fed_garbled_bytes_stays_as_it_is() -> None:
             os.close(line)
         assert emulated.status()["dropped_bytes"] > BYTES // 4
         assert resident(emulated.process.pid) - before < MAX_GROWTH
-        # What is left of a packet is dropped after a silence.
+        # The rest of a packet is dropped after a silence.
         time.sleep(0.3)
         bus = DynamixelBus(emulated.port, baud=BAUD, timeout_s=0.2)
         assert bus.ping(1) == (1200, 52)
@@ -93,7 +93,7 @@ def test_a_client_that_is_fed_garbled_bytes_stays_as_it_is_and_takes_none_for_a_
     fed, over = [0], threading.Event()
 
     def feed() -> None:
-        # Answers of another servo: right ones are no answers to what is asked.
+        # Answers of another servo are valid packets, but not answers to this request.
         for piece in garbled(3, status(9, 0, bytes(10))):
             left = piece
             while left and not over.is_set():

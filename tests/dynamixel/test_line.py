@@ -1,4 +1,4 @@
-"""What is on the line: deadlines that count it, and a stop that does not wait for its silence."""
+"""Traffic on the line: deadlines that account for it, and a stop that does not wait for silence."""
 
 import contextlib
 import os
@@ -30,7 +30,7 @@ def test_a_deadline_counts_what_was_sent_before() -> None:
             read = SyncRead(126, 10, list(IDS))
             bus.sync_read(read)
             for _ in range(40):
-                # 6 ms each: a quarter of a second that the answer has to wait for.
+                # Each write takes 6 ms: the answer waits a quarter of a second for all of them.
                 bus.sync_write(102, 2, bytes(IDS), GOALS)
             begin = time.monotonic()
             assert len(bus.sync_read(read)) == 10 * len(IDS)
@@ -40,7 +40,7 @@ def test_a_deadline_counts_what_was_sent_before() -> None:
 
 
 class Line:
-    """The other end of a port, with whoever talks without being asked."""
+    """The other end of a port, with a device that sends unrequested bytes."""
 
     def __init__(self) -> None:
         self.adapter, terminal = os.openpty()
@@ -75,7 +75,7 @@ def line() -> Iterator[Line]:
 def test_a_stop_goes_out_on_a_line_that_is_never_silent(line: Line) -> None:
     bus = DynamixelBus(line.port, baud=4_000_000, timeout_s=0.02)
     with pytest.raises(RuntimeError, match="bytes that nobody asked for arrive without end"):
-        # Of one servo an answer is wanted, and what comes now is none: it is not sent.
+        # A write to one servo expects an answer, but these bytes are none: the write is not sent.
         bus.write(1, 64, b"\0")
     before = line.heard
     assert before == b""

@@ -97,7 +97,7 @@ def test_a_hand_leads_without_a_jerk_and_lets_go(two: ArmDescription) -> None:
     assert world.say(f"hand 1 {begun + 0.6} 200 2 1.0") == "ok"
     speeds: list[float] = []
     world.run(1.0, lambda: speeds.append(world.servos[0].joint.velocity_rad_s))
-    # Of a minimum-jerk motion the peak is 1.875 times the mean.
+    # The peak speed of a minimum-jerk motion is 1.875 times the mean.
     assert max(speeds) == pytest.approx(1.875 * 0.6, rel=0.05)
     assert world.servos[0].joint.position_rad == pytest.approx(begun + 0.6, abs=0.02)
     assert world.say("hand off") == "ok"
@@ -112,7 +112,7 @@ def test_a_hand_leads_without_a_jerk_and_lets_go(two: ArmDescription) -> None:
 @pytest.mark.parametrize("stiffness", [1.0, 200.0, 1e4])
 @pytest.mark.parametrize("damping", [0.1, 2.0])
 def test_a_hand_that_leads_at_a_constant_speed_needs_what_friction_takes(stiffness: float, damping: float) -> None:
-    """F = c + b w, however stiff the hand is."""
+    """F = c + b w for any stiffness of the hand."""
     model = SERVO_MODELS["XL330-M288"]
     joint = Joint(model, JointSettings.of(model))
     speed = 0.5
@@ -185,7 +185,7 @@ def test_a_hand_follows_a_file(two: ArmDescription, tmp_path: Path) -> None:
     world = World(two)
     begun = world.servos[0].joint.position_rad
     path = tmp_path / "hand.csv"
-    # It begins at its first row.
+    # The path begins at its first row.
     path.write_text(f'"time_s","1"\n1700000000,{begun}\n1700000001,{begun + 0.4}\n')
     assert "no hand holds servo 1" in world.say(f"lead {path}")
     world.say(f"hand 1 {begun} 200 2")

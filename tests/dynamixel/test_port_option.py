@@ -1,4 +1,4 @@
-"""`--port PORT` of the commands of a bus, which is their first argument, too."""
+"""`--port PORT` of the bus commands, as an alternative to their first argument."""
 
 import pytest
 

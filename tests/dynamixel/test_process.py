@@ -1,4 +1,4 @@
-"""The process of an emulated bus: what it refuses, how it ends, its port, its time on the wire."""
+"""Process of an emulated bus: its refusals, its end, its port, and its time on the wire."""
 
 import json
 import signal
@@ -74,7 +74,7 @@ def test_the_link_of_another_bus_is_left_to_it(tmp_path: Path, capsys: pytest.Ca
         assert main(["dynamixel-emulator", "--duration-s", "1", "--link", str(link)]) == 1
         assert f"{link}: leads to {terminal}, which is in use: name another, or remove it" in capsys.readouterr().err
         assert link.readlink() == terminal
-        # One that somebody has turned to something else is theirs.
+        # The emulator leaves a link that a user has pointed elsewhere.
         link.unlink()
         link.symlink_to("/dev/null")
         running.process.send_signal(signal.SIGINT)

@@ -1,4 +1,4 @@
-"""A second client, with a codec and a register table of its own, on the emulated bus: the same registers."""
+"""A second client with its own codec and register table on the emulated bus: the registers agree."""
 
 from collections.abc import Iterator
 
@@ -16,11 +16,11 @@ MODEL = SERVO_MODELS["XL330-M288"]
 IDS = [1, 2, 5]
 START_RAD = 0.5
 OTHER_NAME = {
-    # Of other families of servos, or of firmware with a backup.
+    # Registers of other families of servos, or of firmware with a backup.
     "acceleration_limit": None, "torque_limit": "Current Limit", "moving_speed": "Velocity Limit", "backup_ready": None,
     "secondary_id": "Secondary(Shadow) ID",
 }  # fmt: skip
-"""Registers that the client calls otherwise; none: this model has none such."""
+"""Registers that the client names differently; None: this model has no such register."""
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def test_its_table_has_the_addresses_of_ours() -> None:
     compared = 0
     for register in Xl330PyController.registers():
         name = OTHER_NAME.get(register.name, register.name)
-        # Its indirect data are where firmware before 46 has them.
+        # The client's indirect data are those of firmware before 46.
         if name is None or name.startswith("indirect_data"):
             continue
         item = ours[name.lower().replace(" ", "_")]
@@ -68,7 +68,7 @@ def test_it_reads_and_writes_what_the_servo_has(bus: EmulatedBus, client: Xl330P
     client.sync_write_register(IDS, "goal_current", [-3, 0, 7])
     assert client.sync_read_register(IDS, "goal_current") == [-3, 0, 7]
     client.sync_write_register(IDS, "torque_enable", [1, 0, 1])
-    # Nobody answers a write to several; a read comes after it.
+    # A write to several servos has no answer; the read that follows proves its effect.
     assert client.sync_read_register(IDS, "torque_enable") == [1, 0, 1]
     assert [bus.servo(servo_id)["torque"] for servo_id in IDS] == [True, False, True]
     client.sync_write_register(IDS, "torque_enable", [0, 0, 0])

@@ -1,4 +1,4 @@
-"""Two joints of emulated servos behind a scene: the commands `slave` and `master`, and the end of both."""
+"""Two joints of emulated servos in a scene: the commands `slave` and `master`, and the end of both."""
 
 import json
 import os
@@ -79,7 +79,7 @@ def test_joints_lead_servos(tmp_path: Path) -> None:
             slave.wait()
             if slave.stderr is not None:
                 slave.stderr.close()
-        # Ahead by what the hand went; the second servo's q is reversed.
+        # The arm leads by the motion of the hand; the second servo has a negative sign.
         assert held[0]["position_rad"] == pytest.approx(0.6, abs=0.1)
         assert held[1]["position_rad"] == pytest.approx(-0.2, abs=0.1)
         assert [servo["torque"] for servo in held] == [True, True]

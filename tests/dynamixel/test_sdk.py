@@ -1,4 +1,4 @@
-"""The vendor's own client on the emulated bus, as it is: every entry of every model, and every instruction."""
+"""The vendor's unmodified client on the emulated bus: every entry of every model, and every instruction."""
 
 import termios
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ OWN_VALUE = {
     "Operating Mode", "Secondary(Shadow) ID", "Drive Mode", "Temperature Limit", "Max Voltage Limit",
     "Min Voltage Limit",
 }  # fmt: skip
-"""Entries of which another value changes what the servo answers, or trips it."""
+"""Entries that change the servo's answers, or trip it, when their value changes."""
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def port(bus: EmulatedBus) -> Iterator[VendorClient]:
 
 @pytest.fixture
 def client(bus: EmulatedBus, port: VendorClient) -> VendorClient:
-    """With all servos as after their power is switched on."""
+    """Return the client, with all servos in their state after power-on."""
     bus.do("brown-out 0")
     return port
 
@@ -80,7 +80,7 @@ def test_every_entry_is_read_and_written(client: VendorClient, model: ServoModel
         if item.name.startswith("Indirect Address"):
             high = LED
         if item.name.startswith("Indirect Data"):
-            # Its address says LED now.
+            # The indirect address points to the LED now.
             high = 1
         if item.limit is not None or item.name == "Goal Position":
             high = 0
@@ -124,7 +124,7 @@ def test_a_missing_servo_ends_sync_reads(client: VendorClient) -> None:
     for servo_id in (XM, 200, XL):
         read.addParam(servo_id)
     assert read.txRxPacket() == COMM_RX_TIMEOUT
-    # Some of it comes.
+    # A part of the answer arrives.
     assert read.fastSyncRead() == COMM_RX_CORRUPT
     assert not read.isAvailable(XM, PRESENT_POSITION, 4)
 
@@ -147,7 +147,7 @@ def test_registered_writes(client: VendorClient) -> None:
     assert client.packets.regWriteTxRx(client.port, XM, LED, 1, [1]) == (COMM_SUCCESS, 0)
     assert client.read(XM, LED, 1)[0] == 0
     assert client.read(XM, 69, 1)[0] == 1
-    # To all, as this client does not read the answer of one.
+    # Send to all servos: this client does not read the answer of a single one.
     assert client.packets.action(client.port, 0xFE) == COMM_SUCCESS
     assert client.read(XM, LED, 1)[0] == 1
     assert client.read(XM, 69, 1)[0] == 0
@@ -166,10 +166,10 @@ def test_eeprom_is_locked_while_torque_is_on(client: VendorClient) -> None:
 
 def test_a_value_that_the_client_does_not_stuff(bus: EmulatedBus, client: VendorClient) -> None:
     before = bus.status()["unstuffed"]
-    # 0x00FDFFFF is beyond what a goal may be, which proves that all of it has arrived.
+    # 0x00FDFFFF exceeds the largest goal; the refusal proves that all bytes have arrived.
     assert client.write(XM, GOAL_POSITION, 4, 0x00FDFFFF) == (COMM_SUCCESS, RANGE)
     assert bus.status()["unstuffed"] == before + 1
-    # The address of an indirect datum may hold any byte: an answer with a header inside is stuffed.
+    # An indirect address may hold any byte: the bus stuffs an answer that contains a header.
     indirect = SERVO_MODELS["XM430-W350"].table["Indirect Data 1"].address
     assert client.packets.writeTxRx(client.port, XM, indirect, 4, [0xFF, 0xFF, 0xFD, 0x00]) == (COMM_SUCCESS, 0)
     assert client.read(XM, indirect, 4) == (0x00FDFFFF, COMM_SUCCESS, 0)

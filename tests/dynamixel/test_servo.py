@@ -1,4 +1,4 @@
-"""One emulated servo in virtual time: what it refuses, how it moves, what its bus watchdog and its protections do."""
+"""One emulated servo in virtual time: its refusals, its motion, its bus watchdog and its protections."""
 
 import math
 from collections.abc import Callable
@@ -17,7 +17,7 @@ LIMIT, LENGTH, FAIL = ErrorNumber.DATA_LIMIT, ErrorNumber.DATA_LENGTH, ErrorNumb
 
 
 class World:
-    """A servo and its time."""
+    """A servo and its clock."""
 
     def __init__(self, model: str = "XM430-W350", position_rad: float = 0.0) -> None:
         self.servo = Servo(SERVO_MODELS[model], 1, position_rad=position_rad)
@@ -130,7 +130,7 @@ def test_positions_are_reached(mode: OperatingMode, model: str) -> None:
 
 @pytest.mark.parametrize("mode", [OperatingMode.POSITION, OperatingMode.CURRENT_BASED_POSITION])
 def test_a_profile_goes_to_a_position_at_its_speed(mode: OperatingMode) -> None:
-    """1000 ticks are 1.534 rad; 20 units of 0.229 rev/min are 0.48 rad/s."""
+    """Check positions and speed: 1000 ticks are 1.534 rad; 20 units of 0.229 rev/min are 0.48 rad/s."""
     world = World()
     world.torque_on(mode)
     assert world.write("Profile Velocity", 20) == NONE
@@ -152,7 +152,7 @@ def test_something_rigid_stops_it_with_the_current_of_its_cap(goal: int) -> None
     assert world.write("Goal Position", goal) == NONE
     world.run(1.0)
     sign = 1 if goal > 2048 else -1
-    # J = 2e-3 s^2 times the stall torque; friction holds a part of what presses.
+    # J = 2e-3 s^2 times the stall torque; friction takes a part of the pressing torque.
     deep = 0.3 * joint.constant_nm_per_a / (5e5 * joint.settings.inertia)
     assert sign * joint.position_rad == pytest.approx(0.2 + deep, abs=0.2 * deep)
     assert world.value("Present Current") == sign * 300
@@ -188,7 +188,7 @@ def test_current_is_torque() -> None:
     joint = world.servo.joint
     assert joint.torque_nm == pytest.approx(0.269 * 4.1 / 2.3)
     assert joint.velocity_rad_s > 0.0
-    # Held against a torque as large, it stands.
+    # An opposite torque of the same size holds the joint in place.
     world.run(1.0)
     joint.pushed_nm, joint.velocity_rad_s = -joint.torque_nm, 0.0
     position = joint.position_rad
@@ -250,7 +250,7 @@ def test_torque_on_holds_where_it_is() -> None:
 def test_the_bus_watchdog_stops_it(mode: OperatingMode, set_goal: Callable[[World], ErrorNumber]) -> None:
     world = World()
     assert world.write("Bus Watchdog", 5) == NONE
-    # Not before torque is on.
+    # The watchdog has no effect before torque is on.
     world.run(1.0, heard=False)
     assert world.value("Bus Watchdog") == 5
     world.torque_on(mode)
@@ -267,7 +267,7 @@ def test_the_bus_watchdog_stops_it(mode: OperatingMode, set_goal: Callable[[Worl
     world.run(1.0, heard=False)
     assert world.value("Present Current") == pytest.approx(0, abs=20)
     assert world.value("Present Velocity") == 0
-    # Goals are refused until it is set to 0.
+    # The servo refuses goals until the watchdog is set to 0.
     for name in ("Goal PWM", "Goal Current", "Goal Velocity", "Goal Position"):
         assert world.write(name, 0) == RANGE
     assert world.write("Bus Watchdog", 5) == RANGE
@@ -343,7 +343,7 @@ def test_a_reboot_forgets_ram_and_keeps_eeprom() -> None:
         (0.5, 3, 0, 0, 2048 + 326),
         (0.5, 3, 1, 0, 2048 - 326),
         (0.5, 3, 0, 1000, 3048 + 326),
-        # One turn and a little: the encoder knows one turn.
+        # Slightly more than one turn: the encoder covers one turn only.
         (2.0 * math.pi + 0.1, 3, 0, 0, 2048 + 65),
         (-math.pi - 0.1, 4, 0, 0, 4096 - 65),
     ],
@@ -392,9 +392,9 @@ def test_indirect_addresses_join_what_lies_apart() -> None:
     assert world.servo.write(data, goals, world.now_s) == NONE
     assert (world.value("Goal Position"), world.value("Goal Current")) == (1000, 77)
     assert world.servo.read(data, 6) == (NONE, goals)
-    # Half an entry is none.
+    # Half an entry is invalid.
     assert world.servo.write(data, goals[:2], world.now_s) == LENGTH
-    # Nor does the detour go round a lock or a limit.
+    # Indirect access bypasses neither a lock nor a limit.
     assert world.servo.write(data, (5000).to_bytes(4, "little"), world.now_s) == LIMIT
     assert world.write("Indirect Address 1", 11) == RANGE
 

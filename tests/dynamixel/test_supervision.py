@@ -1,4 +1,4 @@
-"""What an arm looks at while it has torque, and before: watchdogs, shadows, what servos do when they start."""
+"""Checks of an arm with torque and before: watchdogs, shadows, and the servos' startup configuration."""
 
 import dataclasses
 import math
@@ -62,14 +62,14 @@ def test_a_watchdog_is_never_longer_than_is_set(seconds: float, units: int) -> N
 
 
 def test_torque_that_cannot_be_looked_at_is_a_fault(two: EmulatedBus, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Measured values that come all the same do not say that the servos have torque."""
+    """Measured values alone do not prove that the servos have torque."""
     with opened(two, servos=ONE) as arm:
         assert arm.read()
         real = type(arm._opened).sync_read
         looks = arm._watchdogs, arm._status
 
         class Deaf:
-            """The bus, on which nobody answers of its torque."""
+            """The bus without answers about its torque."""
 
             def __getattr__(self, name: str) -> object:
                 return getattr(bus, name)
@@ -97,8 +97,8 @@ def test_torque_that_cannot_be_looked_at_is_a_fault(two: EmulatedBus, monkeypatc
         (SECONDARY_ID, 2, "obeys id 2, too: it would do what is meant for that one"),
     ],
 )
-def test_what_a_servo_must_not_be_set_to(address: int, value: int, said: str) -> None:
-    # A model whose table has all three.
+def test_forbidden_register_value_is_refused(address: int, value: int, said: str) -> None:
+    # The table of this model has all three registers.
     servos = (ServoSettings(servo_id=1, model="XL330-M288"),)
     with emulated_bus("--servos", "1=XL330-M288") as emulated:
         set_register(emulated, 1, address, value)
@@ -130,7 +130,7 @@ def test_a_shadow_is_checked_driven_watched_and_let_go(two: EmulatedBus) -> None
     ("fault", "kinds"),
     [
         ("hardware-error 2 overload", {FaultKind.OVERLOAD}),
-        # Alone it is seen by who looks at the torque of all.
+        # The look at all torques detects a single silent servo.
         ("silent 2 on", {FaultKind.SILENT}),
     ],
 )
@@ -144,7 +144,7 @@ def test_what_is_wrong_with_a_shadow_ends_the_torque_of_both(
         arm.write_currents([0.1])
         two.do(fault)
         until(lambda: arm.fault is not None or not arm.read())
-        # Who is silent is asked for with the reads that follow.
+        # Silent servos are searched for with the following reads.
         until(lambda: arm.read() or "servo 2" in str(arm.fault))
         assert arm.fault_kind in kinds
         until(lambda: torques(two) == [False] * 2)
@@ -189,7 +189,7 @@ def test_an_arm_that_waits_has_no_torque_until_it_begins(two: EmulatedBus) -> No
     arm = ServoArm(ArmSettings(port=two.port, servos=ONE, watchdog_s=0.1, timeout_s=0.1), said.append)
     arm.open(give_torque=False)
     assert torques(two)[0] is False
-    # Longer than the watchdog, which is not armed.
+    # The wait is longer than the watchdog, which is not armed.
     time.sleep(0.3)
     arm.begin()
     assert arm.read()
@@ -198,7 +198,7 @@ def test_an_arm_that_waits_has_no_torque_until_it_begins(two: EmulatedBus) -> No
         f"dynamixel {two.port}: ok       arm: took torque, and moved 0.000 rad meanwhile",
         f"dynamixel {two.port}: has torque",
     ]
-    # A second time it does nothing, to one that ended its torque meanwhile either.
+    # A second `begin` has no effect, even if the torque has ended meanwhile.
     arm.stop(FaultKind.JUMP, "of a test")
     until(lambda: torques(two)[0] is False)
     arm.begin()
@@ -212,7 +212,7 @@ def test_an_arm_that_nobody_reads_for_long_is_given_no_torque(
 ) -> None:
     arm = arm_of(two.port, servos=ONE, watchdog_s=0.1)
     arm.open(give_torque=False)
-    # As where the machine slept.
+    # The machine seems to have slept.
     later_s = time.clock_gettime(time.CLOCK_BOOTTIME) + 3600.0
     monkeypatch.setattr("haptether.dynamixel.arm.arm._awake_s", lambda: later_s)
     with pytest.raises(ArmRefusedError, match="not read since: start anew"):
@@ -251,7 +251,7 @@ def test_a_process_that_was_halted_in_its_open_or_its_recovery_gives_no_torque(
 def test_a_process_that_was_halted_before_its_first_read_gets_no_torque_back(two: EmulatedBus) -> None:
     arm = arm_of(two.port, servos=ONE, watchdog_s=0.1)
     arm.open()
-    # As a SIGSTOP does: the watchdogs end the torque, and nobody looks.
+    # Like a SIGSTOP: the watchdogs end the torque, and nobody looks.
     time.sleep(0.3)
     arm.begin()
     until(lambda: not arm.read() and arm.fault is not None)
@@ -267,7 +267,7 @@ def test_an_adapter_that_is_pulled_while_it_recovers_recovers_at_the_next_acknow
         with opened(emulated, servos=ONE, timeout_s=0.02) as arm:
             assert arm.read()
             arm.stop(FaultKind.JUMP, "of a test")
-            # The port that it has is one that is gone, and it does not know yet.
+            # The open port is gone, and the arm does not know yet.
             emulated.do("unplug")
             for _ in range(2):
                 arm.acknowledge(arm.fault)
@@ -303,7 +303,7 @@ def test_a_recovery_that_has_not_begun_does_not_begin_in_the_next_life(
 
 
 def test_other_than_one_number_for_each_servo_is_refused(two: EmulatedBus) -> None:
-    """One number is not taken for all."""
+    """One number does not stand for all servos."""
     both = (*ONE, dataclasses.replace(ONE[0], servo_id=2))
     with opened(two, servos=both) as arm:
         with pytest.raises(ValueError, match="1 currents: must be 2"):
@@ -316,12 +316,12 @@ def test_other_than_one_number_for_each_servo_is_refused(two: EmulatedBus) -> No
 
 
 def test_another_program_on_the_bus_ends_in_a_fault_and_no_torque(two: EmulatedBus) -> None:
-    """One that does not lock the port: what it asks for is answered into our reads."""
+    """The program does not lock the port: the answers to it mix with our reads."""
     with opened(two, servos=ONE, timeout_s=0.02) as arm:
         assert arm.read()
         other = os.open(two.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
-            # A write of 0 to Torque Enable of all, as a stop by somebody else.
+            # A write of 0 to Torque Enable of all servos, as another program's stop.
             packet = bytes.fromhex("fffffd00fe060003400000")
             from haptether.dynamixel.emulator.protocol import crc16
 

@@ -13,7 +13,7 @@ from haptether.cli import main
 pytestmark = pytest.mark.live
 
 PING_1 = bytes.fromhex("fffffd0001030001194e")
-"""Source: ROBOTIS e-Manual, Protocol 2.0, the example of a ping of ID 1."""
+"""Ping of ID 1. Source: ROBOTIS e-Manual, Protocol 2.0, the example of a ping of ID 1."""
 
 
 def tcp_of(bus: EmulatedBus) -> tuple[str, int]:
@@ -40,7 +40,7 @@ def test_the_vendors_client_reads_and_writes_over_tcp(monkeypatch: pytest.Monkey
             assert client.read(1, 65, 1) == (1, 0, 0)
         finally:
             client.close()
-        # The terminal has the same servos.
+        # The terminal reaches the same servos.
         monkeypatch.undo()
         with vendor_client(bus.port) as client:
             assert client.read(1, 65, 1) == (1, 0, 0)
@@ -53,7 +53,7 @@ def test_one_client_at_a_time_and_the_next_one_after_it() -> None:
             assert re.match(rb"\xff\xff\xfd\x00\x01", first.recv(64))
             with connected(bus) as second:
                 assert second.recv(64) == b""
-            # In pieces, and with bytes before it that are none.
+            # Send the packet in pieces, after bytes that are no packet.
             first.sendall(b"\x00\xff" + PING_1[:4])
             first.sendall(PING_1[4:])
             assert first.recv(64)

@@ -1,4 +1,4 @@
-"""Several threads and one bus: calls one after the other, and a stop at any time."""
+"""Several threads and one bus: calls in sequence, and a stop at any time."""
 
 import struct
 import threading
@@ -18,9 +18,9 @@ pytestmark = pytest.mark.live
 IDS = (1, 2)
 TORQUE_ENABLE, PRESENT_POSITION = 64, 132
 LONG_S = 2.0
-"""Of a call that nobody answers."""
+"""Timeout in s of a call that nobody answers."""
 SOON_S = 1.0
-"""In which a stop has to end the torque while such a call waits."""
+"""Time in s in which a stop has to end the torque while such a call waits."""
 PATIENCE_S = 20.0
 
 
@@ -36,7 +36,7 @@ def emulated(shared: EmulatedBus) -> EmulatedBus:
 
 
 class Call:
-    """Something that another thread does."""
+    """A call on another thread."""
 
     def __init__(self, run: Callable[[], object]) -> None:
         self.error: BaseException | None = None
@@ -144,7 +144,7 @@ SERVOS = tuple(ServoSettings(servo_id=servo_id, model="XM430-W350") for servo_id
 
 
 def test_an_arm_is_stopped_while_another_thread_reads(emulated: EmulatedBus) -> None:
-    """Neither the time-out of the read nor a watchdog ends the torque as soon."""
+    """Neither the timeout of the read nor a watchdog ends the torque this soon."""
     with opened(emulated, servos=SERVOS, timeout_s=1.0, watchdog_s=2.54, lost_after_s=1.0) as arm:
         assert arm.read()
         emulated.do("silent 2 on")
@@ -154,7 +154,7 @@ def test_an_arm_is_stopped_while_another_thread_reads(emulated: EmulatedBus) -> 
         begin = time.monotonic()
         arm.stop(FaultKind.JUMP, "of a test")
         until(lambda: torques(emulated) == [False, False])
-        # The read itself is given up after 1 s.
+        # The read itself times out after 1 s.
         assert time.monotonic() - begin < 0.9
         reading.end()
         assert reading.error is None
@@ -165,7 +165,7 @@ def test_an_arm_is_stopped_while_another_thread_reads(emulated: EmulatedBus) -> 
 
 
 def paused(arm: ServoArm, monkeypatch: pytest.MonkeyPatch) -> tuple[threading.Event, threading.Event]:
-    """An arm whose `open` or recovery waits with torque on: has come there, may go on."""
+    """Pause `open` or recovery with torque on; return the events for arriving there and for continuing."""
     come, on = threading.Event(), threading.Event()
     real = arm._hold
 
@@ -212,7 +212,7 @@ def test_an_arm_that_is_stopped_while_it_recovers_stays_without_torque(
         until(lambda: not (arm.read() or arm.recovering))
         assert arm.fault_kind == FaultKind.NOT_READY
         assert torques(emulated) == [False, False]
-        # A person acts, and it recovers.
+        # An acknowledgement lets it recover.
         arm.acknowledge(arm.fault)
         until(lambda: arm.read() and arm.fault is None)
         assert torques(emulated) == [True, True]
@@ -233,7 +233,7 @@ def test_a_stop_between_a_recovery_and_the_next_read_is_a_fault(emulated: Emulat
 
 
 def test_torque_that_comes_after_a_stop_ends_at_once(emulated: EmulatedBus, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The stop is between the last look of whoever opens, and its write."""
+    """The stop comes between the last check of `open` and its write."""
     arm = arm_of(emulated.port, servos=SERVOS[:1], watchdog_s=2.54)
     said: list[str] = []
     go_on, looks = arm._go_on, [0]
@@ -242,7 +242,7 @@ def test_torque_that_comes_after_a_stop_ends_at_once(emulated: EmulatedBus, monk
         go_on()
         looks[0] += 1
         if arm._bus is not None and arm._bus.read(1, 98, 1) != b"\0" and not said:
-            # Its watchdog is armed: the next is its torque.
+            # The watchdog is armed: torque comes next.
             said.append("stopped")
             arm.stop(FaultKind.JUMP, "of a test")
 
@@ -256,7 +256,7 @@ def test_torque_that_comes_after_a_stop_ends_at_once(emulated: EmulatedBus, monk
 
 
 def test_a_close_stops_first_and_waits_then(emulated: EmulatedBus, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What opens the arm hangs with torque on, and does not end."""
+    """`open` hangs with torque on, and does not return."""
     monkeypatch.setattr("haptether.dynamixel.arm.arm.CLOSED_S", 2.0)
     arm = arm_of(emulated.port, servos=SERVOS, watchdog_s=2.54)
     come, on = paused(arm, monkeypatch)
@@ -290,7 +290,7 @@ def test_a_stop_that_could_not_be_sent_is_reported_once(emulated: EmulatedBus) -
 
 
 def test_a_close_ends_the_arm_for_the_thread_that_leads_it(emulated: EmulatedBus) -> None:
-    """That one would be let down by nobody, and would go on to command."""
+    """Otherwise the thread that leads the arm would go on to command it."""
     with opened(emulated, servos=SERVOS, watchdog_s=2.54, release_s=2.0) as arm:
         ends = threading.Event()
         ticks = [0, 0]
@@ -308,7 +308,7 @@ def test_a_close_ends_the_arm_for_the_thread_that_leads_it(emulated: EmulatedBus
             arm.close()
         assert torques(emulated) == [False, False]
         closed = ticks[1]
-        # It goes on, and nothing comes of it.
+        # The thread goes on, without effect.
         until(lambda: ticks[1] > closed + 20)
         assert torques(emulated) == [False, False]
         assert all(servo["current_a"] == 0.0 for servo in emulated.status()["servos"])

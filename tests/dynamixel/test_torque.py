@@ -1,4 +1,4 @@
-"""Torque of the environment from currents: on emulated servos in virtual time, where what is applied is known."""
+"""Torque of the environment from currents: on emulated servos in virtual time, where the applied torque is known."""
 
 from pathlib import Path
 
@@ -14,13 +14,13 @@ from haptether.slave.dynamixel.torque import JointTorque
 DOCUMENT = Path(__file__).parents[2] / "docs/dynamixel.md"
 MODELS = ("XL330-M288", "XM430-W350")
 SHARES = (0.0, 0.01, 0.05, 0.1, 0.2, 0.4)
-"""Of the stall torque."""
+"""Applied torques as shares of the stall torque."""
 SPEED_RAD_S = 0.5
 STEP_S = 0.002
 
 
 def estimated(model_name: str, applied_nm: float, speed_rad_s: float, *, compensated: bool) -> float:
-    """What is told of a torque on an emulated joint that holds an angle, or follows one at a speed."""
+    """Return the estimated torque on an emulated joint that holds an angle, or follows one at a speed."""
     model = SERVO_MODELS[model_name]
     load = JointSettings.of(model)
     servo = Servo(model, 1, position_rad=0.0)
@@ -55,7 +55,7 @@ def estimated(model_name: str, applied_nm: float, speed_rad_s: float, *, compens
 
 
 def rows() -> list[str]:
-    """The table of the document."""
+    """Return the table of the document."""
     lines = []
     for name in MODELS:
         stall = SERVO_MODELS[name].recommended.torque_nm
@@ -86,10 +86,10 @@ def test_moving_friction_is_taken_out_and_standing_it_is_the_error(model: str, s
         moving = estimated(model, applied, speed, compensated=True)
         assert moving == pytest.approx(applied, abs=0.015 * stall)
         raw = estimated(model, applied, speed, compensated=False)
-        # Without it, the friction of the gear is told as a push against the motion.
+        # Without compensation, the friction of the gear appears as a push against the motion.
         assert abs(raw - applied) > 0.9 * friction
     standing = estimated(model, applied, 0.0, compensated=True)
-    # Never more than there is, and never less by more than friction can hide.
+    # The estimate is at most the applied torque, and too low at most by the friction.
     assert abs(standing) <= abs(applied) + 0.005 * stall
     assert abs(standing - applied) <= 2.0 * friction + 0.005 * stall
 

@@ -1,4 +1,4 @@
-"""The bus of a driver over a Unix socket, in the place of a serial port."""
+"""The bus of a driver over a Unix socket instead of a serial port."""
 
 import struct
 from pathlib import Path
@@ -22,7 +22,7 @@ def test_it_is_a_bus_like_that_on_a_terminal(tmp_path: Path) -> None:
             bus = DynamixelBus(str(path), baud=4_000_000, timeout_s=0.1)
             assert bus.ping(1)[0] == 1020
             bus.write(1, 65, b"\1")
-            # What has arrived before an instruction is no answer to it.
+            # Bytes that arrive before an instruction are not an answer to it.
             emulated.do("corrupt 1")
             with pytest.raises((RuntimeError, TimeoutError)):
                 bus.read(1, 65, 1)

@@ -1,4 +1,4 @@
-"""`make faults`: every fault, what is expected, what was seen. Exit status 1: something was not as expected."""
+"""`make faults`: each fault with its expected and its measured effect. Exit status 1: a row failed."""
 
 import argparse
 import json
@@ -37,14 +37,14 @@ GROUPS: dict[str, Callable[[], list[Callable[[], Row]]]] = {
     "machine": lambda: list(machine.rows().values()),
     "hostile": lambda: list(hostile.rows().values()),
 }
-"""Where rows come from, in the order in which they run."""
+"""Groups of rows, in the order in which they run."""
 
 WIDTH = 200
-"""Of the table where it goes to no terminal."""
+"""Width of the table without a terminal, in characters."""
 
 
 def main() -> int:
-    """Run the suite as the command line asks for."""
+    """Run the suite with the options of the command line."""
     parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
     parser.add_argument("--json", type=Path, help="where the same goes for machines; - for standard output")
     parser.add_argument("--only", choices=list(GROUPS), action="append", help="these rows alone")

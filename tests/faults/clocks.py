@@ -1,4 +1,4 @@
-"""Clocks that are not right, in virtual time."""
+"""Wrong clocks, in virtual time."""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,12 +10,12 @@ from tests.faults.signals import HOLD, NAMES
 from haptether.bridge import Run, simulate
 
 STEP_S = 1.0
-"""When a clock jumps, in s."""
+"""Time of a clock's jump, in s."""
 QUIET = [f"link.{direction}.{key}=0" for direction in ("forward", "backward") for key in ("loss", "jitter_s")]
 
 
 def offset(side: str, offset_s: float) -> Row:
-    """The clock of one side shows another time: nothing may follow from that."""
+    """Shift the clock of one side by a constant offset: it must have no effect."""
     right, wrong = (
         simulate("remote_push"),
         simulate("remote_push", overrides=[f"link.{side}_clock.offset_s={offset_s}"]),
@@ -32,7 +32,7 @@ def offset(side: str, offset_s: float) -> Row:
 
 
 def jump(side: str, step_s: float, expected: str) -> Row:
-    """The monotonic clock of one side jumps forward, as after a machine was suspended: as a loop that slept."""
+    """Make the monotonic clock of one side jump forward, as after a suspend: like a loop that slept."""
     run = simulate("remote_push", overrides=[
         *QUIET, "record.every=1", f"link.{side}_clock.step_s={step_s}", f"link.{side}_clock.step_at_s={STEP_S}",
     ])  # fmt: skip
@@ -64,7 +64,7 @@ def _difference(one: Run, other: Run) -> float:
 
 
 def rows() -> list[Callable[[], Row]]:
-    """All of them, to be run one after the other."""
+    """Return all rows, to run one after the other."""
     found: list[Callable[[], Row]] = []
     for side in ("master", "slave"):
         found += [partial(offset, side, by) for by in (-1e6, 4e9)]

@@ -1,4 +1,4 @@
-"""Drivers in Python that fail: exceptions, blocked calls, numbers that cannot be; over real sockets."""
+"""Drivers in Python that fail: exceptions, blocked calls, invalid numbers; over real sockets."""
 
 import math
 import secrets
@@ -32,12 +32,12 @@ from haptether.slave import SlaveSample
 
 ENGAGED_WITHIN_S = 10.0
 WATCHED_S = 0.6
-"""For how long both sides are watched after the fault: longer than to the stop."""
+"""Time in s for which both sides are watched after the fault: longer than the time to the stop."""
 COUPLED = frozenset({"engaged", "stale"})
 STILL = frozenset({"hold", "stop", "fault"})
 
 
-class Broken(Exception):  # noqa: N818  # what a driver of somebody else raises
+class Broken(Exception):  # noqa: N818  # the exception of a foreign driver
     """A device that was unplugged."""
 
 
@@ -50,7 +50,7 @@ class InjectedFault:
     at_s: float | None = None
 
     def meet(self) -> float:
-        """Raises, blocks, or gives what is added to the sample."""
+        """Raise, block, or return the value that is added to the sample."""
         if self.kind == "none" or (self.at_s is not None and self.kind == "block"):
             return 0.0
         self.at_s = self.at_s or time.monotonic()
@@ -63,7 +63,7 @@ class InjectedFault:
 
 @dataclass
 class PythonHand:
-    """A master in Python: a hand that goes into the wall and breathes."""
+    """A master in Python: a hand that goes into the wall and trembles."""
 
     injected: InjectedFault = field(default_factory=InjectedFault)
     paces: bool = False
@@ -93,7 +93,7 @@ class PythonHand:
 
 @dataclass
 class PythonArm:
-    """A slave in Python: an arm that is where it is commanded to be, at a spring of 100 N/m at 0."""
+    """A slave in Python: an arm at its commanded position, on a spring of 100 N/m at 0."""
 
     injected: InjectedFault = field(default_factory=InjectedFault)
     paces: bool = False
@@ -127,7 +127,7 @@ class PythonArm:
 
 @dataclass
 class Seen:
-    """What was seen of both sides."""
+    """Observations of both sides."""
 
     at_s: float
     states: dict[str, list[tuple[float, str]]]
@@ -139,25 +139,25 @@ class Seen:
     skipped: int
 
     def after_s(self, side: str) -> float:
-        """From the fault to when a side was seen to be no longer coupled, in s."""
+        """Return the time in s from the fault until a side was no longer coupled."""
         times = [at_s for at_s, state in self.states[side] if at_s >= self.at_s and state in STILL]
         return times[0] - self.at_s if times else math.inf
 
     def engaged_again(self, side: str) -> bool:
-        """Whether a side was coupled again after it had come to rest."""
+        """Return true if a side was coupled again after it had come to rest."""
         after = [state for at_s, state in self.states[side] if at_s >= self.at_s + self.after_s(side)]
         return any(state in COUPLED for state in after)
 
 
 def scene() -> Scene:
-    """The remote wall, without a push and without a network."""
+    """Return the remote wall, without a push and without a network."""
     return load_scene("remote_push", ["environment.pushers=[]", "slave.max_acceleration=5.0", "operator.clutch=once"])
 
 
 def watch(
     device: PythonHand | PythonArm, injected: InjectedFault, then: Callable[[DeviceRun], None] | None = None
 ) -> Seen:
-    """Run a side in Python against a native one, and injects a fault into its driver once both have engaged."""
+    """Run a side in Python against a native one, and inject a fault into its driver once both have engaged."""
     spec, key = scene_json(scene()), secrets.token_bytes(32)
     master: LiveMaster | MasterRun
     slave: LiveSlave | SlaveRun
@@ -184,7 +184,7 @@ def watch(
         return done()
 
     assert until(lambda: master.state == slave.state == "engaged", ENGAGED_WITHIN_S), (master.state, slave.state)
-    # Until the hand is in the wall.
+    # Wait until the hand is in the wall.
     until(lambda: False, 1.2)
     device.injected = injected
     begun_s = time.monotonic()
@@ -196,7 +196,7 @@ def watch(
     near, near_report = master.finish()
     far, far_report = slave.finish()
     reports = {"master": near_report, "slave": far_report}
-    # A trace of each side.
+    # Each side has its own trace.
     traces: dict[str, MasterTrace | SlaveTrace] = {"master": near, "slave": far}
     return Seen(
         at_s=injected.at_s or begun_s,
@@ -216,7 +216,7 @@ def watch(
 
 
 def raising(side: str, limit_s: float) -> Row:
-    """The driver raises an exception."""
+    """Measure a driver that raises an exception."""
     device = PythonHand() if side == "master" else PythonArm()
     seen = watch(device, InjectedFault("raise"))
     found = Complaints()
@@ -242,7 +242,7 @@ def raising(side: str, limit_s: float) -> Row:
 
 
 def blocking(side: str, blocked_s: float, limit_s: float) -> Row:
-    """The driver blocks in `read`, then goes on as if nothing had been."""
+    """Measure a driver that blocks in `read`, then goes on."""
     device = PythonHand() if side == "master" else PythonArm()
     injected = InjectedFault("block", blocked_s)
     seen = watch(device, injected)
@@ -268,7 +268,7 @@ def blocking(side: str, blocked_s: float, limit_s: float) -> Row:
 
 
 def hanging(side: str, limit_s: float) -> Row:
-    """The driver does not return from `read` for longer than the watch waits: a fault that names it."""
+    """Measure a driver that blocks in `read` for longer than the watch waits: the fault names it."""
     device = PythonHand() if side == "master" else PythonArm()
     seen = watch(device, InjectedFault("block", 1.2))
     found = Complaints()
@@ -292,7 +292,7 @@ def hanging(side: str, limit_s: float) -> Row:
 
 
 def bad_number(side: str, limit_s: float) -> Row:
-    """NaN in a sample: a fault that stays, until a person has acknowledged it and the numbers are right."""
+    """Measure NaN in a sample: the fault stays until it is acknowledged and the numbers are valid."""
     device = PythonHand() if side == "master" else PythonArm()
     after: list[str] = []
 
@@ -320,7 +320,7 @@ def bad_number(side: str, limit_s: float) -> Row:
 
 
 def says_so(side: str, limit_s: float) -> Row:
-    """The device says that something is wrong with it."""
+    """Measure a device that reports a fault."""
     device = PythonHand() if side == "master" else PythonArm()
     seen = watch(device, InjectedFault("fault"))
     found = Complaints()
@@ -341,7 +341,7 @@ def says_so(side: str, limit_s: float) -> Row:
 
 
 def rows(limit_s: float = 0.05) -> list[Callable[[], Row]]:
-    """All of them; a side has so long to react, the looks of the watcher included."""
+    """Return all measurements; a side has `limit_s` to react, which includes the watcher's period."""
 
     def each(measure: Callable[[str, float], Row], side: str, limit: float) -> Callable[[], Row]:
         return lambda: measure(side, limit)

@@ -1,6 +1,6 @@
-"""A sender of datagrams that nobody with the key has made, as fast as one thread can or at a given rate.
+"""A sender of forged datagrams, as fast as one thread can or at a given rate.
 
-Run as `python -m tests.faults.flood HOST:PORT --rate 100000 --seconds 3`; prints the rate that it reached as JSON.
+Run as `python -m tests.faults.flood HOST:PORT --rate 100000 --seconds 3`; prints the reached rate as JSON.
 """
 
 import argparse
@@ -18,9 +18,9 @@ HEADER = struct.Struct("<2sBBIQQ")
 """Magic, version, kind, epoch, session, counter: docs/protocol.md."""
 VERSION = 2
 SEALED_BYTES, HELLO_BYTES = 164, 120
-"""Of a sealed frame of one axis, of the first message of a handshake."""
+"""Sizes of a sealed frame of one axis, and of the first message of a handshake."""
 BATCH = 100
-"""Datagrams a system call."""
+"""Datagrams per system call."""
 
 
 class _IoVector(ctypes.Structure):
@@ -41,24 +41,24 @@ class _Messages(ctypes.Structure):
 
 @dataclass(frozen=True, kw_only=True)
 class Sent:
-    """What a flood was."""
+    """Number of sent datagrams and their time."""
 
     datagrams: int
     seconds: float
 
     @property
     def rate_hz(self) -> float:
-        """Datagrams a second."""
+        """Datagrams per second."""
         return self.datagrams / self.seconds
 
 
 def sealed(session: int, counter: int) -> bytes:
-    """A header as of a frame of this session, and random bytes."""
+    """Return the header of a frame of this session, and random bytes."""
     return HEADER.pack(b"HS", VERSION, 3, 0, session, counter) + secrets.token_bytes(SEALED_BYTES - HEADER.size)
 
 
 def hello(session: int, _: int) -> bytes:
-    """A header as of the first message of a handshake, and random bytes."""
+    """Return the header of the first message of a handshake, and random bytes."""
     return HEADER.pack(b"HS", VERSION, 1, 0, session, 0) + secrets.token_bytes(HELLO_BYTES - HEADER.size)
 
 
@@ -68,19 +68,19 @@ KINDS = {"frame": sealed, "hello": hello}
 def flood(
     host: str, port: int, *, rate_hz: float, seconds: float, session: int, counter: int, kind: str = "frame"
 ) -> Sent:
-    """Send batches by `sendmmsg`, each when it is due; what is late is made up for.
+    """Send batches by `sendmmsg`, each when it is due; late batches are caught up.
 
     Args:
         host: Address.
         port: Port.
-        rate_hz: Datagrams a second; what one thread cannot reach is not reached.
-        seconds: For how long.
-        session: In each header.
-        counter: In the first header; each of a batch has its own.
-        kind: What they seem to be: "frame" or "hello".
+        rate_hz: Datagrams per second; one thread may reach less.
+        seconds: Duration in s.
+        session: Session in each header.
+        counter: Counter in the first header; each datagram of a batch has its own.
+        kind: Kind in the header: "frame" or "hello".
 
     Raises:
-        OSError: The system refused.
+        OSError: The system refused to send.
     """
     library = ctypes.CDLL(None, use_errno=True)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
@@ -101,7 +101,7 @@ def flood(
             sent = library.sendmmsg(sender.fileno(), messages, BATCH, 0)
             if sent < 0:
                 number = ctypes.get_errno()
-                # Nobody listens any more: sent all the same.
+                # Go on even if nobody listens any more.
                 if number not in {111, 11, 105}:
                     raise OSError(number, os.strerror(number))
                 sent = 0
@@ -111,7 +111,7 @@ def flood(
 
 
 def main() -> int:
-    """Floods as the command line asks for."""
+    """Flood as the command line requests."""
     parser = argparse.ArgumentParser(prog="python -m tests.faults.flood", description=__doc__)
     parser.add_argument("peer", help="HOST:PORT")
     parser.add_argument("--rate", type=float, default=1e5, help="datagrams a second, 1 to 1e7")

@@ -1,4 +1,4 @@
-"""A gripper that fails, or whose server does, while it holds something; over real sockets, on an emulated gripper."""
+"""Faults of a gripper or its server while the gripper holds an object; over real sockets, on an emulated gripper."""
 
 import time
 from collections.abc import Callable
@@ -12,17 +12,17 @@ from haptether.slave.robotiq.protocol import FAULTS, fault_text
 
 REPLY_S = 0.2
 SEEN_S = REPLY_S + 0.3
-"""From a fault to the sample that has it: a reply that does not come, and a reading of each kind."""
+"""Longest time from a fault to its sample, in s: a reply that does not come, and one reading of each kind."""
 PATIENCE_S = 10.0
 WATCHED_S = 0.3
-"""After the fault, and after its acknowledgement."""
+"""Time to watch after the fault, and after its acknowledgement, in s."""
 STROKE_M = 0.085
 RELEASES = 11
-"""The automatic release moves the jaws by itself: that is what it is."""
+"""Fault code of the automatic release, which moves the jaws on purpose."""
 
 
 def rows(limit_s: float = SEEN_S) -> list[Callable[[], Row]]:
-    """Everything that a server or a gripper does wrong here; a fault may take so long in s to be seen."""
+    """Return all faults of a server or a gripper; `limit_s` bounds the time until a sample shows the fault."""
     of_server = [
         lambda misbehaves=misbehaves, name=name: _row(
             f"server of a gripper: {misbehaves.__name__.replace('_', ' ')}", name, misbehaves, 0, limit_s
@@ -50,7 +50,7 @@ def _row(fault: str, name: str, misbehaves: Misbehaviour | None, flt: int, limit
             _befall(server, misbehaves, flt)
             seen = _until(driver, lambda sample: sample.fault is not None)
             reaction_s = time.monotonic() - begun_s
-            # A gripper that has lost its state is seen by that or by its fault, whatever is read first.
+            # Lost activation shows as this text or as the fault, depending on which variable is read first.
             expected = (name, "not active: STA 0: ") if flt in {7, 10} else (name,)
             wrong.check(str(seen.fault).startswith(expected), f"the fault is {seen.fault}")
             wrong.check(seen.holds_object == held.holds_object, "it says that it holds nothing any more")

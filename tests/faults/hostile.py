@@ -1,4 +1,4 @@
-"""Somebody who can send to a real slave, or has recorded what was sent to it, and has no key."""
+"""Attackers without a key who can send to a real slave, or have recorded its traffic."""
 
 import contextlib
 import json
@@ -29,23 +29,24 @@ GARBAGE = "1e5 forged first messages/s while a master starts"
 COPIED = "each frame copied from another address, 4 ms faster"
 LAST_SEQUENCE = "in the clear, one frame with sequence 2^64 - 1"
 START_S, START_LATER_S = 6.0, 1.5
-"""How long the start of a session is watched, and by how much a flood may delay it: repeats of the first message."""
+"""Time in s for which the start of a session is watched, and largest delay by a flood: repeats of the first message."""
 ANY_SESSION = 0x0123_4567_89AB_CDEF
 FLOOD_S = 3.0
 RATE_HZ, MIN_RATE_HZ = 1e5, 8e4
-"""Asked for, and what a busy machine must reach for the row to count; the row says what it was."""
+"""Requested rate, and the rate that a busy machine must reach for the row to count; the row reports the actual rate."""
 LATE_SHARE = 0.005
-"""More late cycles than without the flood, as a share of all."""
+"""Permitted increase of late cycles by the flood, as a share of all."""
 COUNTED_SHARE = 0.5
-"""Of what was sent: what a full socket drops, nobody sees."""
+"""Share of sent datagrams that must be counted: nobody sees those that a full socket drops."""
 LATER_S = 0.5e-3
-"""By how much p99 of how late the loop wakes may grow: half a period."""
+"""Permitted increase in s of the p99 of the wake lateness: half a period."""
 
 
 class Relay:
-    """Passes on what a master and a slave send each other, and keeps what the master sent.
+    """Relay between a master and a slave that keeps the master's datagrams.
 
-    With `behind_s` it passes the master's datagrams on so much later, and a copy of each at once from another address.
+    With `behind_s` it delays the master's datagrams by that time, and sends a copy of each at once from another
+    address.
     """
 
     def __init__(self, slave: str, behind_s: float = 0.0) -> None:
@@ -67,7 +68,7 @@ class Relay:
 
     @property
     def address(self) -> str:
-        """Where a master is to send."""
+        """Address for the master."""
         host, port = self._near.getsockname()
         return f"{host}:{port}"
 
@@ -93,7 +94,7 @@ class Relay:
                     self._near.sendto(self._far.recv(2048), master)
 
     def close(self) -> None:
-        """End it."""
+        """End the relay."""
         self._done.set()
         self._thread.join()
         for used in (self._near, self._far, self._copier):
@@ -101,7 +102,7 @@ class Relay:
 
 
 def send_all(to: str, datagrams: list[bytes], every: int = 50) -> int:
-    """Send datagrams to an address, some a millisecond, and count what comes back within 0.3 s."""
+    """Send datagrams to an address, `every` of them per millisecond; return the number of answers within 0.3 s."""
     host, port = to.rsplit(":", 1)
     answers = 0
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
@@ -123,7 +124,7 @@ def send_all(to: str, datagrams: list[bytes], every: int = 50) -> int:
 
 
 def replayed_session(limits: Limits) -> Row:
-    """Everything that a master has sent, sent again without the key."""
+    """Measure a replay, without the key, of all datagrams of a master."""
     with Stage.set() as stage:
         slave = stage.slave("slave")
         relay = Relay(slave.address)
@@ -133,7 +134,7 @@ def replayed_session(limits: Limits) -> Row:
         relay.close()
         time.sleep(0.3)
         again_at_s = time.time()
-        # Slowly: a busy system drops of a burst what does not fit into the socket's buffer.
+        # Send slowly: a busy system drops the part of a burst that overflows the socket's buffer.
         answers = send_all(slave.address, relay.recorded, every=5)
         slave.end()
         fresh = stage.slave("fresh")
@@ -149,7 +150,7 @@ def replayed_session(limits: Limits) -> Row:
     for ticks in (at_slave.ticks.between(again_at_s - at_slave.begun_s), at_fresh.ticks):
         judged.wrong.check(not ticks.coupled.any(), "a replay engaged")
         judged.wrong.check(np.ptp(ticks.output) == 0.0, "the command travelled")
-    # First messages of handshakes are answered, within their budget: without the key an answer is of no use.
+    # First messages of handshakes are answered, within their budget: without the key an answer is useless.
     judged.wrong.check(answers + fresh_answers <= 16, f"{answers} + {fresh_answers} answers")
     refused = [sum(report["rejections"].values()) for report in reports]
     judged.wrong.check(min(refused) >= 0.9 * len(relay.recorded), f"{refused} of {len(relay.recorded)} refused")
@@ -160,7 +161,7 @@ def replayed_session(limits: Limits) -> Row:
 
 
 def fuzz(count: int, seed: int) -> Iterator[bytes]:
-    """Datagrams of every length, kind and header, right in more and more places."""
+    """Yield datagrams of every length, kind and header, valid in more and more places."""
     draw = random.Random(seed)
     for n in range(count):
         length = draw.choice((0, 1, 23, 24, 25, 119, 120, 121, 123, 124, 125, 163, 164, 165, 1400))
@@ -176,7 +177,7 @@ def fuzz(count: int, seed: int) -> Iterator[bytes]:
 
 
 def fuzzed(limits: Limits) -> Row:
-    """Datagrams of all kinds beside a session that lives."""
+    """Measure datagrams of all kinds beside a live session."""
     with Stage.set() as stage:
         slave, master = pair(stage)
         answers = send_all(slave.address, list(fuzz(40_000, seed=3)), every=20)
@@ -194,7 +195,7 @@ def fuzzed(limits: Limits) -> Row:
 
 
 def living_session(port: int) -> tuple[int, int] | None:
-    """Session and counter of a frame on its way to a port of this machine; none without leave to listen."""
+    """Return session and counter of a frame on its way to a local port; None without permission to listen."""
     with contextlib.ExitStack() as stack:
         try:
             tap = stack.enter_context(socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM, socket.htons(0x0800)))
@@ -215,7 +216,7 @@ def living_session(port: int) -> tuple[int, int] | None:
 
 
 def flooded(name: str, kind: str, limits: Limits, *, knows_session: bool = False, seconds: float = FLOOD_S) -> Row:
-    """1e5 forged packets a second, beside as long a time without."""
+    """Measure 1e5 forged packets per second, against the same time without."""
     with Stage.set() as stage:
         slave, master = pair(stage)
         seen = living_session(int(slave.address.rsplit(":", 1)[1])) if knows_session else None
@@ -224,7 +225,7 @@ def flooded(name: str, kind: str, limits: Limits, *, knows_session: bool = False
         session, counter = seen or (ANY_SESSION, 0)
         quiet_s = time.monotonic()
         time.sleep(seconds)
-        # Ahead of what the master will have sent by then, and never to be reached.
+        # The counter is ahead of all that the master will send.
         header = ["--session", str(session), "--counter", str(counter + 100_000_000), "--kind", kind]
         begun_s = time.monotonic()
         sender = [sys.executable, "-m", "tests.faults.flood", slave.address]
@@ -233,7 +234,7 @@ def flooded(name: str, kind: str, limits: Limits, *, knows_session: bool = False
             capture_output=True, text=True, timeout=END_S, check=True,
         )  # fmt: skip
         flooded_s = time.monotonic()
-        # From the last tick it is counted back.
+        # Times are counted back from the last tick.
         stage.end_together(slave, master)
         sides = {"slave": stage.ticks("slave"), "master": stage.ticks("master")}
         report = stage.report("slave")
@@ -253,7 +254,7 @@ def flooded(name: str, kind: str, limits: Limits, *, knows_session: bool = False
         if side.ticks.between(-np.inf, float(side.ticks.time_s[-1]) - (flooded_s - begun_s)).held.any():
             raise DisturbedError("held before the flood")
     judged = Judged(limits)
-    # A loop that stalls beside the flood is what is measured.
+    # A loop that stalls during the flood is part of the measurement.
     judged.never_held(*(side.before_end() for side in sides.values()), excused=False)
     judged.slave(sides["slave"].before_end())
     judged.wrong.check(arrived >= COUNTED_SHARE * sent["datagrams"], f"{arrived} of {sent['datagrams']} counted")
@@ -270,7 +271,7 @@ def flooded(name: str, kind: str, limits: Limits, *, knows_session: bool = False
 
 
 def _late(recorded: Recorded, from_end_s: float, until_end_s: float) -> tuple[float, float]:
-    """Of a time counted back from the last tick: p99 of how late the loop woke in s, and the share of late cycles."""
+    """Return p99 of the wake lateness in s and the share of late cycles, for times counted back from the last tick."""
     time_s = recorded.ticks.time_s
     inside = (time_s >= time_s[-1] - from_end_s) & (time_s < time_s[-1] - until_end_s)
     late_s = np.asarray(recorded.overshoot_s)[inside]
@@ -280,7 +281,7 @@ def _late(recorded: Recorded, from_end_s: float, until_end_s: float) -> tuple[fl
 
 
 def repeated_first_message(limits: Limits) -> Row:
-    """The first message of a session before, authentic, 4000 times a second beside the session that lives."""
+    """Measure the authentic first message of an earlier session, 4000 times per second beside a live session."""
     with Stage.set() as stage:
         slave = stage.slave("slave")
         relay = Relay(slave.address)
@@ -303,7 +304,7 @@ def repeated_first_message(limits: Limits) -> Row:
     before = sides[0].last(attacked_s + 0.5).ticks
     if not before.between(-np.inf, float(before.time_s[0]) + 0.3).coupled.all():
         raise DisturbedError("not engaged before the first of them")
-    # The slave recorded the session before, too, and its end.
+    # The slave also recorded the earlier session and its end.
     judged.never_held(sides[0].last(attacked_s), sides[1])
     judged.slave(sides[0])
     judged.wrong.check(answers <= 4 + took_s, f"{answers} answers in {took_s:.1f} s")
@@ -313,7 +314,7 @@ def repeated_first_message(limits: Limits) -> Row:
 
 
 def garbage_at_start(limits: Limits) -> Row:
-    """A master that comes while 1e5 forged first messages a second do."""
+    """Measure the start of a master beside 1e5 forged first messages per second."""
     engaged_s: list[float] = []
     rate_hz = 0.0
     for floods in (False, True):
@@ -340,7 +341,7 @@ def garbage_at_start(limits: Limits) -> Row:
 
 
 def copied(limits: Limits) -> Row:
-    """Each frame of the master copied from another address, and there 4 ms before it."""
+    """Measure a copy of each frame of the master from another address, 4 ms ahead of the frame."""
     with Stage.set() as stage:
         slave = stage.slave()
         relay = Relay(slave.address, behind_s=4e-3)
@@ -359,7 +360,7 @@ def copied(limits: Limits) -> Row:
 
 
 def last_sequence(limits: Limits) -> Row:
-    """In the clear, one frame of the living session with the highest sequence there is."""
+    """Measure one frame of the live session, in the clear, with the highest possible sequence."""
     with Stage.set() as stage:
         options = ("--insecure", "--json", str(stage.path("slave.json")))
         slave = Process("slave", "--listen", "127.0.0.1:0", *options, record=stage.path("slave.mcap"))
@@ -393,7 +394,7 @@ FLOODS = (
 
 
 def rows(limits: Limits | None = None) -> dict[str, Callable[[], Row]]:
-    """All of them by name, to be run one after the other."""
+    """Return all measurements by name, to be run one after the other."""
     bounds = limits or Limits()
     measures: dict[str, Callable[[Limits], Row]] = {
         REPLAYED: replayed_session,

@@ -1,4 +1,4 @@
-"""Faults of the machine under a side: a disk that is full, a wall clock that is set."""
+"""Faults of the machine under a side: a full disk, and a wall clock that is set."""
 
 import os
 import shutil
@@ -15,15 +15,15 @@ from tests.faults.running import PRESSED_S, Recorded, Stage
 from tests.faults.signals import ENGAGED, NAMES, Ticks
 
 DISK_KIB = 512
-"""Of the disk that is full: a second of a recording."""
+"""Size of the full disk, in KiB: a second of a recording."""
 FULL_DISK = f"full disk: {DISK_KIB} KiB tmpfs under the recordings of both sides"
 WALL_CLOCK = "wall clock of both sides set: +1 h, then -2 h"
 STEPPED_S = 4.2
-"""After its start the wall clock of a process has been set twice (`wall_step.c`)."""
+"""Time from the start of a process until its wall clock has been set twice (`wall_step.c`), in s."""
 
 
 def mount_namespace() -> tuple[str, ...] | None:
-    """A command in front of others that gives them mounts of their own, also without root; none if there is none."""
+    """Return a command prefix for an own mount namespace, also without root; None if unavailable."""
     if shutil.which("unshare") is None:
         return None
     within = ("unshare", "--map-root-user", "--mount", "sh", "-c")
@@ -32,7 +32,7 @@ def mount_namespace() -> tuple[str, ...] | None:
 
 
 def full_disk(limits: Limits) -> Row:
-    """A disk without room under the recordings; the rest of the machine has room."""
+    """Fill the disk of the recordings; other disks of the machine have room."""
     name = FULL_DISK
     within = mount_namespace()
     if within is None:
@@ -41,7 +41,7 @@ def full_disk(limits: Limits) -> Row:
         disks = {side: stage.path(f"disk-{side}") for side in ("slave", "master")}
         for disk in disks.values():
             disk.mkdir()
-        # The shell gives way to the command: signals reach it.
+        # The shell replaces itself with the command, so that signals reach the command.
         mounted = {
             side: (*within, f'mount -t tmpfs -o size={DISK_KIB}k tmpfs "$0" && exec "$@"', str(disk))
             for side, disk in disks.items()
@@ -79,7 +79,7 @@ def _traced(path: Path) -> Recorded:
 
 
 def wall_clock(limits: Limits) -> Row:
-    """The wall clock of two processes is set; that of the machine is not touched."""
+    """Set the wall clock of two processes; the clock of the machine stays untouched."""
     name = WALL_CLOCK
     compiler = shutil.which(os.environ.get("CC", "cc"))
     if compiler is None:
@@ -109,7 +109,7 @@ def wall_clock(limits: Limits) -> Row:
 
 
 def rows(limits: Limits | None = None) -> dict[str, Callable[[], Row]]:
-    """All of them by name, to be run one after the other."""
+    """Return all rows by name, to run one after the other."""
     bounds = limits or Limits()
     measures = {FULL_DISK: full_disk, WALL_CLOCK: wall_clock}
     return {fault: again(partial(measure, bounds), fault) for fault, measure in measures.items()}

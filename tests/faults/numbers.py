@@ -1,4 +1,4 @@
-"""Numbers that cannot be, from the device and from Python."""
+"""Invalid numbers from the device and from Python."""
 
 import math
 import secrets
@@ -26,12 +26,12 @@ BAD = {"NaN": math.nan, "+Inf": math.inf, "-Inf": -math.inf, "1e300": 1e300, "la
 TINY = {"denormal": 5e-324, "-denormal": -2.2e-308, "-0": -0.0}
 TICKS, AT = 400, 200
 PUSH_S = 1.0
-"""After engaging."""
+"""Time in s after engaging."""
 OF_SLAVE = "fault of the slave: environment force exceeds 10000 N"
 
 
 def from_device(signal: str) -> Row:
-    """One bad sample as a master tick takes it in: fault and no force in the same tick, and they stay."""
+    """Measure one bad sample in a master tick: fault and zero force in the same tick, latched."""
     found = Complaints()
     worst_ticks, force_n, reasons = 0, 0.0, set()
     for name, bad in BAD.items():
@@ -55,9 +55,9 @@ def from_device(signal: str) -> Row:
 
 
 def from_arm() -> Row:
-    """A force at the arm beyond what can be measured: fault at the slave in its tick, where a scene ends.
+    """Measure a force at the arm beyond the measurable range: fault at the slave in its tick, where a scene ends.
 
-    What the two sides do then is tested at the endpoints: `bridge/tests/all/device_failure.rs`.
+    The reaction of both sides is tested at the endpoints: `bridge/tests/all/device_failure.rs`.
     """
     found = Complaints()
     took_s, force_n = 0.0, 0.0
@@ -83,7 +83,8 @@ def from_arm() -> Row:
     found.check(
         took_s <= PERIOD_S + 1e-9, f"the slave's fault followed after {took_s:g} s, must be {PERIOD_S:g} s at most"
     )
-    # The press still settles, by less than that; the least of the shove would be a newton, the limiter's step.
+    # The press still settles, by less than this bound. The smallest effect of the shove would be 1 N, the limiter's
+    # step.
     found.check(force_n <= 1e-6, f"{force_n:g} N more on the hand")
     for push_n in (1e300, sys.float_info.max):
         shove = f"environment.pushers=[{{force_n={push_n}}}]"
@@ -97,7 +98,7 @@ def from_arm() -> Row:
 
 
 def tiny_from_device() -> Row:
-    """Denormal numbers are numbers: the same as zero."""
+    """Measure denormal numbers: they are valid, and act like zero."""
     found = Complaints()
     apart_n = 0.0
     for signal in ("position", "rendered_force", "velocity"):
@@ -106,7 +107,7 @@ def tiny_from_device() -> Row:
             ticks = _layer(signal, tiny)
             found.check(not ticks.fault.any(), f"{name} as {signal}: fault")
             apart_n = max(apart_n, float(np.abs(ticks.device_force - zero.device_force).max()))
-    # A force as small as the sample itself.
+    # The tolerance is a force as small as the sample itself.
     found.check(apart_n <= 1e-300, f"{apart_n:g} N from what zero gives")
     return Row(
         fault=f"{', '.join(TINY)} from the device", how="calls", expected="as zero: no fault, the same force",
@@ -115,7 +116,7 @@ def tiny_from_device() -> Row:
 
 
 def outliers_from_device() -> Row:
-    """Wrong samples that return: force and V are those of a run without them, and they are counted."""
+    """Measure isolated wrong samples: force and V are those of a run without them, and they are counted."""
     found = Complaints()
     force_n, count = 0.0, 0
     clean = _spoiled(np.zeros(TICKS))
@@ -136,7 +137,7 @@ def outliers_from_device() -> Row:
 
 
 def step_from_device() -> Row:
-    """A position that steps beyond the speed bound and stays: a fault after 3 ticks, no force from then on."""
+    """Measure a position that steps beyond the speed bound and stays: a fault after 3 ticks, then no force."""
     found = Complaints()
     took_s, force_n = 0.0, 0.0
     for size_m in (0.021, -0.1, 0.5):
@@ -171,7 +172,7 @@ def _layer(signal: str, sample: float) -> SafetyTicks:
 
 
 def at_construction() -> Row:
-    """What describes a side is refused before there is one."""
+    """Measure invalid settings of a side: they are refused before the side exists."""
     builds: dict[str, Callable[[float], object]] = {
         "force_scale": lambda bad: baseline_scene(force_scale=bad),
         "mass_kg": lambda bad: HapticDevice(mass_kg=bad),
@@ -187,7 +188,7 @@ def at_construction() -> Row:
     found = Complaints()
     attempts = 0
     for key, build in builds.items():
-        # A bound that is large is a matter of taste; what is no number never is.
+        # A large value may be legitimate; these values never are.
         for name in ("NaN", "+Inf", "-Inf"):
             attempts += 1
             found.check(_refuses(partial(build, BAD[name])), f"{key} = {name} was taken")
@@ -198,7 +199,7 @@ def at_construction() -> Row:
 
 
 def to_a_living_loop() -> Row:
-    """A scale that cannot be, set on loops that run: refused, and they run on as they did."""
+    """Measure an invalid scale, set on running loops: it is refused, and they run on."""
     key = secrets.token_bytes(32)
     scene = scene_json(baseline_scene())
     slave = LiveSlave(scene, listen="127.0.0.1:0", run_id=1, key=key, realtime="off")
@@ -211,7 +212,7 @@ def to_a_living_loop() -> Row:
             attempts += 1
             found.check(_refuses(partial(set_scale, bad)), f"{who} = {name} was taken")
     time.sleep(0.2)
-    # Whatever is allowed, the limiter and the bounds of a command have the last word.
+    # For any permitted scale, the limiter and the bounds of a command apply.
     for scale in (2.0, 0.5, 2.0):
         master.set_force_scale(scale)
         slave.set_position_scale(scale)
@@ -236,13 +237,13 @@ def to_a_living_loop() -> Row:
 
 
 LIMITER_N = 7.9
-"""What a PHANTOM Desktop exerts: the limiter's default."""
+"""Largest force in N of a PHANTOM Desktop: the limiter's default."""
 GROWTH_N = 1.0
-"""Of a force within a tick: 1000 N/s; unloading is free."""
+"""Largest growth of a force in N per tick: 1000 N/s; unloading is free."""
 
 
 def in_frames(security: str) -> Row:
-    """A sender whose poses are NaN: with a key a stranger's are refused, without one they are still no numbers."""
+    """Measure a sender with NaN poses: with a key they are refused as foreign, without one as invalid."""
     (attack,) = (attack for attack in RAVEN_ATTACKS if attack.scene == "raven_nan")
     row = measure_attack(attack, "on" if security == "on" else "off")
     found = Complaints()
@@ -264,7 +265,7 @@ def _refuses(call: Callable[[], object]) -> bool:
 
 
 def rows() -> list[Callable[[], Row]]:
-    """All of them, to be run one after the other."""
+    """Return all measurements, to be run one after the other."""
     return [
         *(partial(from_device, signal) for signal in ("position", "rendered_force", "velocity")),
         from_arm,

@@ -1,4 +1,4 @@
-"""Orientations that are none, an arm that does not know its pose, buttons that nobody knows; over real sockets."""
+"""Invalid orientations, an arm without a pose, and unknown buttons; over real sockets."""
 
 import math
 import secrets
@@ -39,15 +39,15 @@ NONE: dict[str, Vector] = {
     "+Inf": (math.inf, 0.0, 0.0, 0.0),
     "of length 1.1": (1.1, 0.0, 0.0, 0.0),
 }
-"""What is no unit quaternion."""
+"""Invalid unit quaternions."""
 FAULTS = {"orientation is not a finite number", "orientation is no unit quaternion: its norm is not 1 to 1e-9"}
 LED_S = 0.5
-"""From the engagement to the fault: longer than the fade-in."""
+"""Time from the engagement to the fault, in s: longer than the fade-in."""
 WATCHED_S = 0.5
 ATTEMPTS = 3
 CLUTCH, GRIPPER = 1 << 4, 1 << 0
 PRESS_S = 0.06
-"""A contact that was open for less than 20 ms bounces."""
+"""Length of a press, in s. A contact that was open for less than 20 ms counts as a bounce."""
 
 SCENE = override_scene(
     load_scene("torque_release", ["link={}"]),
@@ -59,12 +59,12 @@ WITH_BUTTONS = scene_json(override_scene(SCENE, ["master.buttons={clutch = 4, gr
 
 @dataclass
 class Hand:
-    """A device that turns about z, slowly, with buttons."""
+    """Device with buttons that turns slowly about z."""
 
     paces = False
     kinds = ("pose",)
     orientation: Orientation = None
-    """What is said instead of how it is turned."""
+    """Replaces the measured orientation."""
     buttons: int | None = 0
     wrenches: list[tuple[float, Vector, Vector]] = field(default_factory=list)
 
@@ -89,7 +89,7 @@ class Hand:
 
 @dataclass
 class Arm:
-    """An arm that is where it is commanded to be, against 0.05 N m."""
+    """Arm that is always at its commanded pose, against 0.05 N m."""
 
     paces = False
     kinds = ("pose",)
@@ -97,7 +97,7 @@ class Arm:
     is_lost: bool = False
     turned: Vector = UPRIGHT
     orders: list[tuple[float, Orientation]] = field(default_factory=list)
-    """When, and how it was to be turned; none for a stop."""
+    """Time and commanded orientation; None for a stop."""
 
     def open(self) -> None:
         pass
@@ -127,10 +127,10 @@ class Arm:
 
 @dataclass
 class Jaws:
-    """A gripper that is at once where it is led, up to something at 0.7."""
+    """Gripper that is always at its commanded position, up to an object at 0.7."""
 
     orders: list[tuple[float, float]] = field(default_factory=list)
-    """When, and where to: 0 open to 1 closed."""
+    """Time and commanded position: 0 open to 1 closed."""
     position: float = 0.0
 
     def open(self) -> None:
@@ -163,7 +163,7 @@ class Rig:
     slave: SlaveRun
 
     def until(self, done: Callable[[], bool], seconds: float = ENGAGED_WITHIN_S) -> float:
-        """How long it took in s, infinite if it was not done."""
+        """Wait for a condition; return the elapsed time in s, infinite after a timeout."""
         begun_s = time.monotonic()
         while not done():
             if time.monotonic() - begun_s > seconds:
@@ -175,7 +175,7 @@ class Rig:
         return self.master.state == self.slave.state == "engaged"
 
     def engaged(self, press: Callable[[], None] | None = None) -> None:
-        """Both sides are coupled, for a while; where the machine has held them meanwhile, after another press."""
+        """Wait until both sides have been coupled for a while; press again if a delay of the machine held them."""
         for _ in range(ATTEMPTS):
             self.until(self.are_engaged)
             time.sleep(LED_S)
@@ -196,7 +196,7 @@ class Rig:
         return near, far
 
     def turned_after(self, at_s: float) -> float:
-        """By how much the commands turned later than a time of the monotonic clock, in rad."""
+        """Return the largest turn of the commands after a time of the monotonic clock, in rad."""
         later = np.array([turned for ordered_s, turned in self.arm.orders if ordered_s > at_s and turned is not None])
         if not len(later):
             return 0.0
@@ -206,7 +206,7 @@ class Rig:
 
 @contextmanager
 def rig(spec: bytes) -> Iterator[Rig]:
-    """Both sides over loopback."""
+    """Run both sides over loopback."""
     hand, arm, jaws, key = Hand(), Arm(), Jaws(), secrets.token_bytes(32)
     loop = SlaveLoop(spec, listen="127.0.0.1:0", run_id=1, key=key)
     slave = SlaveRun(arm, loop, gripper=jaws)
@@ -220,11 +220,11 @@ def rig(spec: bytes) -> Iterator[Rig]:
 
 
 BRAKED_S = 0.3
-"""From a hold to rest: 2.5 rad/s at 25 rad/s², and more."""
+"""Time from a hold to rest, in s: 2.5 rad/s at 25 rad/s², with a margin."""
 
 
 def no_orientation(side: str, limit_s: float) -> Row:
-    """Neither a wrench nor a motion of what is no orientation, and a fault that stays until it is acknowledged."""
+    """An invalid orientation yields neither a wrench nor a motion, and a fault that stays until it is acknowledged."""
     found, faults = Complaints(), set()
     took_s, turned_rad, wrench = 0.0, 0.0, 0.0
     peer = "slave" if side == "master" else "master"
@@ -249,7 +249,7 @@ def no_orientation(side: str, limit_s: float) -> Row:
                 wrench = max([wrench, *(float(np.abs(one).max()) for one in late)])
             near, far = both.finish()
         trace: MasterTrace | SlaveTrace = near if side == "master" else far
-        # Acknowledged, the last is none; what it was before stands in the ticks.
+        # The acknowledgement clears the last fault; earlier ticks keep it.
         faults |= {str(fault_message(int(code))) for code in set(trace.fault.tolist()) if code}
     found.check(faults == FAULTS, f"faults: {sorted(faults)}")
     found.check(took_s <= limit_s, f"the {peer} held after {took_s:g} s")
@@ -263,7 +263,7 @@ def no_orientation(side: str, limit_s: float) -> Row:
 
 
 def lost_pose(limit_s: float) -> Row:
-    """An arm whose driver does not say how its tool is turned any more: it is stopped, and its run ends."""
+    """An arm whose driver loses the orientation of its tool is stopped, and its run ends."""
     found = Complaints()
     with rig(SPEC) as both:
         both.engaged()
@@ -290,7 +290,7 @@ def lost_pose(limit_s: float) -> Row:
 
 
 def unknown_buttons(limit_s: float) -> Row:
-    """The clutch is open where nobody knows its button, and no gap in what is known presses it; the gripper stays."""
+    """An unknown button leaves the clutch open, and no gap in the data presses it; the gripper stays in place."""
     found = Complaints()
     with rig(WITH_BUTTONS) as both:
         hand = both.hand
@@ -338,6 +338,6 @@ def unknown_buttons(limit_s: float) -> Row:
 
 
 def rows(limit_s: float = 0.05) -> list[Callable[[], Row]]:
-    """All of them; a side has so long to react, the looks of the watcher included."""
+    """Return all rows; `limit_s` bounds the reaction of a side, polling by the watcher included."""
     orientations = [partial(no_orientation, side, limit_s) for side in ("master", "slave")]
     return [*orientations, partial(lost_pose, limit_s), partial(unknown_buttons, limit_s)]

@@ -1,4 +1,4 @@
-"""Presses of the clutch that meet no sound link: no press couples a hand later than its moment."""
+"""Presses of the clutch over a broken link: no press couples a hand later than its moment."""
 
 import signal
 import time
@@ -13,22 +13,22 @@ from tests.faults.running import AGAIN_S, PRESSED_S, Process, Recorded, Stage
 from haptether.netsim import ask_control
 
 DELAY_S = 0.03
-"""One way: what one side has seen, the other has not for a while."""
+"""One-way delay in s: the two sides disagree for this long."""
 EXPIRED_S = 6.0
-"""Beyond the 5 s for which a press counts, docs/ladder.md."""
+"""Time in s beyond the 5 s for which a press counts, docs/ladder.md."""
 WATCHED_S = 3.5
-"""After the link is back: a new handshake after silence takes 2 s and its repeats."""
+"""Time in s after the link is back: a new handshake after silence takes 2 s and its repeats."""
 LATE_SLAVE = "slave: started 6 s after its master"
 
 
 def cut_name(after_s: float, restarted: bool) -> str:
-    """Name of the row of a link that is cut so long after a press."""
+    """Return the row name of a link that is cut so long after a press."""
     slave = ", slave started anew" if restarted else ""
     return f"link: cut {after_s * 1e3:.0f} ms after a press, for {EXPIRED_S:g} s{slave}"
 
 
 def _coupled(recorded: Recorded, from_s: float, to_s: float) -> bool:
-    """Whether it was coupled between two times of the monotonic clock before its end, which is `to_s` = 0."""
+    """Return true if it was coupled between two times in s, relative to the last tick."""
     since_end_s = recorded.ticks.time_s - recorded.ticks.time_s[-1]
     between = (since_end_s >= from_s) & (since_end_s < to_s)
     return bool(np.any(recorded.ticks.coupled & between))
@@ -53,9 +53,9 @@ def _of(recorded: Recorded, from_s: float, to_s: float) -> np.ndarray[tuple[int]
 
 
 def late_slave() -> Row:
-    """A master whose slave comes once its start is no press any more."""
+    """Measure a master whose slave comes once its start has expired as a press."""
     with Stage.set() as stage:
-        # Its address, for the master to begin with.
+        # The first slave provides the address for the master.
         first = stage.slave("first")
         address = first.address
         first.end()
@@ -73,7 +73,7 @@ def late_slave() -> Row:
 
 
 def cut(after_s: float, restarted: bool) -> Row:
-    """A link that is cut while a press waits for its answer, and comes back once the press is none any more."""
+    """Measure a link that is cut while a press waits for its answer, and comes back once the press has expired."""
     with Stage.set() as stage:
         slave = stage.slave("before" if restarted else "slave")
         link = Process(
@@ -87,7 +87,7 @@ def cut(after_s: float, restarted: bool) -> Row:
         time.sleep(1.0)
         master.send(signal.SIGUSR1)
         time.sleep(after_s)
-        # What is under way is kept, and arrives when the link is back.
+        # Datagrams in transit are kept, and arrive when the link is back.
         link.send(signal.SIGSTOP)
         if restarted:
             address = slave.address
@@ -109,12 +109,12 @@ def cut(after_s: float, restarted: bool) -> Row:
 
 
 def deaf_name(back_s: float) -> str:
-    """Name of the row of a direction that is cut just before a press, for so long."""
+    """Return the row name of a direction that is cut just before a press, for so long."""
     return f"link: master to slave cut before a press leaves, back {back_s:g} s after it"
 
 
 def deaf(back_s: float) -> Row:
-    """The slave is in STOP and hears the release, not the press; its frames arrive; the direction returns in time."""
+    """Measure a slave in STOP that hears the release and no press; its frames arrive; the direction returns in time."""
     with Stage.set() as stage:
         slave = stage.slave()
         control = str(stage.path("netsim.ctl"))
@@ -128,7 +128,7 @@ def deaf(back_s: float) -> Row:
         link.frozen(0.3)
         time.sleep(1.0)
         master.send(signal.SIGUSR1)
-        # It opens the clutch for 0.1 s and presses then.
+        # The signal opens the clutch for 0.1 s and then presses.
         time.sleep(0.07)
         ask_control(control, {"forward": {"loss": 1.0}})
         time.sleep(back_s + 0.03)
@@ -146,7 +146,7 @@ def deaf(back_s: float) -> Row:
 
 
 def rows() -> dict[str, Callable[[], Row]]:
-    """All of them by name, to be run one after the other."""
+    """Return all measurements by name, to be run one after the other."""
     measures: dict[str, Callable[[], Row]] = {LATE_SLAVE: late_slave}
     for after_s in (0.085, 0.13, 0.16):
         measures[cut_name(after_s, False)] = partial(cut, after_s, False)

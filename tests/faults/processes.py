@@ -15,11 +15,11 @@ from tests.faults.virtual import FADE_S, HOLD_S, PERIOD_S, causes
 from haptether.bridge import write_key
 
 ATTEMPTS = 3
-"""A machine that stalls a loop before the fault makes it hold, as it should: the row is then measured anew."""
+"""A machine that stalls a loop before the fault makes it hold, which is correct: the row is then repeated."""
 STALL_S, STALL_BEFORE_S = 0.008, 0.25
-"""Lateness of a loop from which a hold within a time after it is the machine's doing: what `Limits` allow a wake."""
+"""Lateness in s of a loop that excuses a hold within `STALL_BEFORE_S`: the limit of `Limits` for a wake."""
 SOUND_S = 1.0
-"""From engaging, at least, to the fault."""
+"""Least time in s from engaging to the fault."""
 KILLED_SLAVE = "slave: SIGKILL, then started anew"
 KILLED_MASTER = "master: SIGKILL, then started anew"
 RESTARTED_MASTER = "master: SIGTERM, then started anew"
@@ -29,23 +29,23 @@ SECOND_MASTER = "second master with the key"
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Longest times that pass, for loops that a machine may wake late."""
+    """Longest permitted times, for loops that a machine may wake late."""
 
     hold_s: float = HOLD_S + 2 * PERIOD_S + 0.008
-    """Silence at HOLD: 20 ms over the expected age of one tick, and wakes up to 8 ms late."""
+    """Silence in s at HOLD: 20 ms over the expected age of one tick, and wakes up to 8 ms late."""
     fade_s: float = FADE_S + 2 * PERIOD_S
-    """From HOLD to no force; in ticks of the loop, whose times are its deadlines."""
+    """Time in s from HOLD to zero force; in ticks of the loop, whose times are its deadlines."""
 
 
 class DisturbedError(Exception):
-    """A side held before anything was done to it."""
+    """A side held before the fault."""
 
 
 def undisturbed(recorded: Recorded) -> None:
     """Refuse a run that had not engaged soundly before the fault.
 
     Raises:
-        DisturbedError: It had not.
+        DisturbedError: It had not engaged, or held too early.
     """
     ticks = recorded.ticks
     engaged = np.flatnonzero(ticks.coupled)
@@ -57,7 +57,7 @@ def undisturbed(recorded: Recorded) -> None:
 
 
 def again(measure: Callable[[], Row], fault: str) -> Callable[[], Row]:
-    """Measure anew where the machine got in between; after `ATTEMPTS` the row has failed."""
+    """Repeat a measurement that the machine disturbed; after `ATTEMPTS` the row has failed."""
 
     def measured() -> Row:
         reason = ""
@@ -78,7 +78,7 @@ def _nothing(fault: str) -> Row:
 
 
 class Judged:
-    """What the survivors of a row did, check by check."""
+    """Checks of the surviving sides of a row."""
 
     def __init__(self, limits: Limits) -> None:
         self.wrong = Complaints()
@@ -89,20 +89,20 @@ class Judged:
         self._force_n: float | None = None
 
     def say(self, finding: str) -> None:
-        """Adds to what was measured."""
+        """Add a finding to the measured text."""
         self._findings.append(finding)
 
     def never_held(self, *sides: Recorded, excused: bool = True) -> None:
-        """No side held, whatever was done to them, and both are engaged at the end.
+        """Check that no side held, and that all are engaged at the end.
 
         Args:
-            sides: All of them, which ended together.
-            excused: Whether a loop that woke too late right before the first hold makes the run none.
+            sides: All sides, which ended together.
+            excused: True if a loop that woke too late right before the first hold makes the run invalid.
 
         Raises:
-            DisturbedError: One did.
+            DisturbedError: A loop woke too late.
         """
-        # Each side has a clock of its own: from the end, they agree.
+        # Each side has its own clock: times from the end are comparable.
         holds_s = [
             float(side.ticks.time_s[tick] - side.ticks.time_s[-1])
             for side in sides
@@ -121,7 +121,7 @@ class Judged:
             self.wrong.check(side.ticks.last in {"engaged", "stale"}, f"ended in {side.ticks.last}")
 
     def silence(self, recorded: Recorded, reason: str = "peer is silent") -> None:
-        """It held 20 ms after the last frame, and for that reason."""
+        """Check that the side held 20 ms after the last frame, for this reason."""
         ticks = recorded.ticks
         tick = ticks.first(HOLD)
         if tick is None:
@@ -138,7 +138,7 @@ class Judged:
         )
 
     def woke(self, recorded: Recorded, expected: str) -> None:
-        """It found that it had slept, in the tick in which it woke, and began at zero force."""
+        """Check that the side found its gap in the tick in which it woke."""
         ticks = recorded.ticks
         tick = ticks.first(HOLD)
         if tick is None:
@@ -151,7 +151,7 @@ class Judged:
         self.say(f"{NAMES[int(ticks.state[tick])]} in the tick it woke, after {gap_s:.2f} s")
 
     def master(self, recorded: Recorded) -> None:
-        """The force went, and stayed away while it held."""
+        """Check that the force faded, and stayed away during the hold."""
         fade_s = recorded.ticks.fade_s()
         force_n = recorded.ticks.force_after_n(self._limits.fade_s)
         self._force_n = max(self._force_n or 0.0, force_n)
@@ -164,27 +164,27 @@ class Judged:
         self.say(f"force {before:.1f} N gone in {fade_s * 1e3:.0f} ms")
 
     def slave(self, recorded: Recorded) -> None:
-        """Nothing moved while it held, and it did not leap when it engaged again."""
+        """Check that nothing moved during the hold, and that the command did not leap at the next engagement."""
         ticks = recorded.ticks
         moved_m = ticks.travelled()
         self._moved_m = max(self._moved_m or 0.0, moved_m)
         self.wrong.check(moved_m == 0.0, f"the command travelled {moved_m:g} m while it held")
-        # 3 m/s, by the bounds of a command, for each tick that passed.
+        # The bound is 3 m/s, from the bounds of a command, for each tick that passed.
         step = np.abs(np.diff(ticks.output)) / np.diff(ticks.time_s)
         self.wrong.check(float(step.max(initial=0.0)) <= 3.0 + 1e-6, f"the command leapt at {step.max():g} m/s")
 
     def reached(self, recorded: Recorded, state: str) -> None:
-        """How far down the ladder it went."""
+        """Check the furthest state down the ladder."""
         self.wrong.check(recorded.ticks.worst == state, f"went to {recorded.ticks.worst}, must be {state}")
 
     def ended(self, recorded: Recorded, states: tuple[str, ...] = ("engaged", "stale")) -> None:
-        """Where it stood at the last tick."""
+        """Check the state at the last tick."""
         self.wrong.check(
             recorded.ticks.last in states, f"ended in {recorded.ticks.last}, must be {' or '.join(states)}"
         )
 
     def row(self, fault: str, expected: str) -> Row:
-        """All of it."""
+        """Return the row of all checks."""
         took_s = max(self._took_s, default=None)
         return Row(
             fault=fault, how="processes", expected=expected, measured="; ".join(self._findings), reaction_s=took_s,
@@ -194,7 +194,7 @@ class Judged:
 
 
 def pair(stage: Stage) -> tuple[Process, Process]:
-    """A slave, and a master that presses its wall."""
+    """Start a slave, and a master that presses its wall."""
     slave = stage.slave()
     master = stage.master(slave.address)
     time.sleep(PRESSED_S)
@@ -202,7 +202,7 @@ def pair(stage: Stage) -> tuple[Process, Process]:
 
 
 def killed_slave(limits: Limits) -> Row:
-    """A slave that is killed, and another in its place."""
+    """Measure a slave that is killed, and another in its place."""
     with Stage.set() as stage:
         slave, master = pair(stage)
         address = slave.address
@@ -210,7 +210,7 @@ def killed_slave(limits: Limits) -> Row:
         slave.end(None)
         time.sleep(0.3)
         other = stage.slave("other", listen=address)
-        # 2 s of silence until a new handshake, its repeats included; nothing may engage.
+        # A new handshake needs 2 s of silence and its repeats; nothing may engage.
         time.sleep(3.5)
         pressed_s = time.monotonic()
         master.send(signal.SIGUSR1)
@@ -229,7 +229,7 @@ def killed_slave(limits: Limits) -> Row:
     coupled = np.flatnonzero(ticks.coupled)
     judged.wrong.check(coupled.size, "the new slave never engaged")
     if coupled.size:
-        # Counted from the end, for the clocks of two processes have different zeros.
+        # Times are counted from the end, because the clocks of two processes have different zeros.
         before_end_s = float(ticks.time_s[-1] - ticks.time_s[coupled[0]])
         judged.wrong.check(
             before_end_s <= since_s, f"the new slave engaged {before_end_s - since_s:g} s before the press"
@@ -240,7 +240,7 @@ def killed_slave(limits: Limits) -> Row:
 
 
 def killed_master(limits: Limits) -> Row:
-    """A master that is killed, and others after it."""
+    """Measure a master that is killed, and others after it."""
     with Stage.set() as stage:
         slave, master = pair(stage)
         master.send(signal.SIGKILL)
@@ -267,7 +267,7 @@ def killed_master(limits: Limits) -> Row:
 
 
 def restarted_master(limits: Limits) -> Row:
-    """A master that ends, and another after it."""
+    """Measure a master that ends, and another after it."""
     with Stage.set() as stage:
         slave, master = pair(stage)
         master.end()
@@ -299,11 +299,11 @@ def _left(recorded: Recorded) -> str:
 
 
 def frozen(who: str, length_s: float, limits: Limits) -> Row:
-    """SIGSTOP for a time."""
+    """Measure a SIGSTOP for a time."""
     with Stage.set() as stage:
         slave, master = pair(stage)
         (slave if who == "slave" else master).frozen(length_s)
-        # What stopped for 3 s has lost its session: the handshake comes first.
+        # A side that stopped for 3 s has lost its session: the handshake comes first.
         time.sleep(0.5 if length_s < 2.0 else 3.0)
         master.send(signal.SIGUSR1)
         time.sleep(AGAIN_S)
@@ -325,12 +325,12 @@ def frozen(who: str, length_s: float, limits: Limits) -> Row:
 
 
 def stopped(who: str, length_s: float) -> str:
-    """Name of the row."""
+    """Return the name of the row."""
     return f"{who}: SIGSTOP " + (f"{length_s * 1e3:.0f} ms" if length_s < 1.0 else f"{length_s:g} s")
 
 
 def wrong_key(limits: Limits) -> Row:
-    """A master with another key."""
+    """Measure a master with another key."""
     with Stage.set() as stage:
         write_key(stage.path("other.key"))
         slave = stage.slave()
@@ -351,7 +351,7 @@ def wrong_key(limits: Limits) -> Row:
 
 
 def second_master(limits: Limits) -> Row:
-    """A second master beside one that lives."""
+    """Measure a second master beside a live one."""
     with Stage.set() as stage:
         slave, master = pair(stage)
         begun_s = time.monotonic()
@@ -370,7 +370,7 @@ def second_master(limits: Limits) -> Row:
 
 
 def rows(limits: Limits | None = None) -> dict[str, Callable[[], Row]]:
-    """All of them by name, to be run one after the other."""
+    """Return all measurements by name, to be run one after the other."""
     bounds = limits or Limits()
     measures: dict[str, Callable[[Limits], Row]] = {
         KILLED_SLAVE: killed_slave,

@@ -1,4 +1,4 @@
-"""A fault, what is expected of it, and what was seen."""
+"""A fault with its expected and its measured reaction."""
 
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
@@ -9,40 +9,40 @@ class Row:
     """One fault."""
 
     fault: str
-    """What was done."""
+    """Name of the fault."""
     how: Literal["virtual", "processes", "calls", "-"]
-    """In virtual time, with real processes and sockets, by calls from Python; - where it was not done."""
+    """Method: virtual time, real processes and sockets, or calls from Python; - if it was not done."""
     expected: str
-    """Which reaction the documents promise."""
+    """Reaction that the documents promise."""
     measured: str = ""
-    """What was seen, in words."""
+    """Measured reaction, in words."""
     reaction_s: float | None = None
-    """From the first thing that was missing or wrong to the last reaction to it, in s."""
+    """Time in s from the first missing or wrong input to the last reaction to it."""
     limit_s: float | None = None
-    """Longest time that may take, in s."""
+    """Longest permitted reaction time in s."""
     moved_m: float | None = None
-    """How far the slave's command travelled where it must not: while it held, or against a run without the fault."""
+    """Forbidden travel of the slave's command: during the hold, or against a run without the fault."""
     force_n: float | None = None
-    """Largest force on the hand later than the fade, while it held."""
+    """Largest force on the hand after the fade, during the hold."""
     complaints: tuple[str, ...] = ()
-    """What was not as expected; none for a row that passed."""
+    """Failed checks; empty for a row that passed."""
     applies: bool = True
-    """Whether there is something here that can have this fault."""
+    """True if this machine can have the fault."""
 
     @property
     def verdict(self) -> Literal["ok", "FAILED", "n/a"]:
-        """How it ended."""
+        """Result of the row."""
         if not self.applies:
             return "n/a"
         return "FAILED" if self.complaints else "ok"
 
     def as_json(self) -> dict[str, Any]:
-        """For machines."""
+        """Return the row for machines."""
         return {**asdict(self), "verdict": self.verdict}
 
 
 class Complaints:
-    """What was not as expected, gathered check by check."""
+    """Failed checks, collected one by one."""
 
     def __init__(self) -> None:
         self._found: list[str] = []
@@ -53,5 +53,5 @@ class Complaints:
             self._found.append(otherwise)
 
     def all(self) -> tuple[str, ...]:
-        """All of them."""
+        """Return all failed checks."""
         return tuple(self._found)

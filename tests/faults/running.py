@@ -1,4 +1,4 @@
-"""Real master and slave processes under test, and what they recorded."""
+"""Real master and slave processes under test, and their recordings."""
 
 import contextlib
 import json
@@ -21,18 +21,19 @@ from haptether.bridge import read_recording, write_key
 
 HAPTETHER = (sys.executable, "-m", "haptether")
 END_S = 30.0
-"""What any process has to end in, and to say its first line."""
+"""Time in s in which any process has to end, or to print its first line."""
 PRESSED_S = 1.8
-"""From a master's first line: handshake, engagement, 1.2 s of path; the hand presses the wall with some 3 N."""
+"""Time in s from a master's first line: handshake, engagement, 1.2 s of path; the hand presses the wall with about 3
+N."""
 AGAIN_S = 1.2
-"""From a press: 0.1 s released, realignment, 0.2 s of fade-in."""
+"""Time in s from a press: 0.1 s released, realignment, 0.2 s of fade-in."""
 
 APART_S = 0.2
-"""Between the ends of two processes that receive SIGTERM at once: each checks for it every 50 ms."""
+"""Time in s between the ends of two processes that receive SIGTERM at once: each checks for it every 50 ms."""
 
 
 class Process:
-    """A command, and the line that says that its socket is open; what goes to a `sink` is not read here."""
+    """A command with its first line, which says that its socket is open; output to a `sink` is not read here."""
 
     def __init__(
         self, *arguments: str, record: Path | None = None, within: Sequence[str] = (),
@@ -51,10 +52,10 @@ class Process:
 
     @property
     def address(self) -> str:
-        """Where it listens.
+        """Address at which it listens.
 
         Raises:
-            RuntimeError: It did not say.
+            RuntimeError: The first line has no address.
         """
         found = re.search(r"(?:listens on|master on) (\S+:\d+)", self.headline)
         if found is None:
@@ -66,7 +67,7 @@ class Process:
         self.process.send_signal(number)
 
     def end(self, number: signal.Signals | None = signal.SIGTERM) -> str:
-        """Ask it to end, or only waits for that; gives what it said."""
+        """Send a signal, or None, wait for the end, and return its output."""
         if number is not None and self.process.poll() is None:
             self.process.send_signal(number)
         try:
@@ -78,13 +79,13 @@ class Process:
         return self.said
 
     def frozen(self, length_s: float) -> None:
-        """Stop it for a time, as a machine does that swaps or whose debugger holds it."""
+        """Stop it for a time, like a machine that swaps or a debugger."""
         self.send(signal.SIGSTOP)
         time.sleep(length_s)
         self.send(signal.SIGCONT)
 
     def kill(self) -> None:
-        """End it whatever it does, and close its pipe, also where it has ended by itself and nobody read it out."""
+        """Kill it if it runs, and close its pipe, even if it has ended by itself."""
         if self.process.poll() is None:
             self.process.kill()
         self.process.wait()
@@ -94,7 +95,7 @@ class Process:
 
 @dataclass
 class Stage:
-    """A folder, a key, and the processes of one row; all are gone when it ends."""
+    """A folder, a key, and the processes of one row; all are removed when it ends."""
 
     folder: Path
     processes: list[Process] = field(default_factory=list)
@@ -102,7 +103,7 @@ class Stage:
     @classmethod
     @contextlib.contextmanager
     def set(cls) -> Iterator[Self]:
-        """Set one up and take it down."""
+        """Set up a stage and take it down."""
         with tempfile.TemporaryDirectory() as folder:
             stage = cls(Path(folder))
             write_key(stage.key)
@@ -114,22 +115,22 @@ class Stage:
 
     @property
     def key(self) -> Path:
-        """The key of both sides."""
+        """Path of the key of both sides."""
         return self.folder / "session.key"
 
     def end_together(self, *processes: Process) -> None:
-        """End sides within a moment of one another, so that the end of one is not a fault of the other."""
+        """End sides at nearly the same time, so that the end of one is not a fault of the other."""
         for process in processes:
             process.process.terminate()
         for process in processes:
             process.end(None)
 
     def path(self, name: str) -> Path:
-        """Of a file of this row."""
+        """Return the path of a file of this row."""
         return self.folder / name
 
     def slave(self, name: str = "slave", *arguments: str, listen: str = "127.0.0.1:0", **more: Any) -> Process:  # noqa: ANN401  # those of Process
-        """The side of the robot."""
+        """Start the side of the robot."""
         record = more.pop("record", self.path(f"{name}.mcap"))
         return self._begun(Process(
             "slave", "--key", str(self.key), "--listen", listen, "--json", str(self.path(f"{name}.json")),
@@ -137,7 +138,7 @@ class Stage:
         ))  # fmt: skip
 
     def master(self, peer: str, name: str = "master", *arguments: str, key: Path | None = None, **more: Any) -> Process:  # noqa: ANN401  # those of Process
-        """The side of the hand."""
+        """Start the side of the hand."""
         record = more.pop("record", self.path(f"{name}.mcap"))
         return self._begun(Process(
             "master", "--key", str(key or self.key), "--peer", peer, "--json", str(self.path(f"{name}.json")),
@@ -149,12 +150,12 @@ class Stage:
         return process
 
     def report(self, name: str) -> dict[str, Any]:
-        """What a process that has ended says of itself."""
+        """Return the report of a process that has ended."""
         content: dict[str, Any] = json.loads(self.path(f"{name}.json").read_text())
         return content
 
     def ticks(self, name: str) -> "Recorded":
-        """What a process recorded."""
+        """Return the recording of a process."""
         recording = read_recording(self.path(f"{name}.mcap"))
         return Recorded(
             ticks=Ticks.of_signals(recording.side, recording.signals),
@@ -175,7 +176,7 @@ class Recorded:
     """Wall-clock time at tick time 0; NaN where unknown."""
 
     def last(self, seconds: float) -> Self:
-        """Its last seconds."""
+        """Return its last seconds."""
         begin = int(np.searchsorted(self.ticks.time_s, self.ticks.time_s[-1] - seconds))
         return replace(
             self,
@@ -185,5 +186,5 @@ class Recorded:
         )
 
     def before_end(self) -> Self:
-        """Without the last moment, in which the other side may have ended already."""
+        """Return it without the last moment, in which the other side may have ended already."""
         return replace(self, ticks=self.ticks.between(-np.inf, float(self.ticks.time_s[-1]) - APART_S))

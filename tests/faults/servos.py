@@ -1,4 +1,4 @@
-"""An arm of servos whose bus, servos or process fail while it exerts something; on an emulated bus."""
+"""An arm of servos whose bus, servos or process fail while it exerts force; on an emulated bus."""
 
 import os
 import signal
@@ -17,9 +17,9 @@ from haptether.dynamixel.arm import ArmSettings, FaultKind, ServoArm, ServoSetti
 PATIENCE_S = 10.0
 STARTED_S = 30.0
 ASKED_S = 1.0
-"""In which each servo is asked whether it answers."""
+"""Time in s in which each silent servo is searched for."""
 WATCHED_S = 0.3
-"""After the fault: nothing comes back."""
+"""Time in s after the fault, in which no current comes back."""
 CURRENT_A = 0.1
 SERVOS = ("1=XM430-W350", "2=XL330-M288")
 FAULTS: tuple[tuple[str, str, tuple[FaultKind, ...]], ...] = (
@@ -36,7 +36,7 @@ FAULTS: tuple[tuple[str, str, tuple[FaultKind, ...]], ...] = (
     ("electrical shock", "hardware-error 2 electrical-shock", (FaultKind.ELECTRICAL_SHOCK,)),
     ("overload", "hardware-error 2 overload", (FaultKind.OVERLOAD,)),
 )
-"""What happens, the line that has it happen, and what it may be called."""
+"""Name of the fault, the control line that causes it, and its possible kinds."""
 ENDS = ("SIGINT", "exception", "SIGKILL", "SIGSTOP")
 CLIENT = """
 import sys, time
@@ -59,14 +59,14 @@ finally:
 
 
 def arm_on(port: str, *, patient: bool) -> ServoArm:
-    """Two joints led by currents; patient where other work may halt them."""
+    """Return an arm with two joints led by currents; patient if other work may halt them."""
     servos = tuple(ServoSettings(servo_id=int(one.partition("=")[0]), model=one.partition("=")[2]) for one in SERVOS)
     limits: dict[str, Any] = {"timeout_s": 0.1, "lost_after_s": 0.2, "watchdog_s": 1.0} if patient else {}
     return ServoArm(ArmSettings(port=port, servos=servos, ramp_s=0.0, release_s=0.0, **limits), report=lambda _: None)
 
 
 def rows(*, patient: bool = False) -> list[Callable[[], Row]]:
-    """Each fault of bus and servos, then each end of a process."""
+    """Return each fault of bus and servos, then each end of a process."""
     return [
         *(lambda name=name, line=line, kinds=kinds: _row(name, line, kinds, patient) for name, line, kinds in FAULTS),
         *(lambda end=end: _ended(end, patient) for end in ENDS),
@@ -74,7 +74,7 @@ def rows(*, patient: bool = False) -> list[Callable[[], Row]]:
 
 
 class _Watch:
-    """When no servo has current any more, seen from beside."""
+    """A thread that notes when no servo has current any more."""
 
     def __init__(self, emulated: EmulatedBus) -> None:
         self.begun_s = time.monotonic()
@@ -91,13 +91,13 @@ class _Watch:
             time.sleep(0.001)
 
     def finish(self) -> float | None:
-        """How long it took."""
+        """Return the time in s until no servo had current; None if some still have it."""
         self._thread.join(PATIENCE_S + 1.0)
         return None if self.ended_s is None else self.ended_s - self.begun_s
 
 
 def at_rest(emulated: EmulatedBus) -> bool:
-    """Whether no servo has current."""
+    """Return true if no servo has current."""
     return all(servo["current_a"] == 0.0 for servo in emulated.status()["servos"])
 
 
@@ -122,7 +122,7 @@ def _row(name: str, line: str, kinds: tuple[FaultKind, ...], patient: bool) -> R
                     arm.write_currents([CURRENT_A, CURRENT_A])
                 time.sleep(0.001)
             took_s = watch.finish()
-            # Who is silent is asked for once there is no torque, with the reads that follow.
+            # Silent servos are searched for once there is no torque, by the following reads.
             asked_s = time.monotonic() + ASKED_S
             while time.monotonic() < asked_s:
                 arm.read()
@@ -149,7 +149,7 @@ def _stays(arm: ServoArm, emulated: EmulatedBus, fault: str | None, wrong: Compl
 
 def _ended(end: str, patient: bool) -> Row:
     wrong = Complaints()
-    # A killed process says nothing: its servos hear nothing for the time of their watchdog.
+    # A killed process sends nothing: its servos wait for the time of their watchdog.
     limit_s = 3.0 if patient else 0.5
     with emulated_bus("--servos", *SERVOS) as emulated:
         command = [sys.executable, "-c", CLIENT, emulated.port, end, "patient" if patient else "-"]

@@ -1,4 +1,4 @@
-"""What the ticks of one side show of its ladder: when it held, what moved, what pressed on the hand."""
+"""Ladder of one side from its ticks: when it held, what moved, and the force on the hand."""
 
 from dataclasses import dataclass
 from typing import Any, Self
@@ -16,18 +16,18 @@ NAMES = ("disengaged", "aligning", "engaged", "stale", "hold", "stop", "fault")
 
 @dataclass(frozen=True, kw_only=True)
 class Ticks:
-    """One side, tick by tick, each of shape `(n_ticks,)`."""
+    """Ticks of one side; each array has shape `(n_ticks,)`."""
 
     time_s: Array
     state: npt.NDArray[np.int64]
     age_s: Array
-    """Silence of the peer; infinite or NaN before its first frame."""
+    """Silence of the peer in s; infinite or NaN before its first frame."""
     output: Array
-    """Of a master the force on the hand in N, of a slave the commanded position in m."""
+    """Force on the hand in N for a master, commanded position in m for a slave."""
 
     @classmethod
     def of_run(cls, run: Run) -> tuple[Self, Self]:
-        """Master and slave of a run in virtual time, where the slave's ages are not recorded."""
+        """Return master and slave of a run in virtual time, where the slave's ages are not recorded."""
         signals = run.signals
         master = cls(
             time_s=signals.time_s, state=signals.state.astype(np.int64), age_s=signals.age_s,
@@ -41,7 +41,7 @@ class Ticks:
 
     @classmethod
     def of_signals(cls, side: str, signals: dict[str, npt.NDArray[Any]]) -> Self:
-        """Of a recording."""
+        """Return the ticks of a recording."""
         output = signals["device_force" if side == "master" else "command"]
         return cls(
             time_s=signals["time_ns"] * 1e-9,
@@ -51,7 +51,7 @@ class Ticks:
         )
 
     def between(self, begin_s: float, end_s: float = np.inf) -> Self:
-        """The ticks of a time."""
+        """Return the ticks of a time span."""
         kept = (self.time_s >= begin_s) & (self.time_s < end_s)
         return type(self)(
             time_s=self.time_s[kept], state=self.state[kept], age_s=self.age_s[kept], output=self.output[kept]
@@ -59,24 +59,24 @@ class Ticks:
 
     @property
     def held(self) -> npt.NDArray[np.bool_]:
-        """Which ticks are in HOLD, STOP or FAULT."""
+        """Mask of the ticks in HOLD, STOP or FAULT."""
         held: npt.NDArray[np.bool_] = self.state >= HOLD
         return held
 
     @property
     def coupled(self) -> npt.NDArray[np.bool_]:
-        """Which ticks are in ENGAGED or STALE."""
+        """Mask of the ticks in ENGAGED or STALE."""
         coupled: npt.NDArray[np.bool_] = (self.state == ENGAGED) | (self.state == STALE)
         return coupled
 
     def first(self, state: int) -> int | None:
-        """First tick at or beyond a state."""
+        """Return the first tick at or beyond a state."""
         found = np.flatnonzero(self.state >= state)
         return int(found[0]) if found.size else None
 
     @property
     def worst(self) -> str:
-        """Name of the furthest state down the ladder; those before ENGAGED do not count."""
+        """Name of the furthest state down the ladder; states before ENGAGED do not count."""
         return NAMES[max((int(state) for state in self.state if state >= ENGAGED), default=DISENGAGED)]
 
     @property
@@ -85,17 +85,17 @@ class Ticks:
         return NAMES[int(self.state[-1])] if self.state.size else "nothing"
 
     def held_after_s(self, fault_s: float) -> float:
-        """From a time to the first tick that held; infinite for never."""
+        """Return the time in s from `fault_s` to the first tick that held; infinite if none did."""
         tick = self.between(fault_s).first(HOLD)
         return float(self.between(fault_s).time_s[tick]) - fault_s if tick is not None else np.inf
 
     def travelled(self) -> float:
-        """Of a slave: how far the command went between ticks that both held, in m."""
+        """Return how far a slave's command moved between ticks that both held, in m."""
         both = self.held[:-1] & self.held[1:]
         return float(np.abs(np.diff(self.output))[both].sum())
 
     def fade_s(self) -> float:
-        """Of a master: from the first tick that held to the first of those without force until it engaged again."""
+        """Return the time in s from a master's first hold to the last force before it engaged again."""
         tick = self.first(HOLD)
         if tick is None:
             return 0.0
@@ -107,7 +107,7 @@ class Ticks:
         return float(self.time_s[last] - self.time_s[tick]) if last < len(self.time_s) else np.inf
 
     def force_after_n(self, fade_s: float) -> float:
-        """Of a master: largest force later than `fade_s` after the first tick that held, until it engaged again."""
+        """Return a master's largest force in N later than `fade_s` after its first hold, until it engaged again."""
         tick = self.first(HOLD)
         if tick is None:
             return 0.0

@@ -1,4 +1,4 @@
-"""Faults of what a side is stopped and pressed by: a terminal that nobody reads, a driver that blocks, no memory."""
+"""Faults that concern stop and press: a terminal that nobody reads, a driver that blocks, no memory."""
 
 import contextlib
 import os
@@ -23,19 +23,19 @@ from tests.faults.signals import ENGAGED, STALE
 from haptether.bridge import read_recording
 
 ENDS_S = 6.0
-"""From a signal to the end of the process: output that nobody takes is given up after 1 s."""
+"""Longest time from a signal to the end of the process, in s: blocked output is dropped after 1 s."""
 AT_ONCE_S = 1.5
-"""From a second Ctrl-C."""
+"""Longest time from a second Ctrl-C to the end, in s."""
 ENGAGES_S = 20.0
 COUPLED_S = 0.6
-"""For which both sides are coupled before anything is done."""
+"""Time for which both sides are coupled before a fault, in s."""
 AFTER_S = 1.0
-"""For which the other side goes on."""
+"""Time for which the other side continues, in s."""
 
 
 @contextlib.contextmanager
 def blocked_sink(kind: str) -> Iterator[int]:
-    """A pipe or terminal that is full, and that nobody reads."""
+    """Open a full pipe or terminal that nobody reads."""
     reader, writer = os.pipe() if kind == "pipe" else pty.openpty()
     try:
         os.set_blocking(writer, False)
@@ -50,7 +50,7 @@ def blocked_sink(kind: str) -> Iterator[int]:
 
 
 def free_port() -> int:
-    """A port that nobody has now."""
+    """Return a free port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port: int = free.getsockname()[1]
@@ -58,10 +58,10 @@ def free_port() -> int:
 
 
 def until_coupled(path: Path) -> None:
-    """Waits until what is recorded shows a side that has been coupled for a while.
+    """Wait until the recording shows a side that has been coupled for a while.
 
     Raises:
-        DisturbedError: It never was.
+        DisturbedError: The side never coupled.
     """
     end_s = time.monotonic() + ENGAGES_S
     while time.monotonic() < end_s:
@@ -74,7 +74,7 @@ def until_coupled(path: Path) -> None:
 
 
 def pair_with_sink(stage: Stage, side: str, sink: int) -> tuple[Process, Process]:
-    """Both sides, coupled; what one of them prints goes to `sink`. Gives that one and the other."""
+    """Start and couple both sides, one with `sink` as its output; return that one first."""
     listen = f"127.0.0.1:{free_port()}"
     to: dict[str, Any] = {"sink": sink}
     slave = stage.slave(listen=listen, **(to if side == "slave" else {}))
@@ -85,7 +85,7 @@ def pair_with_sink(stage: Stage, side: str, sink: int) -> tuple[Process, Process
 
 
 def ended(process: Process, within_s: float) -> float | None:
-    """Waits for an end; how long it took, none where it did not end."""
+    """Wait for the end of a process; return the elapsed time in s, None after the timeout."""
     begun_s = time.monotonic()
     try:
         process.process.wait(within_s)
@@ -95,7 +95,7 @@ def ended(process: Process, within_s: float) -> float | None:
 
 
 def uncoupled_after_s(recorded: Recorded, ended_s: float, signal_s: float) -> float:
-    """From a signal to the last tick at which the other side was coupled; both times by the clock of this process."""
+    """Return the time from a signal to the last coupled tick of the other side; both by the clock of this process."""
     ticks = recorded.ticks
     coupled = np.flatnonzero((ticks.state == ENGAGED) | (ticks.state == STALE))
     before_end_s = float(ticks.time_s[-1] - ticks.time_s[coupled[-1]])
@@ -103,7 +103,7 @@ def uncoupled_after_s(recorded: Recorded, ended_s: float, signal_s: float) -> fl
 
 
 def stopped_by(side: str, kind: str, number: signal.Signals, _limits: Limits) -> Row:
-    """A signal that ends, while a full pipe or terminal takes nothing."""
+    """Send a signal that ends a side while a full pipe or terminal takes no output."""
     other = "slave" if side == "master" else "master"
     with blocked_sink(kind) as sink, Stage.set() as stage:
         process, beside = pair_with_sink(stage, side, sink)
@@ -130,12 +130,12 @@ def stopped_by(side: str, kind: str, number: signal.Signals, _limits: Limits) ->
 
 
 def stop_name(side: str, kind: str, number: signal.Signals) -> str:
-    """Name of the row."""
+    """Return the name of the row."""
     return f"{side}: {number.name} while a full {kind} takes no output"
 
 
 def pressed_while_blocked(_limits: Limits) -> Row:
-    """A press while a full terminal takes nothing acts at once; one from while the process slept does not act."""
+    """A press while a full terminal takes no output acts at once; one during a sleep of the process has no effect."""
     with blocked_sink("pty") as sink, Stage.set() as stage:
         master, slave = pair_with_sink(stage, "master", sink)
         slave.frozen(0.1)
@@ -144,7 +144,7 @@ def pressed_while_blocked(_limits: Limits) -> Row:
         master.send(signal.SIGUSR1)
         time.sleep(1.5)
         again_engaged = list(read_recording(stage.path("slave.mcap")).signals["state"])[-1]
-        # Pressed while it sleeps: what it meets when it wakes is not what was seen.
+        # Press during the sleep: the operator has not seen the state that the press would meet after it.
         master.send(signal.SIGSTOP)
         time.sleep(0.4)
         master.send(signal.SIGUSR1)
@@ -152,7 +152,7 @@ def pressed_while_blocked(_limits: Limits) -> Row:
         master.send(signal.SIGCONT)
         time.sleep(1.5)
         slept = list(read_recording(stage.path("slave.mcap")).signals["state"])[-1]
-        # Both wait when it wakes: the stop counts.
+        # Both signals wait at the wake-up: the stop wins.
         master.send(signal.SIGSTOP)
         master.send(signal.SIGUSR1)
         master.send(signal.SIGTERM)
@@ -191,7 +191,7 @@ HANGS = {"waits": "time.sleep(1000)", "keeps the interpreter": "ctypes.PyDLL(Non
 
 
 def pair_with_driver(stage: Stage, hang: Path, hangs: str) -> tuple[Process, Process]:
-    """A master and a slave with a driver in Python, coupled; the driver does `hangs` once `hang` is there."""
+    """Start and couple a master and a slave with a driver in Python; it runs `hangs` once `hang` exists."""
     (stage.folder / "bench_arm.py").write_text(textwrap.dedent(HANGING).replace("HANG\n", f"{hangs}\n"))
     package = stage.folder / "bench_arm-1.0.dist-info"
     package.mkdir()
@@ -208,9 +208,9 @@ def pair_with_driver(stage: Stage, hang: Path, hangs: str) -> tuple[Process, Pro
 
 
 def second_interrupt(how: str, _limits: Limits) -> Row:
-    """A driver that never comes back from `read`: the other side is told, and Ctrl-C ends it.
+    """A driver never returns from `read`: the other side learns of it, and Ctrl-C ends the process.
 
-    The first one does where the interpreter is free: other threads then leave the device.
+    The first Ctrl-C is enough if the interpreter is free: other threads then leave the device.
     """
     is_free = how == "waits"
     with Stage.set() as stage:
@@ -242,12 +242,12 @@ def second_interrupt(how: str, _limits: Limits) -> Row:
 
 
 def second_name(how: str) -> str:
-    """Name of the row."""
+    """Return the name of the row."""
     return f"slave: SIGINT while its driver {how} for ever"
 
 
 def without_memory(side: str, given: str, _limits: Limits) -> Row:
-    """The address space of a coupled side is limited to what it has, or to less: each further mapping is refused."""
+    """Limit the address space of a coupled side to its current size, or less: each further mapping fails."""
     other = "slave" if side == "master" else "master"
     with Stage.set() as stage:
         if given == "a driver":
@@ -288,12 +288,12 @@ WITHOUT_MEMORY = (
 
 
 def memory_name(side: str, given: str) -> str:
-    """Name of the row."""
+    """Return the name of the row."""
     return f"{side}: no memory left while engaged, {given}"
 
 
 def rows(limits: Limits | None = None) -> dict[str, Callable[[], Row]]:
-    """All of them by name, to be run one after the other."""
+    """Return all rows by name, to run one after the other."""
     bounds = limits or Limits()
     measures: dict[str, Callable[[Limits], Row]] = {}
     for side in ("master", "slave"):

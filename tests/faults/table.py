@@ -1,4 +1,4 @@
-"""The rows for people."""
+"""The table of rows for people."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,7 @@ COLOURS = {"ok": "green", "FAILED": "red", "n/a": "yellow"}
 
 
 def print_table(console: Console, rows: Sequence[Row]) -> None:
-    """Print all rows, and the complaints below."""
+    """Print all rows, and the complaints below them."""
     table = Table(header_style="bold", pad_edge=False, padding=(0, 1, 0, 0), box=SIMPLE_HEAD)
     for name in ("fault", "how", "expected"):
         table.add_column(name)

@@ -1,4 +1,4 @@
-"""The fault suite in short, and that its rows can fail."""
+"""The fault suite in short, and a proof that its rows can fail."""
 
 from collections.abc import Callable
 
@@ -13,7 +13,7 @@ from tests.ur.stalls import anew_after_stalls
 pytestmark = pytest.mark.live
 
 LOOSE = processes.Limits(hold_s=0.15, fade_s=0.2)
-"""Of single runs beside other work."""
+"""Limits for single runs beside other work."""
 
 
 def judge(row: Row) -> None:
@@ -120,7 +120,7 @@ def test_a_force_that_stays_shows() -> None:
 
 
 def test_a_row_says_what_was_not_as_expected() -> None:
-    """An outage that is reported as shorter than it is."""
+    """Report an outage as shorter than it is."""
     dead = virtual.without(0.1)
     row = virtual.outage("reported as 10 ms", 0.010, forward=dead, backward=dead)
     assert row.verdict == "FAILED"

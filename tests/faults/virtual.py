@@ -1,4 +1,4 @@
-"""Faults of the network, in virtual time and in a secure session: the same on every machine."""
+"""Network faults, in virtual time and in a secure session: the same on every machine."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -27,13 +27,13 @@ from haptether.netsim import (
 
 PERIOD_S = 1e-3
 DELAY_S = 0.005
-"""One-way delay in s of both directions: so that what one side knows is not known to the other at once."""
+"""One-way delay of both directions, in s: a side learns the other's state only after it."""
 FAULT_S = 2.0
-"""Mid-way of a stroke, so that what goes on moving shows."""
+"""Time of the fault, in s: mid-way of a stroke, so that a motion that continues shows."""
 STALE_S, HOLD_S, STOP_S, FADE_S = 0.005, 0.020, 0.200, 0.075
-"""Of docs/ladder.md, beyond the expected age."""
+"""Times of docs/ladder.md, beyond the expected age, in s."""
 AGAIN_S = 3.0
-"""After the end of a fault: the simulated person presses half a second after both sides are ready."""
+"""Time after the end of a fault, in s: the simulated person presses half a second after both sides are ready."""
 STROKE_S = 0.4
 CLEAN = LinkSettings(delay_s=DELAY_S)
 
@@ -49,7 +49,7 @@ class Pair:
 
 
 def run(forward: LinkSettings, backward: LinkSettings, duration_s: float) -> Pair:
-    """A hand that strokes a wall to and fro, 15 mm in 0.4 s, and a person who presses again after each hold."""
+    """Run a hand that strokes a wall to and fro, 15 mm in 0.4 s; the person presses again after each hold."""
     strokes = [{"duration_s": STROKE_S, "end": (-0.045, -0.03)[n % 2]} for n in range(round(duration_s / STROKE_S))]
     scene = two_sides(
         run={"duration_s": duration_s, "seed": 7},
@@ -65,23 +65,23 @@ def run(forward: LinkSettings, backward: LinkSettings, duration_s: float) -> Pai
 
 @cache
 def undisturbed(duration_s: float) -> Pair:
-    """The same without a fault."""
+    """Run the same without a fault."""
     return run(CLEAN, CLEAN, duration_s)
 
 
 def outage(name: str, length_s: float, *, forward: LinkSettings, backward: LinkSettings, one_way: bool = False) -> Row:
-    """A time without frames: how far down the ladder it leads, how soon, and that a press leads out again."""
+    """Drop frames for a while: check how far and how soon the ladder leads down, and that a press leads up again."""
     pair = run(forward, backward, FAULT_S + length_s + AGAIN_S)
     worst = "stale" if length_s < HOLD_S else "hold" if length_s < STOP_S else "stop"
     holds = worst != "stale"
     wrong = Complaints()
-    # The first frame that is missing was due now.
+    # The first missing frame is due now.
     missed_s = FAULT_S + DELAY_S
     disturbed_s = missed_s + length_s + DELAY_S
     sides = {"master": pair.master.between(missed_s), "slave": pair.slave.between(missed_s)}
     reached = {side: ticks.between(missed_s, disturbed_s).worst for side, ticks in sides.items()}
     if one_way:
-        # The side that still receives follows as far as it is commanded.
+        # The side that still receives follows as long as it gets commands.
         wrong.check(worst in reached.values(), f"went to {reached}, must reach {worst}")
         wrong.check(not holds or not {"engaged", "stale"} & set(reached.values()), f"went to {reached}: both must hold")
     else:
@@ -96,7 +96,7 @@ def outage(name: str, length_s: float, *, forward: LinkSettings, backward: LinkS
         wrong.check(not any(ticks.held.any() for ticks in sides.values()), "a side held")
         return finished(row, wrong, pair)
     took_s = [ticks.held_after_s(missed_s) for ticks in sides.values()]
-    # A side that still receives learns of it a one-way delay later; a tick for each of the two.
+    # A side that still receives learns of the outage a one-way delay later; add one tick for each of the two.
     limit_s = HOLD_S + 2 * PERIOD_S + (DELAY_S + PERIOD_S if one_way else 0.0)
     wrong.check(max(took_s) <= limit_s + 1e-9, f"held after {max(took_s):g} s, must be {limit_s:g} s at most")
     wrong.check(min(took_s) >= HOLD_S - 1e-9, f"held after {min(took_s):g} s: before its time")
@@ -109,7 +109,7 @@ def finished(
     row: Row, wrong: Complaints, pair: Pair, *, reaction_s: float | None = None, limit_s: float | None = None,
     fade_s: float | None = None,
 ) -> Row:  # fmt: skip
-    """A row with what held of every run that led down the ladder."""
+    """Build a row from the checks of each run that leads down the ladder."""
     moved_m = pair.slave.travelled()
     force_n = pair.master.force_after_n(FADE_S + PERIOD_S)
     wrong.check(moved_m == 0.0, f"the command travelled {moved_m:g} m while the slave held")
@@ -124,13 +124,13 @@ def finished(
 
 
 def stray(name: str, forward: LinkSettings, *, min_refused: int, held_back_s: float = 0.0, cause: str = "") -> Row:
-    """Datagrams that must change nothing, or only make true ones late by `held_back_s`."""
+    """Send datagrams that must have no effect, or delay valid ones by `held_back_s` only."""
     duration_s = 6.0
     pair, alone = run(forward, CLEAN, duration_s), undisturbed(duration_s)
     moved_m = float(np.abs(pair.slave.output - alone.slave.output).max())
     extra_n = float(np.abs(pair.master.output - alone.master.output).max())
     wrong = Complaints()
-    # Who follows a path late is behind by the path of that time; the path itself answers to the force, hence twice.
+    # A delayed follower lags by the motion of that time; the path itself reacts to the force, hence the factor 2.
     fastest = float(np.abs(np.diff(alone.slave.output)).max()) / PERIOD_S
     allowed_m = 2.0 * fastest * held_back_s
     wrong.check(moved_m <= allowed_m, f"the command was {moved_m:g} m off, must be {allowed_m:g} m at most")
@@ -153,7 +153,7 @@ def stray(name: str, forward: LinkSettings, *, min_refused: int, held_back_s: fl
 
 
 def causes(counted: dict[str, int], max_causes: int = 2) -> str:
-    """The commonest causes of refusals in few words, and how many had others."""
+    """Return the most frequent causes of refusals in few words, and the count of the others."""
     ordered = sorted(counted.items(), key=lambda item: -item[1])
     others = sum(count for _, count in ordered[max_causes:])
     parts = [f"{count} {cause.split(':')[0]}" for cause, count in ordered[:max_causes]]
@@ -161,17 +161,17 @@ def causes(counted: dict[str, int], max_causes: int = 2) -> str:
 
 
 def attacked(*attacks: Attack) -> LinkSettings:
-    """The clean network with somebody on it."""
+    """Return the clean network with attackers."""
     return LinkSettings(delay_s=DELAY_S, attacks=attacks)
 
 
 def without(length_s: float) -> LinkSettings:
-    """The clean network with an outage."""
+    """Return the clean network with an outage."""
     return LinkSettings(delay_s=DELAY_S, outages=(Outage(times=Once(at_s=FAULT_S, duration_s=length_s)),))
 
 
 def outages() -> Iterator[Callable[[], Row]]:
-    """Times without frames."""
+    """Yield rows of times without frames."""
     for milliseconds in (10, 30, 100, 1_000, 10_000):
         length_s = milliseconds * 1e-3
         dead = without(length_s)
@@ -189,7 +189,7 @@ def outages() -> Iterator[Callable[[], Row]]:
 
 
 def strays() -> Iterator[Callable[[], Row]]:
-    """Datagrams out of place, and those that nobody with the key has sent: 6000 true ones each."""
+    """Yield rows of misplaced datagrams and of datagrams without the key, with 6000 valid ones each."""
     reorder = LinkSettings(delay_s=DELAY_S, reorder=0.2, reorder_hold_s=0.003)
     yield partial(stray, "reorder: a fifth is held for 3 ms", reorder, min_refused=500, held_back_s=0.008, cause="late")
     twice = LinkSettings(delay_s=DELAY_S, duplicate=0.5, duplicate_gap_s=0.002)
@@ -219,5 +219,5 @@ def strays() -> Iterator[Callable[[], Row]]:
 
 
 def rows() -> list[Callable[[], Row]]:
-    """All of them, to be run one after the other."""
+    """Return all rows, to run one after the other."""
     return [*outages(), *strays()]

@@ -1,9 +1,9 @@
-"""A client of the URCap's server as GELLO's gripper class behaves, written from its description, not from our driver.
+"""A client of the URCap's server that behaves like GELLO's gripper class, written without our driver.
 
-It compares `ack` byte by byte, sets four variables at once, waits without a time limit until PRE echoes and then until
-OBJ is no longer 0, and finds its range by opening and closing. The socket's own time limit is the test's.
+It compares `ack` byte by byte and sets four variables at once. It waits without a time limit until PRE echoes, and then
+until OBJ is no longer 0. It finds its range by opening and closing. The timeout of the socket belongs to the test.
 
-Source: wuphilipp/gello_software (MIT), by its behaviour on the wire.
+Source: the description of wuphilipp/gello_software (MIT), by its behaviour on the wire.
 """
 
 import socket
@@ -14,7 +14,7 @@ OPENED, ACTIVE = 3, 3
 
 
 class GelloClient:
-    """Connected from the begin.
+    """Client that connects on construction.
 
     Args:
         host: The controller.
@@ -32,7 +32,7 @@ class GelloClient:
     def set_variables(self, **values: int) -> bool:
         pairs = " ".join(f"{name} {value}" for name, value in values.items())
         self._socket.sendall(f"SET {pairs}\n".encode())
-        # Whatever one call reads is the reply.
+        # The client takes the bytes of one call as the reply.
         return self._socket.recv(1024) == ACK
 
     def get_variable(self, name: str) -> int:

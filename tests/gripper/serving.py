@@ -1,4 +1,4 @@
-"""A server of an emulated gripper on a thread of this process, which can be made to misbehave."""
+"""A server of an emulated gripper on a thread of this process, with misbehaviours."""
 
 import contextlib
 import socket
@@ -11,15 +11,15 @@ from haptether.slave.ur_emulator import EmulatedGripper
 from haptether.slave.ur_emulator.gripper.port import answered
 
 Misbehaviour = Callable[[socket.socket, bytes], bytes | None]
-"""What is sent in place of the reply to a request; none where it has sent that itself, or nothing."""
+"""Returns the bytes that replace the reply to a request; None if it sends them itself, or sends nothing."""
 POLL_S = 0.02
 
 
 class Served:
-    """Serves until `close`.
+    """Serve a gripper until `close`.
 
     Args:
-        of: What is served; moved by the clock of this process.
+        of: The gripper, which moves by the clock of this process.
     """
 
     def __init__(self, of: EmulatedGripper) -> None:
@@ -36,7 +36,7 @@ class Served:
 
     @property
     def settings(self) -> list[str]:
-        """What was set."""
+        """Return the SET requests."""
         return [request for request in self.requests if request.startswith("SET")]
 
     def close(self) -> None:
@@ -97,7 +97,7 @@ def served(of: EmulatedGripper) -> Iterator[Served]:
 
 
 def silent(_connection: socket.socket, _line: bytes) -> None:
-    """Say nothing."""
+    """Send nothing."""
 
 
 def closing(connection: socket.socket, _line: bytes) -> None:
@@ -107,7 +107,7 @@ def closing(connection: socket.socket, _line: bytes) -> None:
 
 
 def resetting(connection: socket.socket, _line: bytes) -> None:
-    """End it as a program that crashed."""
+    """Reset the connection, like a crashed program."""
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     connection.close()
     raise ConnectionError
@@ -118,12 +118,12 @@ def another_protocol(_connection: socket.socket, _line: bytes) -> bytes:
 
 
 def bare(_connection: socket.socket, _line: bytes) -> bytes:
-    """Digits, as URScript reads them."""
+    """Reply with digits alone, as URScript expects."""
     return b"3"
 
 
 def half(_connection: socket.socket, line: bytes) -> bytes:
-    """The first part of a reply, and no more."""
+    """Send only the first part of a reply."""
     return line.removeprefix(b"GET ") + b" " if line.startswith(b"GET") else b"ac"
 
 
@@ -136,22 +136,22 @@ def of_another_request(_connection: socket.socket, _line: bytes) -> bytes:
 
 
 def endless(connection: socket.socket, _line: bytes) -> None:
-    """Never stops."""
+    """Send bytes without end."""
     with contextlib.suppress(TimeoutError):
         while True:
             connection.sendall(b" " * 4096)
 
 
 def dribbling(connection: socket.socket, _line: bytes) -> None:
-    """Never comes to its end."""
+    """Send empty lines and never a reply."""
     for _ in range(100):
         connection.sendall(b"\n")
         time.sleep(0.05)
 
 
 def volunteering(connection: socket.socket, line: bytes) -> None:
-    """Say more than it was asked, a moment later."""
-    # As of jaws that are on 40 mm.
+    """Send a value that was not requested, shortly after the reply."""
+    # The values of jaws that hold 40 mm.
     values = {b"POS": b"123", b"OBJ": b"2", b"STA": b"3"}
     variable = line.removeprefix(b"GET ")
     connection.sendall(variable + b" " + values.get(variable, b"0") if line.startswith(b"GET") else b"ack")
@@ -172,4 +172,4 @@ MISBEHAVIOURS: tuple[tuple[Misbehaviour, str], ...] = (
     (endless, "malformed reply: "),
     (volunteering, "malformed reply: "),
 )
-"""Each with the name of the fault that it is to be."""
+"""Each misbehaviour with the fault that it must cause."""

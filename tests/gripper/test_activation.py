@@ -1,4 +1,4 @@
-"""Activating a gripper, in virtual time: what is sent, how long it takes, and how it ends."""
+"""Activation of a gripper, in virtual time: its requests, its duration and its end."""
 
 import pytest
 from tests.gripper.virtual import gripper, performed, reply
@@ -9,11 +9,11 @@ from haptether.slave.ur_emulator import EmulatedGripper
 
 
 class Watched(EmulatedGripper):
-    """Keeps what was set, and may be stuck."""
+    """Emulated gripper that records its settings and may ignore some."""
 
     sets: tuple[dict[str, int], ...] = ()
     ignored: frozenset[str] = frozenset()
-    """What is set without effect."""
+    """Variables whose settings have no effect."""
 
     def write(self, values: dict[str, int]) -> None:
         self.sets = (*self.sets, values)
@@ -30,7 +30,7 @@ def test_it_resets_waits_and_activates() -> None:
     took_s = performed(of, activation())
     assert of.sets == ({"ACT": 0}, {"ATR": 0}, {"ACT": 1})
     assert reply(of, get("STA")) == 3
-    # 0.5 s of pause, 2 s of motion, and a reading each 0.1 s.
+    # 0.5 s of pause, 2 s of motion, and a reading every 0.1 s.
     assert 2.4 < took_s < 2.8
     assert of.read("POS") == 3
 
@@ -54,7 +54,7 @@ def test_a_reset_that_is_dropped_is_repeated() -> None:
     assert of.sets.count({"ACT": 0}) > 3
     assert {"ACT": 1} not in of.sets
     of.ignored = frozenset()
-    # From where it is: the last step was answered, or waited for.
+    # Continue after the last step, answered or waited for.
     while True:
         try:
             step = steps.send(value)

@@ -1,4 +1,4 @@
-"""The driver on sockets of this machine: its checklist, its thread, and whoever misbehaves at the other end."""
+"""The driver on local sockets: its checklist, its thread, and misbehaving servers."""
 
 import socket
 import threading
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.live
 REPLY_S = 0.2
 PATIENCE_S = 10.0
 CLOSED_S = 3.0
-"""More than `close` may take: two replies and a connection."""
+"""`close` takes at most two replies and a connection."""
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def running_threads() -> list[str]:
 
 
 def until(of: RobotiqGripper, holds: Callable[[GripperSample], bool]) -> GripperSample:
-    """The first sample of which something holds."""
+    """Return the first sample that meets a condition."""
     end_s = time.monotonic() + PATIENCE_S
     while not holds(sample := of.read()):
         assert time.monotonic() < end_s, sample
@@ -193,7 +193,7 @@ def test_the_newest_command_wins(server: Served, led: RobotiqGripper) -> None:
     for step in range(5000):
         led.write(move(0.0001 * step))
     until(led, lambda sample: sample.position > 0.49)
-    # 50 a second at most; those that were not sent are forgotten.
+    # At most 50 a second are sent; the others are dropped.
     assert len(server.settings) < 60
     assert server.settings[-1].startswith(f"SET POS {round(3 + 0.4999 * 227)} ")
 
@@ -232,10 +232,10 @@ def test_a_lost_connection_is_a_fault_that_moves_nothing(
     lost = until(led, faulty)
     assert lost.fault is not None
     assert lost.fault.startswith(said)
-    # What was known last, and nothing moves as far as is known.
+    # The last values stay, with zero velocity.
     assert (lost.holds_object, lost.velocity) == (True, 0.0)
     before = server.settings.copy()
-    # Not before it is acknowledged, whatever is ordered meanwhile.
+    # Nothing is sent before the fault is acknowledged, not even for new commands.
     server.misbehaves = None
     led.write(move(0.0))
     time.sleep(0.3)
@@ -256,7 +256,7 @@ def test_an_acknowledgement_in_vain_says_why(server: Served, led: RobotiqGripper
     led.acknowledge()
     again = until(led, lambda sample: sample.fault is not None and "FLT 10" in sample.fault)
     assert "activate = true" in str(again.fault)
-    # It is not activated by an acknowledgement: that moves.
+    # An acknowledgement does not activate the gripper, because activation moves the jaws.
     assert server.settings == []
 
 
@@ -284,7 +284,7 @@ def test_a_thread_that_stands_still_is_a_fault(led: RobotiqGripper, monkeypatch:
     led.write(move(1.0))
     let.set()
     time.sleep(0.3)
-    # Also once it goes on; what was ordered meanwhile is not done.
+    # The fault stays once the server responds again, and earlier commands are not executed.
     assert led.read().fault == stood.fault
     assert led.read().position == 0.0
     led.acknowledge()

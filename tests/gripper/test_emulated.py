@@ -1,4 +1,4 @@
-"""The emulated gripper and its server's text, in virtual time."""
+"""The emulated gripper and the text protocol of its server, in virtual time."""
 
 import re
 
@@ -28,7 +28,7 @@ MOVING, OPENING, CLOSING, ARRIVED = range(4)
 
 
 class Jaws:
-    """An emulated gripper with its time."""
+    """An emulated gripper with its clock."""
 
     def __init__(self, of: EmulatedGripper) -> None:
         self.of = of
@@ -46,7 +46,7 @@ class Jaws:
             self.of.advance(self.now_s)
 
     def until(self, variable: str, value: int, limit_s: float = 10.0) -> float:
-        """How long in s until a variable has a value."""
+        """Wait until a variable has a value; return the time in s."""
         begun_s = self.now_s
         while self.value(variable) != value:
             assert self.now_s - begun_s < limit_s, self.of.figures()
@@ -78,7 +78,7 @@ def jaws() -> Jaws:
         ("GET FOR", "FOR 0", "000"),
         ("GET SPE", "SPE 0", "000"),
         ("GET SID", "SID 9", "9"),
-        # Always bare.
+        # This answer is always bare.
         ("GET DST", "4", "4"),
         ("GET VER", "emulated", "emulated"),
         ("SET POS 100 SPE 255 FOR 10 GTO 1", "ack", "ack"),
@@ -120,11 +120,11 @@ def test_a_request_without_an_end_of_line_is_one_once_none_comes() -> None:
     assert of.receive(b"GET OBJ") == (b"", True)
     assert [of.package(1) for _ in range(SETTLED)] == [*[None] * (SETTLED - 1), b"3"]
     assert of.package(1) is None
-    # The other half comes in time: it was no bare one.
+    # The other half arrives in time, so the first was not a bare request.
     of.receive(b"GET POS")
     assert of.package(SETTLED - 1) is None
     assert of.receive(b"\n") == (b"POS 3", True)
-    # No whole request is waited for, for ever.
+    # The server does not wait forever for the rest of a request.
     of.receive(b"GET PO")
     assert of.package(1000) is None
     assert of.receive(b"S\n") == (b"POS 3", True)
@@ -172,7 +172,7 @@ def test_whatever_a_client_sends(parts: list[bytes]) -> None:
 def test_it_begins_as_after_its_power_is_switched_on() -> None:
     jaws = Jaws(gripper(active=False))
     assert (jaws.value("ACT"), jaws.value("STA"), jaws.value("OBJ")) == (0, 0, 3)
-    # It does not move before it is active.
+    # The gripper does not move before activation.
     jaws.ask("SET POS 255 SPE 255 GTO 1")
     jaws.run(1.0)
     assert (jaws.value("POS"), jaws.value("PRE")) == (3, 255)
@@ -204,7 +204,7 @@ def test_the_stroke_takes_as_long_as_its_maker_says(model: str, spe: int, stroke
     jaws.run(CYCLE_S)
     assert jaws.value("OBJ") == MOVING
     assert jaws.until("OBJ", ARRIVED) == pytest.approx(stroke_s, abs=0.01)
-    # Short of the request, as a real one.
+    # The gripper stops short of the request, like a real one.
     assert jaws.value("POS") == 230
 
 
@@ -213,7 +213,7 @@ def test_the_echo_comes_at_once_and_the_object_status_with_it(jaws: Jaws) -> Non
     jaws.ask("SET POS 100")
     assert (jaws.value("PRE"), jaws.value("OBJ"), jaws.value("GTO")) == (100, MOVING, 0)
     jaws.run(1.0)
-    # Without GTO it stays, and so does what clients wait for.
+    # Without GTO the gripper stays, and so does the status that clients wait for.
     assert (jaws.value("POS"), jaws.value("OBJ")) == (3, MOVING)
     jaws.ask("SET SPE 255")
     jaws.ask("SET GTO 1")
@@ -247,11 +247,11 @@ def test_an_object_stops_the_jaws_and_is_noticed_after_a_while(jaws: Jaws) -> No
     assert jaws.value("OBJ") == MOVING
     assert jaws.until("OBJ", CLOSING) == pytest.approx(CONTACT_S, abs=0.02)
     assert jaws.of.figures()["force_n"] == pytest.approx(235.0)
-    # To go on against it shows it anew.
+    # A further request against the object resets the object status.
     jaws.ask("SET POS 254")
     assert jaws.value("OBJ") == MOVING
     jaws.until("OBJ", CLOSING)
-    # Short of it is not on it.
+    # A request short of the object does not touch it.
     jaws.ask(f"SET POS {count_of(40) - 10}")
     jaws.until("OBJ", ARRIVED)
     assert jaws.of.figures()["force_n"] == 0.0
@@ -284,7 +284,7 @@ def test_an_object_that_comes_too_late_is_not_met(jaws: Jaws) -> None:
     jaws.ask("SET POS 255")
     jaws.until("OBJ", ARRIVED)
     assert jaws.value("POS") == 230
-    # Once they have opened beyond it they meet it.
+    # Jaws that have opened beyond the object meet it.
     jaws.ask("SET POS 0")
     jaws.until("OBJ", ARRIVED)
     jaws.ask("SET POS 255")
@@ -302,7 +302,7 @@ def test_a_soft_object_yields_to_the_force(jaws: Jaws) -> None:
     assert (jaws.value("POS"), jaws.value("OBJ")) == (count_of(40.0 - 235.0 / 20.0), CLOSING)
     jaws.ask("SET FOR 0")
     jaws.run(1.0)
-    # It stays as it is pressed.
+    # The object keeps its compression.
     assert (jaws.value("POS"), jaws.value("OBJ")) == (count_of(40.0 - 235.0 / 20.0), CLOSING)
 
 
@@ -324,7 +324,7 @@ def test_whatever_is_set_the_jaws_stay_in_their_stroke(steps: list[tuple[str, in
         if name == "run":
             before = jaws.value("POS")
             jaws.run(CYCLE_S * value)
-            # No faster than the fastest, 150 mm/s, or an activation.
+            # The speed is at most 150 mm/s, the largest, or that of an activation.
             assert abs(jaws.value("POS") - before) <= 150 / 85 * 227 * CYCLE_S * value + 1
         elif name == "fault":
             jaws.of.fail(value)
@@ -347,7 +347,7 @@ def test_a_fault_stops_the_jaws_until_it_ends(flt: int) -> None:
     assert jaws.value("FLT") == flt
     assert jaws.value("STA") == (0 if flt in {7, 10} else 3)
     if flt == 11:
-        # An automatic release moves.
+        # An automatic release moves the jaws.
         return
     stopped = jaws.value("POS")
     jaws.run(1.0)

@@ -1,4 +1,4 @@
-"""The process of the emulated controller with a gripper: independent clients, several at once, and its driver."""
+"""Process of the emulated controller with a gripper: several independent clients at once, and its driver."""
 
 import re
 import socket
@@ -62,7 +62,7 @@ def test_a_client_as_gellos_activates_calibrates_and_grips() -> None:
         client.activate()
         assert (client.lowest, client.highest) == (3, 230)
         assert client.move_and_wait(100, 255, 10) == (100, 3)
-        # A request for where it is waits for no old status.
+        # A request for the current position does not wait for an old status.
         assert client.move_and_wait(100, 255, 10) == (100, 3)
         running.do("gripper-object 40")
         assert client.move_and_wait(255, 255, 255) == (COUNT_40_MM, 2)
@@ -99,7 +99,7 @@ def test_a_request_in_parts_is_one(arm: Emulated) -> None:
     with socket.create_connection((arm.host, PORT), 5.0) as client:
         client.settimeout(5.0)
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # No part of it is a request by itself.
+        # No part of the request is valid by itself.
         for part in (b"SET PO", b"S 9 SP", b"E 255\n"):
             client.sendall(part)
             time.sleep(0.03)
@@ -114,7 +114,7 @@ def test_no_line_without_an_end_costs_more_than_its_connection(arm: Emulated) ->
             client.sendall(b"x" * (1 << 16))
             assert client.recv(1024) == b""
         except ConnectionError:
-            # Dropped while it was sent.
+            # The server closed the connection during the send.
             pass
     assert asked(arm.host, b"GET STA\n") == b"STA 3"
     assert any(re.search("gripper client: request of [0-9]+ bytes without an end", line) for line in log(arm))
@@ -135,7 +135,7 @@ def test_the_port_is_any_that_is_free_where_it_is_0() -> None:
     with emulator("--gripper", "2f-140", "--gripper-port", "0", "--gripper-active") as running:
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection((running.host, PORT), 5.0)
-        # The first line has named it; no other process may have it now.
+        # The first line names the port; a second process at the same address fails.
         assert main(["ur-emulator", "--host", running.host, "--gripper", "2f-85"]) == 1
 
 
@@ -147,7 +147,7 @@ def test_it_picks_something_up(arm: Emulated, led: RobotiqGripper) -> None:
     held = until(led, lambda sample: sample.holds_object)
     assert held.position == pytest.approx(CONTACT_40_MM, abs=0.01)
     assert arm.status()["gripper"]["force_n"] == pytest.approx(120.0, abs=1.0)
-    # It slips out.
+    # The object slips out.
     arm.do("gripper-object none")
     assert until(led, lambda sample: not sample.holds_object).fault is None
     until(led, lambda sample: sample.position == 1.0)
@@ -158,7 +158,7 @@ def test_each_fault_of_the_gripper(arm: Emulated, led: RobotiqGripper, flt: int)
     arm.do(f"gripper-fault {flt}")
     fault = until(led, lambda sample: sample.fault is not None).fault
     assert fault is not None
-    # An automatic release of jaws that are open has ended at once.
+    # The automatic release of open jaws has ended at once.
     assert fault.startswith((f"FLT {flt}: ", "not active: STA 0: ", "FLT 15: " if flt == 11 else f"FLT {flt}: "))
     led.write(move(1.0))
     time.sleep(0.2)

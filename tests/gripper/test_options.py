@@ -1,4 +1,4 @@
-"""Options of the driver `robotiq`, and what its counts are in SI units."""
+"""Options of the driver `robotiq`, and its counts in SI units."""
 
 import math
 
@@ -56,11 +56,11 @@ def test_counts_of_other_fingers_are_options() -> None:
 @pytest.mark.parametrize(
     ("model", "command", "counts"),
     [
-        # The ends are requested beyond those of the jaws, which are at 3 and 230.
+        # The end positions are requested beyond those of the jaws, at 3 and 230.
         ("2f-85", move(0.0, 0.150 / 0.085, 235.0), (0, 255, 255)),
         ("2f-85", move(1.0, 0.020 / 0.085, 20.0), (255, 0, 0)),
         ("2f-85", move(0.5, 0.085 / 0.085, 127.5), (116, 127, 128)),
-        # What it cannot do it does as nearly as it can: the least force is not zero.
+        # Values out of range saturate; the least force is not zero.
         ("2f-85", move(0.5, 100.0, 10_000.0), (116, 255, 255)),
         ("2f-85", move(0.5, 1e-6, 0.0), (116, 0, 0)),
         ("2f-140", move(0.25, 0.250 / 0.140, 67.5), (60, 255, 128)),
@@ -84,7 +84,7 @@ def test_counts_go_there_and_back(name: str, counts: list[int], command: Gripper
     of = Scale(model, (opened, closed))
     request = of.request(command)
     assert all(0 <= value <= 255 for value in request.values())
-    # Half a count, and the ends, which are requested beyond.
+    # The error is at most half a count, except for end positions, which are requested beyond.
     assert abs(of.position(request["POS"]) - command.position) <= 0.5 / (closed - opened) + 1e-12
     low, high = model.force_n
     assert abs(of.force_n(request["FOR"]) - min(max(command.force_n, low), high)) <= 0.5 * (high - low) / 255 + 1e-9

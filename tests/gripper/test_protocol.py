@@ -32,14 +32,14 @@ def test_requests_are_lines() -> None:
         (b"", None, PARTIAL, None),
         (b"a", None, PARTIAL, None),
         (b"ac", None, PARTIAL, None),
-        # Without an end of line: clients compare these three bytes.
+        # There is no end of line: clients compare these three bytes.
         (b"ack", None, WHOLE, None),
         (b"ack\n", None, WHOLE, None),
         (b"\nack", None, WHOLE, None),
         (b"", "POS", PARTIAL, None),
         (b"PO", "POS", PARTIAL, None),
         (b"POS ", "POS", PARTIAL, None),
-        # These could become 10 to 199, that could not.
+        # The first two could become 10 to 199; the third is complete.
         (b"POS 1", "POS", OPEN, 1),
         (b"POS 10", "POS", OPEN, 10),
         (b"POS 100", "POS", WHOLE, 100),
@@ -69,7 +69,7 @@ def test_replies(received: bytes, reads: str | None, progress: Progress, value: 
         (b" " * (MAX_REPLY + 1), "POS"), (b"x" * (MAX_REPLY + 1), None),
     ],
 )  # fmt: skip
-def test_what_is_no_reply(received: bytes, reads: str | None) -> None:
+def test_malformed_reply_is_refused(received: bytes, reads: str | None) -> None:
     with pytest.raises(MalformedReplyError, match="reply to ") as malformed:
         parsed(received, reads)
     assert str(malformed.value).isascii()
@@ -82,7 +82,7 @@ def test_whatever_comes_is_a_reply_or_malformed(reads: str | None, received: byt
         try:
             progress, value = parsed(received[:count], reads)
         except MalformedReplyError:
-            # More of it makes nothing better, but an end of line before what was whole.
+            # More bytes do not make it valid; only an end of line before a whole reply does.
             return
         assert count <= MAX_REPLY
         assert (value is not None) == (reads is not None and progress is not PARTIAL)
@@ -95,7 +95,7 @@ def test_every_value_is_read_in_whatever_parts_it_comes(reads: str, data: st.Dat
     whole = f"{reads} {value}".encode() + end
     for count in range(len(whole)):
         progress, _ = parsed(whole[:count], reads)
-        # What a reader that stops there would miss is seen: it is not whole yet, but for its end of line.
+        # A reader that stops here must not miss anything: the reply is not whole yet, except for its end of line.
         assert progress is not WHOLE or whole[count:].strip() == b""
     assert parsed(whole, reads)[1] == value
 

@@ -1,4 +1,4 @@
-"""What a gripper is called with and says: numbers that cannot be are refused where they enter."""
+"""Commands and samples of a gripper: invalid numbers are refused where they enter."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The driver's state machine with an emulated gripper, in virtual time: what it asks, sets and makes of the replies."""
+"""State machine of the driver with an emulated gripper, in virtual time: its requests, and its use of the replies."""
 
 from itertools import pairwise
 
@@ -31,7 +31,7 @@ def test_a_command_is_one_setting_and_its_motion_is_seen() -> None:
     assert led.settings == ["SET POS 116 SPE 128 FOR 36 GTO 1"]
     assert led.sample.velocity == pytest.approx(1.0, abs=0.1)
     took_s = led.run(2.0, until=lambda sample: sample.position > 0.5 - COUNT)
-    # 0.5 at 1 /s, of which 0.2 s are over; a reading each 20 ms.
+    # 0.5 at 1 /s, less the 0.2 s that have passed; a reading every 20 ms.
     assert took_s == pytest.approx(0.3, abs=0.03)
     led.run(0.3)
     assert led.sample.velocity == 0.0
@@ -56,7 +56,7 @@ def test_an_object_stops_the_jaws_and_is_held_with_the_force() -> None:
     led.run(3.0, until=lambda sample: sample.holds_object)
     assert led.sample.position == pytest.approx(CONTACT_40_MM, abs=COUNT)
     assert led.sample.force_n == pytest.approx(100.0, abs=1.0)
-    # It is lost: they close to the end, and hold nothing.
+    # The object is lost: the jaws close to the end, and hold nothing.
     led.gripper.put(None)
     led.run(2.0)
     assert led.sample.position == 1.0
@@ -69,7 +69,7 @@ def test_another_force_is_set_without_the_position() -> None:
     led.write(move(1.0, force_n=50.0))
     led.run(2.0)
     led.write(move(1.0, force_n=150.0))
-    # Not even for a moment it is taken for lost.
+    # The driver does not report it as lost even for a moment.
     assert led.run(1.0, until=lambda sample: not sample.holds_object) >= 1.0
     assert led.settings[1:] == ["SET FOR 154"]
     assert led.sample.force_n == pytest.approx(150.0, abs=1.0)
@@ -85,7 +85,7 @@ def test_contact_seen_long_after_the_last_position_is_kept() -> None:
     led = Led(gripper(40.0), round_trip_s=0.004)
     led.write(move(1.0, speed=1.5, force_n=100.0))
     led.run(1.0, until=lambda sample: 0.1 < sample.position < 0.3)
-    # The computer stands still until the jaws have met it; then OBJ is read before the position is.
+    # The computer pauses until the jaws have met the object; then the driver reads OBJ before the position.
     led.now_s += 2.0
     led.gripper.advance(led.now_s)
     sent_ns = led.now_ns
@@ -185,7 +185,7 @@ def test_hold_right_after_a_command_keeps_what_is_held(position: float, stops: b
     led.write(move(1.0))
     led.run(2.0)
     led.write(move(position))
-    # It was sent on, and neither echo nor object was read since.
+    # The command was sent; since then the driver has read neither echo nor object.
     led.run(0.2, until=lambda _: len(led.settings) == 2)
     led.hold()
     led.run(0.1)
@@ -194,7 +194,7 @@ def test_hold_right_after_a_command_keeps_what_is_held(position: float, stops: b
     if not stops:
         assert led.sample.holds_object
         assert led.sample.force_n > 0.0
-    # At most what the jaws opened until the stop had come through.
+    # The jaws open at most until the stop has arrived.
     assert led.sample.position == pytest.approx(CONTACT_40_MM, abs=0.06)
 
 
@@ -220,7 +220,7 @@ def test_hold_never_lets_go_of_what_is_held(stream: list[tuple[float, float]], r
 
 
 def test_hold_in_the_middle_of_a_stream_keeps_what_it_has_closed_on() -> None:
-    # Each request makes OBJ 0 again: in a dense stream it never shows the contact.
+    # Each request resets OBJ to 0: in a dense stream OBJ never shows the contact.
     led = Led(gripper(40.0), answer=lambda request, value: MOVING if request.reads == "OBJ" else value)
     for step in range(350):
         led.write(move(0.002 * step))
@@ -231,7 +231,7 @@ def test_hold_in_the_middle_of_a_stream_keeps_what_it_has_closed_on() -> None:
     led.run(1.0)
     assert led.settings == before
     assert led.sample.holds_object
-    # And lets go as soon as a stream leads them apart.
+    # The driver reports the release as soon as a stream leads the jaws apart.
     for step in range(20):
         led.write(move(0.5 - 0.002 * step))
         led.run(0.02)
@@ -281,7 +281,7 @@ def test_the_newest_command_wins_and_no_more_are_sent_than_the_rate() -> None:
     for step in range(200):
         led.write(move(0.001 * step))
         led.run(0.005)
-    # 1 s at 50 Hz at most; a stream of commands leaves room for readings.
+    # At most 50 Hz for 1 s; a stream of commands leaves room for readings.
     assert 25 <= len(led.settings) <= 51
     assert sum(request.reads == "POS" for _, request in led.requests) >= 25
     led.run(0.1)
@@ -305,10 +305,10 @@ def test_a_slow_server_is_asked_less_often(round_trip_s: float, positions_hz: fl
     led.run(duration_s)
     asked = led.requests[begun:]
     assert sum(request.reads == "POS" for _, request in asked) / duration_s == pytest.approx(positions_hz, rel=0.2)
-    # It has time for others: at most two thirds are taken by this client.
+    # This client takes at most two thirds of the time, so that others get served.
     assert len(asked) * round_trip_s < 0.67 * duration_s
     assert led.session.round_trip_s == pytest.approx(round_trip_s, abs=CYCLE_S)
-    # Faults are looked for as well.
+    # The driver polls for faults as well.
     assert {request.reads for _, request in asked} == {"POS", "OBJ", "FLT", "STA"}
 
 
@@ -352,7 +352,7 @@ def test_each_fault_is_named_and_stays_until_it_is_acknowledged(flt: int) -> Non
     led.run(1.0, until=lambda sample: sample.fault is not None)
     first = led.sample.fault
     assert first is not None
-    # STA and FLT are read one after the other; either is the first that shows.
+    # The driver reads STA and FLT one after the other; either may show the fault first.
     assert first.startswith((f"FLT {flt}: ", "not active: STA 0: "))
     led.gripper.fail(0)
     led.run(1.0)
@@ -421,7 +421,7 @@ def test_a_request_that_is_not_taken_is_sent_again_and_is_then_a_fault() -> None
     assert led.sample.fault.startswith("request not taken: PRE 0 for 1 s after POS 116: ")
     assert led.settings.count(led.settings[0]) == 4
     led.run(0.1)
-    # It may have been taken all the same.
+    # The gripper may have taken it all the same.
     assert led.settings[-1] == "SET GTO 0"
 
 
@@ -455,7 +455,7 @@ def test_a_stream_whose_echo_lags_is_no_fault() -> None:
     for step in range(230):
         led.write(move(0.3 + 0.003 * step))
         led.run(0.02)
-        # Also while PRE never shows the newest request of the stream; it is met at 0.53.
+        # This holds also while PRE never shows the newest request of the stream; the contact is at 0.53.
         assert led.sample.holds_object or step < 110
     assert led.sample.fault is None
 

@@ -1,4 +1,4 @@
-"""A gripper and whoever leads it in virtual time: no socket, no thread, no clock."""
+"""A gripper and its client in virtual time: no socket, no thread, no clock."""
 
 from collections.abc import Callable, Generator
 
@@ -15,18 +15,18 @@ MM = 1e-3
 
 
 def gripper(object_mm: float | None = None, *, model: str = "2f-85", active: bool = True) -> EmulatedGripper:
-    """An emulated gripper, activated and open unless said otherwise."""
+    """Return an emulated gripper, by default activated and open."""
     grips = None if object_mm is None else GrippedObject(width_m=MM * object_mm)
     return EmulatedGripper(GripperSettings(model=ROBOTIQ_MODELS[model], grips=grips, active=active))
 
 
 def scale(model: str = "2f-85") -> Scale:
-    """Counts of a model."""
+    """Return the counts of a model."""
     return Scale(ROBOTIQ_MODELS[model], ROBOTIQ_MODELS[model].counts)
 
 
 def reply(of: EmulatedGripper, request: Request) -> int | None:
-    """What the server answers, as the driver reads it."""
+    """Return the server's reply, as the driver reads it."""
     progress, value = parsed(answered(of, request.text.strip(), bare=False), request.reads)
     assert progress is not Progress.PARTIAL
     return value
@@ -41,10 +41,10 @@ class Led:
 
     Args:
         of: The gripper; activated.
-        rate_hz: Of the driver.
-        round_trip_s: From a request to its reply.
-        begin_s: Time that the gripper has lived for.
-        answer: What is answered in place of the gripper's own reply.
+        rate_hz: Rate of the driver.
+        round_trip_s: Time from a request to its reply.
+        begin_s: Age of the gripper at the beginning.
+        answer: Returns the bytes that replace the gripper's own reply.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Led:
 
     @property
     def settings(self) -> list[str]:
-        """What was set, without the readings."""
+        """Return the SET requests, without the readings."""
         return [request.shown for _, request in self.requests if request.reads is None]
 
     def write(self, command: GripperCommand) -> None:
@@ -85,12 +85,12 @@ class Led:
         self.order = Order(self._number, None)
 
     def run(self, duration_s: float, until: Callable[[GripperSample], bool] = lambda _: False) -> float:
-        """Let time pass; how much until something held."""
+        """Let time pass until a condition holds; return the time in s."""
         begun_s = self.now_s
         while self.now_s - begun_s < duration_s and not until(self.sample):
             request = self.session.due(self.order, self.now_ns)
             if request is None:
-                # At least a cycle, that of the emulator's time.
+                # At least one cycle of the emulator must pass.
                 self._pass(max(CYCLE_S, self.session.wait_ns(self.order, self.now_ns) / NS))
                 continue
             sent_ns = self.now_ns
@@ -111,7 +111,7 @@ class Led:
 
 
 def performed(of: EmulatedGripper, steps: Generator[Request | float, int | None, None], limit_s: float = 60.0) -> float:
-    """Performs an activation in virtual time; how long it took in s."""
+    """Perform an activation in virtual time; return its duration in s."""
     now_s, value = 0.0, None
     while now_s < limit_s:
         try:

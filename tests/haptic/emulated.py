@@ -10,14 +10,14 @@ from tests.ur.emulated import START_S, Emulated
 
 
 class EmulatedInverse(Emulated):
-    """A service that runs."""
+    """A running service."""
 
     port = 0
     event_port = 0
 
     @property
     def options(self) -> dict[str, object]:
-        """What a driver needs to find it; machines that tests run on may take more than 10 ms for a reply."""
+        """Options of a driver for this service; a test machine may take more than 10 ms for a reply."""
         return {"port": self.port, "event_port": self.event_port, "reply_timeout_s": 0.015}
 
 

@@ -1,4 +1,4 @@
-"""Stand-ins for the vendors' libraries: built from C when a test needs them, steered and read by name."""
+"""Stand-ins for the vendors' libraries: built from C when a test needs them, controlled and read by name."""
 
 import ctypes
 import itertools
@@ -16,11 +16,11 @@ TURNS = [
     for names in itertools.permutations("xyz")
     for signs in itertools.product(("", "-"), repeat=3)
 ]
-"""All ways to name three axes, of which half are right-handed."""
+"""All ways to name three axes; half of them are right-handed."""
 
 
 def axes_matrix(axes: list[str]) -> NDArray[np.float64]:
-    """C, which turns a vector of the device into ours."""
+    """Return C, which converts a vector of the device to our frame."""
     rows = [(-1.0 if axis[0] == "-" else 1.0) * np.eye(3)["xyz".index(axis[-1])] for axis in axes]
     return np.array(rows)
 
@@ -29,7 +29,7 @@ RIGHT_HANDED = [axes for axes in TURNS if np.linalg.det(axes_matrix(axes)) > 0.0
 
 
 def rotation_matrix(quat_wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rodrigues' formula, with the axis and angle of a unit quaternion."""
+    """Return the matrix of a unit quaternion by Rodrigues' formula, from its axis and angle."""
     sine = float(np.linalg.norm(quat_wxyz[1:]))
     angle = 2.0 * np.arctan2(sine, quat_wxyz[0])
     x, y, z = quat_wxyz[1:] / sine if sine > 0.0 else np.zeros(3)
@@ -38,7 +38,7 @@ def rotation_matrix(quat_wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class Standin:
-    """One that is loaded in this process: a driver that loads the same file has the same device."""
+    """A stand-in that is loaded in this process: a driver that loads the same file has the same device."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -56,19 +56,19 @@ class Standin:
         return float(self.library.standin_get(name.encode()))
 
     def force(self) -> tuple[float, float, float]:
-        """What acts on the device, in N and in its own frame."""
+        """Return the force on the device in N, in its own frame."""
         return self.get("fx"), self.get("fy"), self.get("fz")
 
     def calls(self) -> list[str]:
-        """So far."""
+        """Return the calls so far."""
         return str(self.library.standin_log().decode()).splitlines()
 
     def fail(self, call: str, error: int, times: int = 1) -> None:
-        """The next calls of a function fail, of the Force Dimension SDK."""
+        """Let the next calls of a function of the Force Dimension SDK fail."""
         self.library.standin_fail(call.encode(), error, times)
 
     def error(self, code: int) -> None:
-        """An error of OpenHaptics."""
+        """Raise an error of OpenHaptics."""
         self.library.standin_error(code)
 
     def reset(self) -> None:
@@ -76,7 +76,7 @@ class Standin:
 
 
 def built(source: str, folder: Path, *flags: str) -> Path:
-    """The shared library of a stand-in, such as `touch/hd.c`."""
+    """Return the shared library of a stand-in, such as `touch/hd.c`."""
     target = folder / f"lib{Path(source).stem}.so"
     command = [os.environ.get("CC", "cc"), "-O1", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", *flags]
     command += [str(HERE / source), "-o", str(target), "-lpthread", "-lm"]
@@ -86,7 +86,7 @@ def built(source: str, folder: Path, *flags: str) -> Path:
 
 
 class Failing:
-    """What leads a driver with a force, and fails after so many ticks."""
+    """A loop that leads a driver with a force, and fails after some ticks."""
 
     def __init__(self, force: tuple[float, ...], ticks: int) -> None:
         self._force = force

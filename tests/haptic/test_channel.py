@@ -1,4 +1,4 @@
-"""What a service must not be able to do to the loop: hold it up, or have a brake of another device count as ours."""
+"""Isolation of the loop from a service: it cannot block the loop, and brakes of other devices do not count."""
 
 import base64
 import contextlib
@@ -24,11 +24,11 @@ pytestmark = pytest.mark.live
 
 GUID = b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11"
 PATIENT_S = 2.0
-"""Of a call that may take 10 ms, on a machine that tests."""
+"""Patience in s for a call that may take 10 ms, on a loaded test machine."""
 
 
 def text_frame(message: bytes, first: int = 0x81) -> bytes:
-    """A WebSocket frame of a server, of less than 64 KiB. Source: RFC 6455, section 5.2."""
+    """Return a WebSocket frame of a server, of less than 64 KiB. Source: RFC 6455, section 5.2."""
     size = len(message)
     length = bytes((size,)) if size < 126 else b"\x7e" + size.to_bytes(2, "big")
     return bytes((first,)) + length + message
@@ -36,7 +36,7 @@ def text_frame(message: bytes, first: int = 0x81) -> bytes:
 
 @contextmanager
 def flooding(sent: bytes, first: bytes = b"") -> Iterator[Channel]:
-    """A channel to a server that sends the same bytes as fast as it can."""
+    """Yield a channel to a server that sends the same bytes as fast as it can."""
     listener = socket.create_server(("127.0.0.1", 0))
     over = threading.Event()
 
@@ -81,7 +81,7 @@ def returns_within(seconds: float, call: "threading.Thread") -> None:
     ("first", "sent"),
     [
         (b"", text_frame(b"", 0x89)),  # pings
-        (b"", text_frame(b"", 0x8A)),  # answers to pings that nobody sent
+        (b"", text_frame(b"", 0x8A)),  # unrequested answers to pings
         (text_frame(b"", 0x01), text_frame(b"", 0x00)),  # parts of a message that never ends
     ],
     ids=["pings", "pongs", "parts"],
@@ -107,7 +107,7 @@ def test_a_wait_for_a_frame_ends_whatever_else_arrives(first: bytes, sent: bytes
 def test_a_call_that_does_not_wait_takes_no_more_than_a_few_kilobytes(
     monkeypatch: pytest.MonkeyPatch, first: int
 ) -> None:
-    """64 KiB of them are 32768 frames: half a second where this machine does much else."""
+    """64 KiB of these frames are 32768 frames: half a second on a busy machine."""
     with flooding(text_frame(b"", first)) as channel:
         time.sleep(0.1)
         taken: list[int] = []
@@ -159,7 +159,7 @@ def test_what_is_no_name_is_no_exception(strange: object) -> None:
     happened = event(json.dumps({"name": "device-safety-triggered", "data": {"safety_type": strange}}).encode())
     assert "safety stop" in (event_fault(happened, "049D", None) or "")
     assert brake(happened, "049D") is None
-    # One that names no device may be about ours, and is not about a grip that there is not.
+    # An event without a device may be about ours; it is not about a grip, because there is none.
     of_any = event_fault(event(trip("stall_detected", strange)), "049D", None)
     assert (of_any is not None) is (strange is None)
     gone = event(json.dumps({"name": "device-disconnected", "data": {"device_id": None}}).encode())
@@ -226,11 +226,11 @@ def test_it_is_opened_once_and_anew_after_its_end(service: EmulatedInverse) -> N
     service.do("ebrake off")
     driver.open()
     try:
-        # The release was heard by nobody: the brake is taken for on until one is.
+        # The release was not received: the brake counts as on until a release is.
         assert "was when it was last heard of" in (driver.read().fault or "")
         service.do("ebrake on")
         service.do("ebrake off")
-        # What is acknowledged before the release is heard comes again.
+        # An acknowledgement before the release is received is repeated.
         while driver.read().fault is not None:
             driver.write((0.0, 0.0, 0.0))
             driver.acknowledge()

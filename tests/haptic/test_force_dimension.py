@@ -1,4 +1,4 @@
-"""The driver of Force Dimension devices against a stand-in of the SDK: calls, frames, units, forces, faults."""
+"""Driver of Force Dimension devices against a stand-in of the SDK: calls, frames, units, forces, faults."""
 
 import math
 import threading
@@ -26,10 +26,10 @@ REST = (0.0, 0.0, 0.0)
 HALF = 0.5**0.5
 OMEGA_3, OMEGA_7, SIGMA_7 = 33, 35, 104
 STIFFNESS = 200.0
-"""Of the hand that holds the stand-in, in N/m."""
+"""Stiffness of the hand that holds the stand-in, in N/m."""
 SLOW: dict[str, Any] = {"watchdog_s": 0.0318}
 SLACK = 50.0
-"""Machines that tests run on may take a process away for longer: only the test of the watchdog has a true one."""
+"""Factor on the watchdog's time: test machines may pause a process for longer. Only the watchdog test uses 1."""
 
 
 @pytest.fixture(scope="module")
@@ -39,14 +39,14 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Standin:
 
 @pytest.fixture
 def dhd(shared: Standin) -> Standin:
-    """The same library for each test, as it was when it was loaded."""
+    """Return the same library for each test, in its state after loading."""
     shared.reset()
     shared.set(watchdog_slack=SLACK)
     return shared
 
 
 @contextmanager
-def opened(dhd: Standin, **options: Any) -> Iterator[ForceDimension]:  # noqa: ANN401  # of the driver
+def opened(dhd: Standin, **options: Any) -> Iterator[ForceDimension]:  # noqa: ANN401  # options of the driver
     driver = ForceDimension(**{"library": str(dhd.path), **SLOW, **options})
     driver.open()
     try:
@@ -58,7 +58,7 @@ def opened(dhd: Standin, **options: Any) -> Iterator[ForceDimension]:  # noqa: A
 def step(
     driver: ForceDimension, force: tuple[float, ...] = REST, ticks: int = 1, torque: tuple[float, ...] | None = None
 ) -> MasterSample:
-    """So many ticks with a force; the last sample."""
+    """Run that many ticks with a force; return the last sample."""
     for _ in range(ticks):
         sample = driver.read()
         driver.write(force, torque)
@@ -88,7 +88,7 @@ def test_forces_are_off_until_the_first_write_and_the_device_is_closed_without_f
             "dhdEnableExpertMode()", "dhdGetDeviceCount()", "dhdOpenSerial(1234)", "dhdEnableForce(0)", "dhdGetStatus",
             "dhdSetGravityCompensation(1)", "dhdSetWatchdog(254)", "dhdGetWatchdog()", "dhdSetWatchdog(0)",
         ]  # fmt: skip
-        # A watchdog that runs would bite before the first force.
+        # A running watchdog would trip before the first force.
         assert (dhd.get("watchdog"), dhd.get("force"), dhd.get("brake")) == (0, 0, 1)
         driver.read()
         assert dhd.get("force") == 0
@@ -143,14 +143,14 @@ def test_positions_and_forces_are_turned_into_our_frame(
 
 
 def test_a_pose_is_turned_and_an_active_wrist_exerts_torque(dhd: Standin) -> None:
-    # About the device's x; with -y, x, z as ours that is our y.
+    # The rotation is about the device's x; with axes -y, x, z it is about our y.
     dhd.set(type=SIGMA_7, qw=HALF, qx=HALF)
     with opened(dhd, wrist=True, axes=["-y", "x", "z"], max_torque_n_m=0.5) as driver:
         assert driver.kinds == ("linear", "pose")
         sample = step(driver, (0.0, 0.0, 1.0), 3, (0.05, 0.0, 0.1))
         assert sample.orientation == pytest.approx((HALF, 0.0, HALF, 0.0))
         assert [dhd.get(name) for name in ("tx", "ty", "tz")] == pytest.approx([0.0, -0.05, 0.1])
-        # CHAI3D has 0.2 N m for this model, whatever the option says.
+        # CHAI3D allows 0.2 N m for this model, regardless of the option.
         step(driver, REST, 3, (0.0, 0.0, 0.9))
         assert dhd.get("tz") == pytest.approx(0.2)
         step(driver, REST, 3)
@@ -162,7 +162,7 @@ def test_a_pose_is_turned_and_an_active_wrist_exerts_torque(dhd: Standin) -> Non
 def test_whatever_the_axes_and_the_turn_are_all_is_in_one_frame(
     shared: Standin, axes: list[str], parts: list[float]
 ) -> None:
-    """R is C R C^T, a point C x, a force C^T f: by matrices, of which the driver has none."""
+    """Check by matrices, which the driver does not use: R is C R C^T, a point C x, a force C^T f."""
     norm = float(np.linalg.norm(parts))
     quat = np.array(parts) / norm if norm > 0.1 else np.array([1.0, 0.0, 0.0, 0.0])
     turn, dhd = axes_matrix(axes), shared
@@ -184,7 +184,7 @@ def test_a_passive_wrist_exerts_no_torque_and_says_so(dhd: Standin, capfd: pytes
     dhd.set(type=OMEGA_7, qw=HALF, qz=-HALF)
     with opened(dhd, wrist=True) as driver:
         sample = step(driver, (1.0, 0.0, 0.0), 3, (0.1, 0.1, 0.1))
-        # Either sign is the same orientation.
+        # Both signs describe the same orientation.
         assert sample.orientation is not None
         assert abs(np.dot(sample.orientation, (HALF, 0.0, 0.0, -HALF))) == pytest.approx(1.0)
         assert dhd.force() == (1.0, 0.0, 0.0)
@@ -204,14 +204,14 @@ def test_the_gripper_is_a_trigger_that_pushes_the_finger(dhd: Standin) -> None:
         until(driver, lambda sample: sample.trigger == pytest.approx(0.0, abs=1e-3))
         dhd.set(finger=0.02)
         until(driver, lambda sample: sample.trigger == pytest.approx(0.5, abs=1e-3))
-        # Closing is positive; 1 N on the finger's spring of 200 N/m are 5 mm of a way of 20 mm.
+        # Closing is positive; 1 N on the finger's spring of 200 N/m is 5 mm of its 20 mm stroke.
         driver.write_trigger(1.0)
         until(driver, lambda sample: sample.trigger == pytest.approx(0.75, abs=1e-3))
         assert dhd.get("fg") == -1.0
         driver.write_trigger(-100.0)
         step(driver)
         assert dhd.get("fg") == 4.0
-        # None is at once, and not with the next `write`.
+        # Zero acts at once, not with the next `write`.
         driver.write_trigger(0.0)
         assert dhd.get("fg") == 0.0
         driver.write_trigger(math.nan)
@@ -244,7 +244,7 @@ def test_long_forces_are_shortened_and_bad_ones_are_none(dhd: Standin) -> None:
         step(driver, (float("nan"), 0.0, 0.0))
         assert dhd.force() == REST
         assert driver.read().fault is None
-    # 12 N of an omega by CHAI3D, whatever the option says.
+    # CHAI3D allows 12 N for an omega, regardless of the option.
     dhd.set(hand_k=2000)
     with opened(dhd, max_force_n=20.0) as driver:
         step(driver, (0.0, 19.0, 0.0))
@@ -360,13 +360,13 @@ def test_a_fault_is_named_ends_the_force_and_stays_until_it_is_acknowledged(
         sample = until(driver, lambda sample: sample.fault is not None, (0.5, 0.0, 0.0))
         assert sample.fault is not None
         assert said in sample.fault
-        # Whatever is asked for, no force; and the fault stays though its cause is gone.
+        # The driver exerts no force, whatever the command; the fault stays though its cause is gone.
         dhd.set(**mended)
         step(driver, (0.5, 0.0, 0.0), 10)
         driver.write_trigger(1.0)
         assert (dhd.force(), dhd.get("fg"), dhd.get("force")) == (REST, 0.0, 0.0)
         assert driver.read().fault is not None
-        # By one act, or by two where it was lost: what it is then is to be seen first.
+        # One acknowledgement is enough, or two after a lost device: the operator must see its new state first.
         end_s = time.monotonic() + 10.0
         while step(driver, (0.5, 0.0, 0.0)).fault is not None:
             assert time.monotonic() < end_s, driver.read()
@@ -403,13 +403,13 @@ def test_a_call_that_fails_once_is_a_fault_and_what_is_lost_is_opened_anew(
 def test_a_stop_that_fails_is_tried_again(dhd: Standin) -> None:
     with opened(dhd) as driver:
         step(driver, (0.5, 0.0, 0.0), 10)
-        # A stall of the bus: neither the position nor the stop gets through, and the connection stays.
+        # The bus stalls: both the position and the stop fail, and the connection stays.
         dhd.fail("dhdGetPosition", 7)
         dhd.fail("dhdStop", 7, 3)
         assert until(driver, lambda sample: sample.fault is not None, (0.5, 0.0, 0.0)).fault is not None
         step(driver, (0.5, 0.0, 0.0), 5)
         assert dhd.force() == REST
-        # Once it has got through it is not said again.
+        # The driver does not repeat a stop that has succeeded.
         before = dhd.calls().count("dhdStop()")
         step(driver, (0.5, 0.0, 0.0), 5)
         assert dhd.calls().count("dhdStop()") == before
@@ -423,7 +423,7 @@ def test_an_unplugged_device_is_not_taken_for_one_that_is_there(dhd: Standin) ->
         driver.acknowledge()
         sample = until(driver, lambda sample: "not ready: " in (sample.fault or ""))
         assert "no device found: is it plugged in" in (sample.fault or "")
-        # The last one, as that of a fault.
+        # The fault sample has the last position.
         assert sample.position is not None
 
 
@@ -457,13 +457,13 @@ def test_it_closes_whatever_it_was_in(dhd: Standin) -> None:
     driver.write((1.0, 0.0, 0.0))
     assert driver.read().fault is not None
     assert dhd.calls().count("dhdClose()") == 1
-    # Unplugged, so that every call of the end fails.
+    # The device is unplugged, so that every call of the close fails.
     with opened(dhd) as driver:
         step(driver, (1.0, 0.0, 0.0), 3)
         dhd.set(connected=0)
     assert dhd.get("open") == 0
     dhd.set(connected=1)
-    # Closed while it is opened anew.
+    # Close while the driver reopens the device.
     with opened(dhd) as driver:
         step(driver)
         dhd.fail("dhdGetPosition", 2)
@@ -492,7 +492,7 @@ def test_what_is_closed_while_it_opens_is_closed(dhd: Standin, monkeypatch: pyte
 
     def slowly(checklist: Checklist) -> Session:
         session = connect(checklist)
-        # Another thread closes it just now.
+        # Another thread closes the device at this moment.
         driver.close()
         return session
 

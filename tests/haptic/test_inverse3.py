@@ -1,4 +1,4 @@
-"""The driver of an Inverse3 against the emulated service: frames, forces, faults and the way back."""
+"""The driver of an Inverse3 against the emulated service: frames, forces, faults and recovery."""
 
 import itertools
 import json
@@ -36,7 +36,7 @@ def opened(service: EmulatedInverse, **options: Any) -> Iterator[Inverse3]:  # n
 
 
 def step(driver: Inverse3, force: tuple[float, ...] = (0.0, 0.0, 0.0), ticks: int = 1) -> MasterSample:
-    """So many ticks with a force; the last sample."""
+    """Run some ticks with a force; return the last sample."""
     for _ in range(ticks):
         sample = driver.read()
         driver.write(force)
@@ -61,7 +61,7 @@ def shared() -> Iterator[EmulatedInverse]:
 
 @pytest.fixture
 def service(shared: EmulatedInverse) -> EmulatedInverse:
-    """The same process for each test, as it was at its begin."""
+    """Return the same process for each test, in its initial state."""
     for line in ("ebrake off", "grip wake", "grip back", "plug", "drop 0", "twice 0", "delay 0", "stall 0",
                  "push 0 0 0",
                  "hand 0 -0.12 0.15", "turn 1 0 0 0", "buttons", "disconnect"):  # fmt: skip
@@ -88,7 +88,7 @@ def test_positions_and_forces_are_turned_into_our_frame(
         sample = until(driver, lambda sample: np.allclose(sample.position, ours, atol=4e-4), (0.0,) * len(axes))
         assert sample.fault is None
         assert (sample.orientation, sample.buttons, sample.velocity) == (None, None, None)
-        # 2 N on the hand's spring of 200 N/m: 10 mm along the first of our axes.
+        # 2 N on the hand's spring of 200 N/m are 10 mm along the first of our axes.
         pushed = (ours[0] + 0.01, *ours[1:])
         force = (2.0, 0.0, 0.0)[: len(axes)]
         until(driver, lambda sample: np.allclose(sample.position, pushed, atol=4e-4), force)
@@ -101,7 +101,7 @@ def test_positions_and_forces_are_turned_into_our_frame(
 
 def test_a_pose_has_the_grips_orientation_and_buttons(service: EmulatedInverse) -> None:
     half = 0.5**0.5
-    # About the device's x; with -y, x, z as ours that is our y.
+    # The turn is about the device's x; with -y, x, z as our axes that is our y.
     service.do(f"turn {half} {half} 0 0")
     service.do("buttons a c")
     with opened(service, grip="wireless", axes=["-y", "x", "z"]) as driver:
@@ -109,7 +109,7 @@ def test_a_pose_has_the_grips_orientation_and_buttons(service: EmulatedInverse) 
         sample = step(driver)
         assert sample.orientation == pytest.approx((half, 0.0, half, 0.0))
         assert sample.buttons == 0b101
-        # Torque is not exerted, and is no error.
+        # Torque is not exerted, and not an error.
         driver.read()
         driver.write((0.0, 0.0, 1.0), (0.0, 0.0, 0.3))
 
@@ -188,7 +188,7 @@ def test_the_checklist_says_what_changes_forces(service: EmulatedInverse, capfd:
         assert line in told
     with opened(service):
         pass
-    # What was set before is what the service has now.
+    # The service still has the earlier setting.
     assert "force gate: 0.0: the service alters" in capfd.readouterr().err
 
 
@@ -232,14 +232,14 @@ def test_a_fault_is_named_ends_the_force_and_stays_until_it_is_acknowledged(
         sample = until(driver, lambda sample: sample.fault is not None, (0.5, 0.0, 0.0))
         assert sample.fault is not None
         assert said in sample.fault
-        # Whatever is asked for, no force; and the fault stays though its cause is gone.
+        # There is no force for any command, and the fault stays though its cause is gone.
         for line in mended:
             service.do(line)
         step(driver, (0.5, 0.0, 0.0), 30)
         assert service.status()["commanded"] == [0.0, 0.0, 0.0]
         assert driver.read().fault is not None
-        # By one act, or by two where the connection was lost: what it finds there is to be seen first. And by one more
-        # each time that this machine holds up the service for longer than a reply may take.
+        # One acknowledgement suffices, or two after a lost connection: its new state must be seen first. Each reply
+        # that is late because of this machine takes one more.
         acts = 0
         while (fault := step(driver, (0.5, 0.0, 0.0), 20).fault) is not None:
             acts += 1
@@ -249,7 +249,7 @@ def test_a_fault_is_named_ends_the_force_and_stays_until_it_is_acknowledged(
 
 
 def test_a_reply_of_before_is_never_taken_for_a_new_one(service: EmulatedInverse) -> None:
-    """A reply that comes late belongs to a connection that is closed by then."""
+    """A late reply belongs to a connection that is closed by then."""
     with opened(service) as driver:
         step(driver, ticks=5)
         service.do("delay 100")
@@ -355,7 +355,7 @@ def test_a_late_reply_costs_the_force_of_its_tick_and_nothing_else(service: Emul
 
 
 def sent_n(service: EmulatedInverse) -> float:
-    """Norm of the newest force that the service was sent, in N."""
+    """Return the norm of the last force sent to the service, in N."""
     return float(np.linalg.norm(service.status()["sent"]))
 
 
@@ -385,7 +385,7 @@ def test_after_a_zero_of_the_drivers_own_the_force_grows_from_zero(
         for interrupt in (late, unwritten, unread):
             step(driver, wanted, 20)
             interrupt(driver)
-            # A first force may follow the zero already.
+            # A first force may already follow the zero.
             norms = [0.0, sent_n(service)]
             while norms[-1] < full - 1e-6:
                 driver.write(wanted)
@@ -424,7 +424,7 @@ def test_a_reply_that_does_not_come_is_not_waited_for_longer(service: EmulatedIn
             begun_s = time.monotonic()
             assert driver.read().fault is not None
             taken.append(time.monotonic() - begun_s)
-    # 50 ms; what the machine takes away is not the driver's.
+    # The limit is 50 ms; delays by the machine are not the driver's.
     assert min(taken) < 0.1
     with pytest.raises(ValueError, match="reply_timeout_s"):
         Inverse3(reply_timeout_s=0.016)
@@ -474,7 +474,7 @@ PARTS = [parts for count in range(4) for parts in itertools.combinations(IDENTIT
 
 
 def frame_with(transform: object) -> InverseDevice:
-    """An Inverse3 in a frame of the emulated service whose transform is another."""
+    """Return an Inverse3 from a frame of the emulated service with another transform."""
     frame = json.loads(Service(EmulatedInverse3(EmulatedSettings())).first())
     frame["inverse3"][0]["state"]["transform"] = transform
     (device,) = reply(json.dumps(frame).encode()).inverse3
@@ -513,7 +513,7 @@ REQUIRED: dict[str, dict[str, Any]] = {
     },
     "device_info": dict.fromkeys(("id", "major_version", "minor_version", "device_type", "uuid"), None),
 }
-"""Fields without which the vendor's public client (crate `haply` 1.3.1) refuses a frame, and values that it knows."""
+"""Fields and known values without which the vendor's public client (crate `haply` 1.3.1) refuses a frame."""
 
 
 @pytest.mark.parametrize("commanded", [False, True], ids=["idle", "force"])

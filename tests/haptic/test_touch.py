@@ -24,7 +24,7 @@ pytestmark = pytest.mark.live
 REST = (0.0, 0.0, 0.0)
 HALF = 0.5**0.5
 STIFFNESS = 200.0
-"""Of the hand that holds the stand-in, in N/m."""
+"""Stiffness in N/m of the hand that holds the stand-in."""
 SLOW: dict[str, Any] = {"watchdog_s": 0.05, "sample_timeout_s": 0.018}
 NEEDS_UPDATE, NEEDS_HAND = 0x5001, 0x5002
 
@@ -36,7 +36,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Standin:
 
 @pytest.fixture
 def hd(shared: Standin) -> Standin:
-    """The same library for each test, as it was when it was loaded."""
+    """Return the same library for each test, in its initial state."""
     shared.reset()
     return shared
 
@@ -52,7 +52,7 @@ def opened(hd: Standin, **options: Any) -> Iterator[Touch]:  # noqa: ANN401  # o
 
 
 def step(driver: Touch, force: tuple[float, ...] = REST, ticks: int = 1) -> MasterSample:
-    """So many ticks with a force; the last sample. The device paces it."""
+    """Run some ticks with a force, paced by the device; return the last sample."""
     for _ in range(ticks):
         sample = driver.read()
         driver.write(force)
@@ -60,7 +60,7 @@ def step(driver: Touch, force: tuple[float, ...] = REST, ticks: int = 1) -> Mast
 
 
 def until(driver: Touch, done: Callable[[MasterSample], bool], force: tuple[float, ...] = REST) -> MasterSample:
-    """Steps until it is so; a frame that came too late on a busy machine is acknowledged."""
+    """Step until the condition holds; a frame that is late on a busy machine is acknowledged."""
     end_s = time.monotonic() + 10.0
     while not done(sample := step(driver, force)):
         assert time.monotonic() < end_s, sample
@@ -74,7 +74,7 @@ def at_rest(sample: MasterSample) -> bool:
 
 
 def exerted(hd: Standin, driver: Touch, force: tuple[float, ...], wanted: tuple[float, float, float]) -> None:
-    """The device exerts a force, in its own frame, within some ticks."""
+    """Assert that the device exerts a force, in its own frame, within some ticks."""
     until(driver, lambda _: np.allclose(hd.force(), wanted, atol=1e-9), force)
 
 
@@ -88,7 +88,7 @@ def test_it_is_opened_scheduled_and_closed_in_the_order_of_the_vendor(hd: Standi
             "hdInitDevice(NULL)", "hdMakeCurrentDevice", "hdCheckCalibration", "hdEnable(0x4000)", "hdEnable(0x4001)",
             "hdScheduleAsynchronous(priority 0x7FFF)", "hdStartScheduler()",
         ]  # fmt: skip
-        # One frame: it is begun, read, written and ended.
+        # A frame is begun, read, written and ended.
         frame = calls[calls.index("hdStartScheduler()") + 1 :]
         assert frame == [
             "hdMakeCurrentDevice", "hdBeginFrame", "hdGetDoublev(transform)", "hdGetDoublev(velocity)",
@@ -127,7 +127,7 @@ def test_each_sample_is_a_new_frame_and_its_device_paces(hd: Standin) -> None:
 @pytest.mark.parametrize(
     ("axes", "ours", "pushed"),
     [
-        # x right, y up, z to the user of the device: x to the user, y right, z up of ours.
+        # The device has x right, y up, z to the user; ours has x to the user, y right, z up.
         (None, (0.03, 0.01, 0.02), (0.0, 0.0, 2.0)),
         (["x", "-z", "y"], (0.01, -0.03, 0.02), (2.0, 0.0, 0.0)),
         (["-y"], (-0.02,), (0.0, -2.0, 0.0)),
@@ -142,7 +142,7 @@ def test_positions_and_forces_are_turned_into_our_frame(
         rest = (0.0,) * len(ours)
         sample = until(driver, lambda sample: at_rest(sample) and np.allclose(sample.position, ours, atol=1e-5), rest)
         assert (sample.fault, sample.orientation, sample.trigger, sample.buttons) == (None, None, None, 0)
-        # 2 N on a spring of 200 N/m: 10 mm along the first of our axes.
+        # 2 N on a spring of 200 N/m are 10 mm along the first of our axes.
         force = (2.0, 0.0, 0.0)[: len(ours)]
         moving = until(driver, lambda sample: not at_rest(sample), force)
         assert moving.velocity is not None
@@ -153,7 +153,7 @@ def test_positions_and_forces_are_turned_into_our_frame(
 
 
 def test_a_pose_is_turned_into_our_frame_and_torque_is_left_out(hd: Standin, capfd: pytest.CaptureFixture[str]) -> None:
-    # About the device's y, which is up: about our z. A transform that is read row by row turns the other way.
+    # The turn is about the device's y, which is up: our z. A transform read row by row would turn the other way.
     hd.set(qw=np.cos(0.3), qy=np.sin(0.3), buttons=0b10)
     with opened(hd, orientation=True) as driver:
         assert driver.kinds == ("linear", "pose")
@@ -170,7 +170,7 @@ def test_a_pose_is_turned_into_our_frame_and_torque_is_left_out(hd: Standin, cap
 def test_whatever_the_axes_and_the_turn_are_all_is_in_one_frame(
     shared: Standin, axes: list[str], parts: list[float]
 ) -> None:
-    """R is C R C^T, a point C x, a force C^T f: by matrices, of which the driver has none."""
+    """R is C R C^T, a point C x, a force C^T f; by matrices, which the driver does not use."""
     norm = float(np.linalg.norm(parts))
     quat = np.array(parts) / norm if norm > 0.1 else np.array([1.0, 0.0, 0.0, 0.0])
     turn, hd = axes_matrix(axes), shared
@@ -190,7 +190,7 @@ def test_long_forces_are_shortened_and_bad_ones_are_none(hd: Standin) -> None:
     with opened(hd, max_force_n=1.0) as driver:
         exerted(hd, driver, (3.0, 0.0, 4.0), (0.0, 0.8, 0.6))
         exerted(hd, driver, (float("nan"), 0.0, 0.0), REST)
-    # No more than the device says of itself.
+    # The force is at most the device's own limit.
     hd.set(hand_k=2000)
     with opened(hd, max_force_n=9.0) as driver:
         exerted(hd, driver, (0.0, 8.0, 0.0), (3.3, 0.0, 0.0))
@@ -214,14 +214,14 @@ def test_a_force_ends_where_its_loop_hangs(hd: Standin, capfd: pytest.CaptureFix
         time.sleep(0.6)
         assert hd.force() == REST
         assert hd.library.standin_forced(100) == 0
-        # It goes on with the next.
+        # The force returns with the next tick.
         exerted(hd, driver, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     assert driver.starved_ticks > 100
     assert "frames without force: none came in time" in capfd.readouterr().err
 
 
 def test_a_force_ends_even_while_nobody_gives_the_interpreter_back(hd: Standin) -> None:
-    """What a callback in Python could not: it waits for the lock, and the device keeps its force."""
+    """A callback in Python could not end the force: it waits for the lock."""
     holds = ctypes.PyDLL(None)  # unlike CDLL, its calls keep the interpreter's lock
     with opened(hd, watchdog_s=0.010) as driver:
         exerted(hd, driver, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
@@ -240,12 +240,12 @@ def test_a_force_ends_even_while_nobody_gives_the_interpreter_back(hd: Standin) 
     ("numbers", "options", "said"),
     [
         ({"there": 0}, {}, "device: the default one: communication (0x0302, internal -770): see its USB cable"),
-        # The handle alone may say so.
+        # The handle alone may indicate this.
         ({"there": 0, "silent_init": 1}, {}, "device: the default one: no handle: run the vendor's Touch_Setup"),
         ({}, {"device_name": "Right"}, "device: Right: communication"),
         ({"axes": 0}, {}, "force axes: 0: must be 3"),
         ({"calibration": NEEDS_HAND}, {}, "calibration: needs a hand: put the stylus into the inkwell"),
-        # One that takes the pose of now for the neutral one is a person's act.
+        # An update that takes the current pose as neutral needs a person.
         ({"calibration": NEEDS_UPDATE, "style": 1}, {}, "calibration: needs an update: put the stylus"),
         ({"max_force": 0}, {}, "force: the device says at most 0 N"),
         ({"rate": 60}, {}, "rate: 60 Hz: must be 400 to 4000 Hz"),
@@ -271,7 +271,7 @@ def test_a_stylus_in_its_inkwell_is_calibrated_at_the_begin(hd: Standin) -> None
     with opened(hd) as driver:
         assert "hdUpdateCalibration(4)" in hd.calls()
         until(driver, lambda sample: sample.fault is None)
-        # In a run it would move the position under the hand.
+        # In a run an update would move the position under the hand.
         hd.set(calibration=NEEDS_UPDATE)
         step(driver, REST, 250)
         assert hd.calls().count("hdUpdateCalibration(4)") == 1
@@ -289,7 +289,7 @@ def raise_error(code: int) -> Callable[[Standin], None]:
 
 
 def nothing(hd: Standin) -> None:
-    """The cause is gone by itself."""
+    """Do nothing: the cause is gone by itself."""
 
 
 FAULTS = [
@@ -320,13 +320,13 @@ def test_a_fault_is_named_ends_the_force_and_stays_until_it_is_acknowledged(
             assert time.monotonic() < end_s
         assert sample.fault is not None
         assert said in sample.fault
-        # Whatever is asked for, no force; and the fault stays though its cause is gone.
+        # There is no force for any command, and the fault stays though its cause is gone.
         mended(hd)
         step(driver, (0.5, 0.0, 0.0), 10)
         time.sleep(0.02)
         assert hd.force() == REST
         assert driver.read().fault is not None
-        # By one act, or by two where it was lost: what it is then is to be seen first.
+        # One acknowledgement suffices, or two after a lost device: its new state must be seen first.
         while step(driver, (0.5, 0.0, 0.0)).fault is not None:
             assert time.monotonic() < end_s, driver.read()
             driver.acknowledge()
@@ -361,7 +361,7 @@ def test_a_frame_that_does_not_come_is_waited_for_no_longer_than_the_option_says
             assert driver.read().fault is not None
             taken.append(time.monotonic() - begun_s)
             hd.set(hangs=0)
-    # 15 ms by default; what the machine takes away is not the driver's.
+    # The default is 15 ms; delays by the machine are not the driver's.
     assert min(taken) < 0.1
     with pytest.raises(ValueError, match="sample_timeout_s"):
         Touch(library=str(hd.path), sample_timeout_s=0.019)
@@ -384,13 +384,13 @@ def test_it_closes_whatever_it_was_in(hd: Standin) -> None:
     driver.write((1.0, 0.0, 0.0))
     assert driver.read().fault is not None
     assert hd.calls().count("hdDisableDevice(0)") == 1
-    # A scheduler that does not come to the last frame.
+    # The scheduler does not reach the last frame.
     with opened(hd) as driver:
         step(driver, (1.0, 0.0, 0.0), 3)
         hd.set(hangs=1)
     assert (hd.get("open"), hd.get("scheduler"), hd.get("output")) == (0, 0, 0)
     hd.set(hangs=0)
-    # Closed while it is opened anew.
+    # The device is closed while it is reopened.
     with opened(hd) as driver:
         step(driver)
         hd.error(0x302)

@@ -1,4 +1,4 @@
-"""How a vendor's library is found, and what is said where it is not."""
+"""Search for a vendor's library, and the messages if it is missing."""
 
 import shutil
 from pathlib import Path
@@ -18,7 +18,7 @@ PLACES = {
 }
 
 
-def refusal(driver: str, **options: Any) -> str:  # noqa: ANN401  # of the driver
+def refusal(driver: str, **options: Any) -> str:  # noqa: ANN401  # options of the driver
     with pytest.raises(RefusedError) as refused:
         load_master(driver, options).open()
     return str(refused.value)

@@ -1,4 +1,4 @@
-"""Both drivers in the commands that use them: checked alone, and a hand that feels a wall through the whole bridge."""
+"""Both drivers in their commands: checked alone, and with a hand that feels a wall through the whole bridge."""
 
 import json
 import os
@@ -24,9 +24,9 @@ SOURCES = {"force-dimension": "force_dimension/dhd.c", "touch": "touch/hd.c"}
 CLOSED = {"force-dimension": "dhdClose()", "touch": "hdDisableDevice(0)"}
 PATIENT = {"force-dimension": "watchdog_s=0.0318", "touch": "sample_timeout_s=0.018"}
 ALONG = {"force-dimension": '["x"]', "touch": '["z"]'}
-"""One axis, that towards the user."""
+"""One axis, towards the user."""
 MOVES_S = 2.0
-"""When the hand goes into the wall, after the device was opened: the two sides have engaged by then."""
+"""Time in s from the opening of the device until the hand goes into the wall; both sides have engaged by then."""
 # A wall of 100 N/m begins where the two sides engage.
 SCENE = """
 schema = 1
@@ -50,7 +50,7 @@ def libraries(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def environment(tmp_path: Path, **standin: str) -> dict[str, str]:
-    """That of a process whose stand-in writes its calls anew."""
+    """Return the environment of a process whose stand-in writes a new log of calls."""
     (tmp_path / "calls").unlink(missing_ok=True)
     given = {f"STANDIN_{name.upper()}": value for name, value in standin.items()}
     return {**os.environ, "STANDIN_LOG": str(tmp_path / "calls"), **given}
@@ -91,7 +91,7 @@ def test_check_device_passes_it_and_closes_it_twice(
     found = {finding["check"]: finding for finding in report["findings"]}
     assert found["close after an exception"]["verdict"] == "pass"
     assert found["zero at begin and end"]["verdict"] == "pass"
-    # The loop is at 1 kHz, though a machine that runs tests may miss some of it.
+    # The loop is at 1 kHz, but a loaded test machine may miss some of it.
     assert report["timing"]["period_p50_s"] == pytest.approx(1e-3, rel=0.2)
     assert calls(tmp_path).count(CLOSED[driver]) == 2
     assert calls(tmp_path)[-1] == CLOSED[driver]
@@ -109,7 +109,7 @@ def test_check_device_says_what_is_missing(tmp_path: Path) -> None:
 class Pair:
     """A slave with a wall, and a master with the driver, as processes.
 
-    Their loops of 1 kHz have a fault where a full machine keeps them waiting for 18 ms.
+    Their loops of 1 kHz fault if a loaded machine delays them by 18 ms.
     """
 
     def __init__(
@@ -157,7 +157,7 @@ class Pair:
 
 
 def hand(driver: str, *later: str) -> dict[str, str]:
-    """The stand-in's hand, critically damped, goes 20 mm into the wall; what happens later."""
+    """Return settings of the stand-in's critically damped hand, which goes 20 mm into the wall, and later changes."""
     axis = {"force-dimension": "hand_x", "touch": "hand_z"}[driver]
     damping = {"force-dimension": 12.6, "touch": 8.9}[driver]
     return {
@@ -180,12 +180,12 @@ def test_a_hand_feels_a_wall_through_the_whole_bridge(driver: str, libraries: di
     with Pair(driver, libraries[driver], tmp_path, duration_s=4.0, **hand(driver)) as pair:
         _, said = pair.master.communicate(timeout=60)
         assert pair.master.returncode == 0, said
-    # Said before it is opened: it holds up its own weight.
+    # The announcement comes before the device is opened: it supports its own weight.
     is_said = "it exerts force by itself" in said.partition(f"{driver}: ok ")[0]
     assert is_said == (driver == "force-dimension")
     trace = np.load(tmp_path / "master.npz")
     position, force = trace["position"].ravel(), trace["device_force"].ravel()
-    # The wall fills x < 0 and pushes out, where the hand of 200 N/m means to be 20 mm within: two springs in a row.
+    # The wall fills x < 0 and pushes out. The hand of 200 N/m aims 20 mm inside: two springs in series.
     assert force[-1] == pytest.approx(200.0 * (position[-1] + 0.02), abs=0.15)
     assert force[-1] == pytest.approx(0.02 / (1 / 100 + 1 / 200), abs=0.25)
     assert position[-1] == pytest.approx(-0.02 + force[-1] / 200.0, abs=1e-3)
@@ -194,7 +194,7 @@ def test_a_hand_feels_a_wall_through_the_whole_bridge(driver: str, libraries: di
     assert calls(tmp_path)[-1] == CLOSED[driver]
 
 
-# A gripper that holds something at 0.6 of its stroke, of whose 40 N the finger feels a twentieth.
+# A gripper holds an object at 0.6 of its stroke; the finger feels a twentieth of its 40 N.
 GRIPPING = """
 schema = 1
 [master]
@@ -221,7 +221,7 @@ def test_a_finger_feels_what_the_gripper_holds(libraries: dict[str, Path], tmp_p
         _, said = pair.master.communicate(timeout=60)
         assert pair.master.returncode == 0, said
     signals = read_recording(tmp_path / "master.mcap").signals
-    # Opening is negative. The finger of 200 N/m means to be closed, and 2 N hold it 10 of 30 mm open.
+    # Opening is negative. The finger of 200 N/m aims to be closed, and 2 N hold it 10 of 30 mm open.
     assert signals["trigger_device_force"][-1] == pytest.approx(-2.0, abs=0.05)
     assert signals["trigger"][-1] == pytest.approx(1.0 - 2.0 / 200.0 / 0.03, abs=0.02)
     assert signals["trigger"][100] == pytest.approx(0.0, abs=0.02)
@@ -268,7 +268,7 @@ def test_an_unplugged_device_is_a_fault_of_the_run_and_is_closed(
 @pytest.mark.parametrize("driver", SOURCES)
 @anew_after_stalls
 def test_nothing_of_ours_outlives_a_kill(driver: str, libraries: dict[str, Path], tmp_path: Path) -> None:
-    """What ends the force then is the controller's watchdog, armed with the first force, or the vendor's driver."""
+    """The force ends by the controller's watchdog, armed with the first force, or by the vendor's driver."""
     with Pair(driver, libraries[driver], tmp_path, duration_s=None, **hand(driver)) as pair:
         until_in_log(tmp_path, {"force-dimension": "dhdSetWatchdog(254)", "touch": "hdStartScheduler()"}[driver])
         time.sleep(MOVES_S + 0.5)
@@ -277,5 +277,5 @@ def test_nothing_of_ours_outlives_a_kill(driver: str, libraries: dict[str, Path]
     written = calls(tmp_path)
     assert CLOSED[driver] not in written
     if driver == "force-dimension":
-        # The last word of the watchdog is that it is armed.
+        # The last call of the watchdog armed it.
         assert [line for line in written if line.startswith("dhdSetWatchdog")][-1] == "dhdSetWatchdog(254)"

@@ -1,1 +1,1 @@
-"""Makes the pictures of the documents anew: `python -m tests.images [--out DIR] [PICTURE...]`, or `make images`."""
+"""Generator of the pictures in the documents: `python -m tests.images [--out DIR] [PICTURE...]`, or `make images`."""

@@ -8,7 +8,7 @@ from tests.images.numbers import keep
 
 
 def main() -> None:
-    """Make the pictures that are named, or all."""
+    """Generate the named pictures, or all."""
     options = argparse.ArgumentParser(description="Makes the pictures of the documents anew.")
     options.add_argument("--out", metavar="DIR", type=Path, default=ROOT / "docs" / "images")
     options.add_argument("pictures", metavar="PICTURE", nargs="*", help=f"one of {', '.join(MAKERS)}; by default all")

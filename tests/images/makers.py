@@ -1,4 +1,4 @@
-"""How each picture of the documents is made: the command lines that its page gives, or who photographs a screen."""
+"""Makers of the documents' pictures: the command line on the page of each, or a function that photographs a screen."""
 
 import shutil
 import subprocess
@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 LONGEST_S = 900.0
 
 Maker = Callable[[Path], None]
-"""Writes a picture to a path."""
+"""Function that writes a picture to a path."""
 
 
 def run(*command: str) -> None:
@@ -24,12 +24,12 @@ def run(*command: str) -> None:
 
 
 def haptether(*arguments: str) -> Maker:
-    """A command whose last option takes the path of the picture."""
+    """Return the maker of a command whose last option takes the path of the picture."""
     return lambda path: run(sys.executable, "-m", "haptether", *arguments, str(path), "--force")
 
 
 def from_folder(name: str, *command: str) -> Maker:
-    """A command that writes into a folder, of which one file is kept."""
+    """Return the maker of a command that writes into a folder, and keep one file of it."""
 
     def make(path: Path) -> None:
         with TemporaryDirectory() as folder:
@@ -78,4 +78,4 @@ MAKERS: Mapping[str, Maker] = {
     "view_ur_pick.png": haptether("view", "ur_pick", "--camera", "corner", "--at-s", "4", "--screenshot"),
     "work_precision.png": from_folder("work_precision.png", "benches/work_precision.py", "--plot"),
 }  # fmt: skip
-"""By the name under docs/images."""
+"""Makers by file name under docs/images."""

@@ -1,4 +1,4 @@
-"""The numbers behind the pictures of the documents: the output of commands, kept when the pictures are made."""
+"""The numbers behind the documents' pictures: the output of commands, stored together with the pictures."""
 
 import hashlib
 import json
@@ -46,14 +46,14 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "view_remote_push.png": (REMOTE_PUSH,),
     "view_ur_pick.png": ("simulate ur_pick",),
 }
-"""By picture. `flame_remote_push.png` shows a stored profile, and `work_precision.png` the times of a machine."""
+"""Commands by picture. `flame_remote_push.png` shows a stored profile; `work_precision.png` depends on the machine."""
 
 SLOW = frozenset(command for name in ("thresholds.png", "tune.png") for command in COMMANDS[name])
-"""Commands of more than 10 s."""
+"""Commands that take more than 10 s."""
 
 
 def output(command: str) -> list[str]:
-    """Lines that a command prints, without paths and run times."""
+    """Return the lines that a command prints, without paths and run times."""
     if command == "tune":
         lines = record_numbers()
     else:
@@ -64,12 +64,12 @@ def output(command: str) -> list[str]:
 
 
 def sha256(picture: Path) -> str:
-    """Digest of a picture."""
+    """Return the digest of a picture."""
     return hashlib.sha256(picture.read_bytes()).hexdigest()
 
 
 def keep(pictures: list[Path]) -> None:
-    """Write the digests of pictures that were just made, and the numbers behind them."""
+    """Store the digests of new pictures, and the numbers behind them."""
     kept = json.loads(KEPT.read_text()) if KEPT.exists() else {"pictures": {}, "commands": {}}
     for picture in pictures:
         kept["pictures"][picture.name] = sha256(picture)

@@ -15,11 +15,11 @@ from haptether.bridge import TelemetryReader
 from haptether.view import SideState, panel
 
 BEGIN_S, SHOWN_S = 30.0, 2.9
-"""How long both sides may take to begin, and which time of the hand is shown: it has let go just before."""
+"""Time in s that both sides may take to begin, and time shown: the hand has let go just before."""
 
 
 def photograph_panel(path: Path) -> None:
-    """Write a PNG of what `haptether watch` shows of a live master."""
+    """Write a PNG of `haptether watch` on a live master."""
     with TemporaryDirectory() as folder:
         socket, key = Path(folder) / "master.sock", Path(folder) / "arm.key"
         haptether = (sys.executable, "-m", "haptether")
@@ -54,7 +54,7 @@ def photograph_panel(path: Path) -> None:
 
 
 def watched(socket: Path) -> SideState:
-    """What is known of a side at `SHOWN_S`."""
+    """Return the state of a side at `SHOWN_S`."""
     with TelemetryReader(socket) as reader:
         state = SideState(reader.hello)
         for message in reader:
@@ -65,7 +65,7 @@ def watched(socket: Path) -> SideState:
 
 
 def photograph(shown: RenderableType, path: Path) -> None:
-    """Write what Rich shows as PNG."""
+    """Write Rich output as PNG."""
     screen = Console(record=True, width=80, file=io.StringIO(), force_terminal=True)
     screen.print(shown)
     drawn = screen.export_svg(title="haptether watch")

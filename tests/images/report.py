@@ -1,4 +1,4 @@
-"""What a notebook shows of a run, as a picture."""
+"""Picture of the report of a run in a notebook."""
 
 from pathlib import Path
 

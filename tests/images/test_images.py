@@ -1,4 +1,4 @@
-"""Each picture of the documents is there, is shown, and can be made anew."""
+"""Each picture of the documents exists, is shown, and has a maker."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""The picture of `haptether tune`: hands that press the wall of `remote_push` and hold, and thresholds of them."""
+"""Picture of `haptether tune`: hands that press the wall of `remote_push` and hold, and their thresholds."""
 
 import subprocess
 import sys
@@ -20,11 +20,11 @@ SETTINGS = (
     "safety.vfc_form=both",
     "safety.vfc_force_threshold_n=0.3",
 )
-"""Of docs/thresholds.md."""
+"""Settings of docs/thresholds.md."""
 
 
 def record_hands(folder: Path, hands: int = HANDS, seed: int = 1) -> list[Path]:
-    """Recordings of masters, each of another random hand that holds."""
+    """Record masters, each with another random hand that holds."""
     task = Task("remote_push", 0.1)
     drawn, held = task.hands(hands, seed, HandBounds()), task.with_controllers(task.lasting(HandBounds()), None, {})
     files = [folder / f"hand{hand}.mcap" for hand in range(hands)]
@@ -38,22 +38,22 @@ def record_hands(folder: Path, hands: int = HANDS, seed: int = 1) -> list[Path]:
 
 
 def photograph_tuning(path: Path) -> None:
-    """Draw what `haptether tune` draws of them."""
+    """Draw the plot of `haptether tune` for these recordings."""
     tune("--plot", str(path), "--force")
 
 
 def record_numbers() -> list[str]:
-    """Lines that `haptether tune` prints of them."""
+    """Return the lines that `haptether tune` prints for these recordings."""
     return tune()
 
 
 def tune(*options: str) -> list[str]:
-    """Run the command on fresh recordings; return what it prints, without the folder of the recordings."""
+    """Run the command on new recordings; return its output without the folder of the recordings."""
     with TemporaryDirectory() as folder:
         files = map(str, record_hands(Path(folder)))
         changes = [word for setting in SETTINGS for word in ("--set", setting)]
         command = [sys.executable, "-m", "haptether", "tune", *files, *changes, *options]
-        # Status 1 says that the recordings are too short for a threshold, 0 that they are not.
+        # Status 1 means that the recordings are too short for a threshold; 0 means that they are not.
         ran = subprocess.run(command, check=True, timeout=900.0, stdout=subprocess.PIPE, text=True)
         return ran.stdout.replace(f"{folder}/", "").splitlines()
 

@@ -1,4 +1,4 @@
-"""An arm whose servos are built in otherwise than described: calibrated as a person does it, then led with."""
+"""An arm whose servos are mounted differently from its description: calibrated by a person, then used to lead."""
 
 import math
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ from haptether.master.dynamixel import DynamixelMaster
 
 OFFSETS, SIGNS = (1.1, -0.7), (-1, 1)
 STIFF = "800 8"
-"""N m/rad and N m s/rad of the hand that holds a joint: it gives way by 1 mrad to the weight."""
+"""Hand that holds a joint, in N m/rad and N m s/rad: it yields to the weight by 1 mrad."""
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def bus(two: Path) -> Iterator[EmulatedBus]:
 
 
 def held(bus: EmulatedBus, arm: ArmDescription, *q: float) -> None:
-    """A hand holds the joints at angles of the arm as it is built."""
+    """Hold the joints at angles of the real arm."""
     for joint, angle in zip(arm.joints, q, strict=True):
         bus.do(f"hand {joint.servo} {joint.sign * angle + joint.offset_rad} {STIFF} 0.1")
     at_least_one_read()

@@ -1,4 +1,4 @@
-"""A compensated leader in virtual time: what the hand needs to move it, and that nothing of it is a push."""
+"""A compensated leader in virtual time: the effort of the hand that moves it, and no active push."""
 
 import itertools
 import math
@@ -20,11 +20,11 @@ TICK_S = 0.002
 SWING_RAD = 1.0
 SWING_S = 6.0
 MOVING_RAD_S = 0.05
-"""Two units of Present Velocity: below it friction is not known to have a direction."""
+"""Two units of Present Velocity, in rad/s: below it the direction of friction is unknown."""
 
 
 def with_friction(name: str) -> ArmDescription:
-    """A shipped arm, with the friction that the emulator gives it: nobody has measured it."""
+    """Return a shipped arm with the emulator's friction, as nobody has measured the real one."""
     arm = load_arm(name)
     joints = []
     for joint in arm.joints:
@@ -38,7 +38,7 @@ def with_friction(name: str) -> ArmDescription:
 
 
 class Leader:
-    """An emulated arm in mode 0, compensated each tick from what its servos measure."""
+    """Emulated arm in mode 0, compensated each tick from the servos' measurements."""
 
     def __init__(self, arm: ArmDescription, options: LeaderOptions, mass_scale: float = 1.0) -> None:
         self.arm = arm
@@ -92,11 +92,11 @@ class Effort(NamedTuple):
     hand: float
     gravity: float
     moving: float
-    """Of the hand, at joints that move."""
+    """Effort of the hand at joints that move."""
 
 
 def swing(leader: Leader) -> Effort:
-    """A stiff hand swings all joints about the start, slowly; what it needs, and what gravity is."""
+    """Swing all joints slowly about the start with a stiff hand; return the effort of the hand and gravity."""
     start = leader.q
     for joint, servo, at in zip(leader.arm.joints, leader.servos, start, strict=True):
         servo.joint.hand = HeldBy(goal_rad=joint.sign * at, stiffness=200.0, damping=2.0)
@@ -142,11 +142,11 @@ def without_friction(name: str) -> ArmDescription:
 
 @pytest.mark.parametrize("name", ["factr", "gello-ur"])
 def test_free_motion_needs_under_5_percent_of_gravity(name: str) -> None:
-    """1.0 %: whole units of current, and what accelerates the arm."""
+    """Check the effort: 1.0 %, from whole units of current and the acceleration of the arm."""
     light = swing(Leader(without_friction(name), options()))
     heavy = swing(Leader(without_friction(name), options(gravity_gain=0.0)))
     assert light.hand < 0.05 * light.gravity
-    # Without it the hand carries the arm.
+    # Without compensation the hand carries the arm.
     assert heavy.hand == pytest.approx(heavy.gravity, rel=0.05)
 
 
@@ -160,19 +160,19 @@ def test_masses_wrong_by_5_percent_are_felt_as_5_percent(scale: float) -> None:
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["factr", "gello-ur"])
 def test_free_motion_with_friction_needs_under_5_percent_of_gravity(name: str) -> None:
-    """3.2 % while joints move, of 28 and 26 %; starts and stops of the motion cost what standing friction does."""
+    """Check the effort: 3.2 % while joints move, of 28 and 26 %; starts and stops cost the static friction."""
     arm = with_friction(name)
     dry, eased = (swing(Leader(arm, options(friction_gain=gain, friction_speed=0.03))) for gain in (0.0, 0.9))
     assert dry.moving > 0.2 * dry.gravity
     assert eased.moving < 0.05 * eased.gravity
-    # Less than friction where the motion begins and ends, or it would push: 8.2 and 7.1 %.
+    # At starts and stops the compensation stays below friction, or it would push: 8.2 and 7.1 %.
     assert 0.05 * eased.gravity < eased.hand < 0.1 * eased.gravity
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("told", "low", "high"), [(0.8, 0.05, 0.1), (1.1, 0.0, 0.03)])
 def test_friction_is_compensated_as_well_as_it_is_known(told: float, low: float, high: float) -> None:
-    """At 0.8 of it 8.0 % are left, at 1.1, of which 0.99 are compensated, 1.2 %."""
+    """Check the effort: 8.0 % remain at 0.8 of the friction, 1.2 % at 1.1, of which 0.99 are compensated."""
     arm = with_friction("factr")
     leader = Leader(arm, options())
     joints = tuple(
@@ -192,7 +192,7 @@ def test_friction_is_compensated_as_well_as_it_is_known(told: float, low: float,
 
 @pytest.mark.parametrize("scale", [0.95, 1.0, 1.05])
 def test_an_arm_that_is_let_go_stays(scale: float) -> None:
-    """5 % of its weight is less than what friction still takes."""
+    """Scale the weight: an error of 5 % is less than the remaining friction."""
     leader = Leader(with_friction("factr"), options(friction_gain=0.9), mass_scale=scale)
     before = leader.q
     for _ in range(1000):
@@ -201,7 +201,7 @@ def test_an_arm_that_is_let_go_stays(scale: float) -> None:
 
 
 def test_an_arm_that_is_thrown_comes_to_rest() -> None:
-    """The most that friction is compensated takes less than friction: no joint is kept going."""
+    """The largest compensation is less than friction, so that no joint keeps going."""
     leader = Leader(with_friction("factr"), options(friction_gain=0.9, friction_speed=0.01))
     leader.servos[0].joint.velocity_rad_s = leader.servos[4].joint.velocity_rad_s = 1.5
     for _ in range(2000):
@@ -236,7 +236,7 @@ def test_limits_push_back_and_brake_only_on_the_way_in() -> None:
     assert first(high, 0.0) == pytest.approx(-0.1 * 1.0356)
     assert first(low, 0.0) == pytest.approx(0.1 * 1.0356)
     assert first(high, 1.0) == pytest.approx(-0.1 * 1.0356 - 0.0432)
-    # The way out is not braked: it would hold the joint in the spring.
+    # The way out of the spring is not braked: friction would hold the joint there.
     assert first(high, -1.0) == pytest.approx(-0.1 * 1.0356)
     assert first(low, -1.0) == pytest.approx(0.1 * 1.0356 + 0.0432)
     assert first(0.5 * (low + high), 3.0) == 0.0
@@ -253,7 +253,7 @@ def test_it_is_bounded() -> None:
 
 
 def test_springs_that_would_meet_leave_no_step_between_them() -> None:
-    """A margin of more than half of a joint's range."""
+    """Use a margin of more than half of a joint's range."""
     arm = load_arm("factr")
     joint = msgspec.structs.replace(arm.joints[0], low_rad=-0.1, high_rad=0.3, near_rad=None)
     arm = msgspec.structs.replace(arm, joints=(joint, *arm.joints[1:]), gravity_m_s2=(0.0, 0.0, 0.0))
@@ -262,5 +262,5 @@ def test_springs_that_would_meet_leave_no_step_between_them() -> None:
     rest = [joint.start_rad for joint in arm.joints[1:]]
     places = np.linspace(-0.15, 0.35, 501)
     torques = np.array([compensation.torques([q, *rest], [0.0] * 7)[0] for q in places])
-    # -K (q - 0.1): of both springs, which meet amid the limits.
+    # -K (q - 0.1): the sum of both springs, which meet between the limits.
     assert torques == pytest.approx(-2.0 * (places - 0.1), abs=1e-9)

@@ -1,4 +1,4 @@
-"""Demonstrations with an emulated leader arm, as processes: something is picked up; a push and a hand that lets go."""
+"""Demonstrations with an emulated leader arm, as processes: a pick; a push and a released hand."""
 
 import contextlib
 import time
@@ -19,7 +19,7 @@ STALLED = f"this machine stalled a loop in each of {ATTEMPTS} runs"
 
 
 class Never:
-    """Nobody asks to stop."""
+    """A stop that never comes."""
 
     def __bool__(self) -> bool:
         return False
@@ -66,7 +66,7 @@ def test_a_follower_grips_and_carries_and_a_push_reaches_the_hand_damped(tmp_pat
             pytest.fail(STALLED)
         assert result.is_carried, result
         assert result.led_rad == pytest.approx(scene.led_rad, abs=0.02)
-        # What the gripper is set to, as its current says; 0.3 of it at the trigger.
+        # The grip is the gripper's setting, measured by current; the trigger gets 0.3 of it.
         assert result.grip_n == pytest.approx(1.5, abs=0.1)
         assert result.finger_n == pytest.approx(0.45, abs=0.1)
         assert result.felt_nm > 0.1
@@ -75,7 +75,7 @@ def test_a_follower_grips_and_carries_and_a_push_reaches_the_hand_damped(tmp_pat
 
 
 def test_the_hand_leads_the_tool_as_the_scene_says() -> None:
-    """0.1 m aside and 60 degrees about z at the end, and down by 0.06 m twice."""
+    """The path ends 0.1 m aside and 60 degrees about z, and goes down by 0.06 m twice."""
     arm = load_arm(LEADER)
     leader = Leader(arm, Emulated.__new__(Emulated), "", (), Path())
     header, *lines = hand_path(leader, 8.0).splitlines()

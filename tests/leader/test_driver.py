@@ -1,4 +1,4 @@
-"""The driver of a leader arm on an emulated bus: what it measures, what it exerts, what is a fault."""
+"""Driver of a leader arm on an emulated bus: its measurements, its torques and its faults."""
 
 import math
 import time
@@ -23,7 +23,7 @@ TICK_S = 0.004
 
 @pytest.fixture
 def two(tmp_path: Path) -> Path:
-    """Two joints and a trigger."""
+    """Write an arm of two joints and a trigger."""
     path = tmp_path / "two.toml"
     path.write_text(TWO_LINKS)
     return path
@@ -31,15 +31,15 @@ def two(tmp_path: Path) -> Path:
 
 @contextmanager
 def opened(arm: Path | str, *start: float, **given: object) -> Iterator[tuple[DynamixelMaster, EmulatedBus]]:
-    """A driver with torque on an emulated arm that a stiff hand holds."""
+    """Open a driver with torque on an emulated arm that a stiff hand holds."""
     known = [joint.servo_model.nominal_nm_per_a for joint in load_arm(arm).joints]
     options: dict[str, Any] = {"ramp_s": 0.1, "timeout_s": 0.02, "watchdog_s": 0.5, "verify_watchdog": False}
-    # As those of the emulated servos are.
+    # The constants of the emulated servos.
     options |= {"torque_constant": known, **given}
     with emulated_bus("--arm", str(arm), *(("--start", *map(str, start)) if start else ())) as bus:
         for servo in bus.status()["servos"]:
             bus.do(f"hand {servo['id']} {servo['position_rad']} 40 1")
-        # It has fallen until it was held: an arm that still moves is none that is held.
+        # The arm has fallen until the hand held it: wait until it is at rest.
         end_s = time.monotonic() + 10.0
         while any(abs(servo["velocity_rad_s"]) > 0.01 for servo in bus.status()["servos"]):
             assert time.monotonic() < end_s
@@ -88,7 +88,7 @@ def test_joints_are_measured_and_feel_force_and_weight(two: Path) -> None:
         assert sample.trigger == pytest.approx(0.0, abs=0.02)
         weight = ArmKinematics(leader.arm).gravity(leader.read().position)  # type: ignore[arg-type]
         held = motors(bus)
-        # The sign of the second servo is -1.
+        # The second servo has a negative sign.
         assert held[0] == pytest.approx(weight[0], abs=0.01)
         assert held[1] == pytest.approx(-weight[1], abs=0.01)
         run(leader, 0.2, (-0.1, 0.05))
@@ -133,10 +133,10 @@ def test_the_trigger_leads_and_is_felt(two: Path) -> None:
     with opened(two) as (leader, bus):
         bus.do("hand 3 0.2 5 0.05")
         run(leader, 0.4, (0.0, 0.0))
-        # Half of the way from 0.6 to -0.2.
+        # Halfway from 0.6 to -0.2.
         assert leader.read().trigger == pytest.approx(0.5, abs=0.03)
         run(leader, 0.2, (0.0, 0.0), each=lambda: leader.write_trigger(-2.0))
-        # 2 N at 40 mm open it, and closing is negative at this servo.
+        # 2 N at 40 mm open the trigger; closing is negative at this servo.
         assert motors(bus)[2] == pytest.approx(0.08, abs=0.01)
         leader.write_trigger(0.0)
         time.sleep(0.05)
@@ -171,7 +171,7 @@ def test_a_fault_of_the_bus_ends_all_torque(two: Path, line: str, said: str) -> 
         assert list(sample.position) == pytest.approx(list(before), abs=0.05)  # type: ignore[arg-type]
         leader.write((0.05, 0.05))
         time.sleep(0.6)
-        # An unplugged bus cannot be told: its watchdogs end the torque.
+        # An unplugged bus gets no command: the watchdogs of its servos end the torque.
         assert all(abs(torque) < 1e-6 for torque in motors(bus))
         assert leader.read().fault is not None
 
@@ -304,7 +304,7 @@ def test_the_model_of_the_device_comes_from_the_description(two: Path) -> None:
     with pytest.raises(ValueError, match="gello-ur: its friction is not known"):
         joint_model(load_arm("gello-ur"), inertia=[0.01] * 6)
     pose = pose_model(arm, (0.0, math.pi / 2), inertia=(0.01, 0.002))
-    # Bent by a right angle: x is moved by the first joint alone and not by the second, at 0.2 m.
+    # The arm is bent by a right angle: only the first joint moves x, at 0.2 m.
     links = ArmKinematics(arm).link_inertia((0.0, math.pi / 2))
     first, second = 0.01 + links[0], 0.002 + links[1]
     assert pose.mass_kg[0] == pytest.approx(1.0 / (0.2**2 / first + 0.2**2 / second))
@@ -317,7 +317,7 @@ def test_drivers_say_whether_they_exert_by_themselves(two: Path) -> None:
     assert exerts_by_itself(load_master("dynamixel", {"port": "x", "arm": str(two)}))
     follower = two.with_name("follower.toml")
     follower.write_text('baud = 4000000\n[[servo]]\nid = 1\nmodel = "XM430-W350"\n')
-    # It holds its joints.
+    # This driver holds its joints.
     assert exerts_by_itself(load_slave("dynamixel", {"port": "x", "arm": str(follower)}))
     for compensated in (True, False):
         device = load_master("force-dimension", {"gravity_compensation": compensated})
@@ -343,16 +343,16 @@ def test_a_joint_that_is_thrown_is_a_fault_that_ends_all_torque(
             assert time.monotonic() < end_s
         assert sample.fault.startswith(f"over-speed: joint {joint} (servo {servo}) moved at ")
         assert leader.servos.fault_kind == FaultKind.OVER_SPEED
-        # Its own direction, by the sign of its servo.
+        # The message gives the direction of the joint, by the sign of its servo.
         forward = push_nm > 0.0 if servo == 1 else push_nm < 0.0
         assert ("moved at +" if forward else "moved at -") in sample.fault
         assert "rad/s: must be within 1.50" in sample.fault
         leader.write((0.5, 0.5))
-        # Nobody waits for the stop.
+        # The driver does not wait for the stop.
         time.sleep(0.1)
         assert motors(bus) == [0.0, 0.0, 0.0]
         assert not any(one["torque"] for one in bus.status()["servos"])
-        # It stays, though the arm stands again.
+        # The fault stays, though the arm is at rest again.
         for servo_id in (1, 2):
             bus.do(f"push {servo_id} 0")
             bus.do(f"hand {servo_id} {bus.servo(servo_id)['position_rad']} 40 1")
@@ -362,7 +362,7 @@ def test_a_joint_that_is_thrown_is_a_fault_that_ends_all_torque(
 
 def test_the_greatest_speeds_of_the_joints(two: Path) -> None:
     unit: dict[str, Any] = {"port": "x", "arm": str(two)}
-    # The makers' no-load speeds are 46 and 65 rpm.
+    # The vendor's no-load speeds are 46 and 65 rpm.
     assert DynamixelMaster(**unit).max_speed == pytest.approx((0.7 * 46 * math.pi / 30, 0.7 * 65 * math.pi / 30))
     assert DynamixelMaster(**unit, max_speed=[1.0, 2.0]).max_speed == (1.0, 2.0)
     with pytest.raises(ValueError, match=r"max_speed = .*: must be 2 numbers"):

@@ -1,4 +1,4 @@
-"""A program at a control socket, as tests need it: lines out, lines in."""
+"""Client of a control socket for tests: lines out, lines in."""
 
 import contextlib
 import json
@@ -10,11 +10,11 @@ from typing import Any, Self
 
 
 class Control:
-    """One connection."""
+    """One connection to a control socket."""
 
     def __init__(self, path: Path) -> None:
         self.socket = socket.socket(socket.AF_UNIX)
-        # With a timeout it would fail where others wait to be accepted.
+        # A connect with a timeout would fail while others wait to be accepted.
         self.socket.connect(str(path))
         self.socket.settimeout(10.0)
         self._lines = self.socket.makefile("rb")
@@ -30,7 +30,7 @@ class Control:
         self.socket.sendall(line)
 
     def answer(self) -> dict[str, Any]:
-        """The next line; empty at the end."""
+        """Return the next line; empty at the end."""
         line = self._lines.readline()
         return dict(json.loads(line)) if line else {}
 
@@ -39,21 +39,21 @@ class Control:
         return self.answer()
 
     def set(self, do: str, **given: object) -> dict[str, Any]:
-        """A request that changes something, with the token of a status of now."""
+        """Send a request that changes state, with the token of a new status."""
         return self.ask(do, **given, token=self.ask("status")["token"])
 
 
 def fill(path: Path, count: int, stack: contextlib.ExitStack, sent: bytes = b"") -> None:
-    """Open so many connections until the end of `stack`, each of which sends this and reads nothing."""
+    """Open that many connections until the end of `stack`; each sends these bytes and reads nothing."""
     for _ in range(count):
         one = stack.enter_context(socket.socket(socket.AF_UNIX))
         one.setblocking(False)
-        # Where too many wait to be accepted, it fails at once.
+        # With too many in the backlog, connect fails at once.
         while True:
             with contextlib.suppress(BlockingIOError):
                 one.connect(str(path))
                 break
             time.sleep(0.001)
-        # It may have been closed already.
+        # The server may have closed the connection already.
         with contextlib.suppress(OSError):
             one.send(sent)

@@ -14,7 +14,7 @@ PATIENCE_S = 10.0
 
 
 def serve(allow: tuple[str, ...]) -> None:
-    """Serves at all addresses of this machine until standard input ends; says at which ports."""
+    """Serve at all addresses of this machine until standard input ends; print the ports."""
     perfect = LinkSettings()
     ports, kept = {}, []
     for bound in ("0.0.0.0:0", "[::]:0"):
@@ -33,7 +33,7 @@ def serve(allow: tuple[str, ...]) -> None:
 
 
 def ask(peers: dict[str, str]) -> None:
-    """Says of each peer, by name, what went wrong; nothing where it answered."""
+    """Print the error of each peer by name; empty for a peer that answered."""
     answers = {}
     for name, peer in peers.items():
         answers[name] = _of_slave(peer) if name.endswith("slave") else _of_echo(peer)

@@ -1,4 +1,4 @@
-"""The address of a master: no more than the route to its peer needs."""
+"""The address of a master: no wider than the route to its peer needs."""
 
 import secrets
 import socket
@@ -14,7 +14,7 @@ SCENE = scene_json(two_sides())
 
 
 def listens(peer: str, listen: str | None = None) -> str:
-    """The host that a master listens on."""
+    """Return the host that a master listens on."""
     master = LiveMaster(SCENE, peer=peer, listen=listen, run_id=secrets.randbits(64), insecure=True, realtime="off")
     address = master.address
     master.finish()

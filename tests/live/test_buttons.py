@@ -1,4 +1,4 @@
-"""The buttons of a device: what a scene maps them to, over sockets."""
+"""Buttons of a device and their actions in a scene, over sockets."""
 
 import secrets
 import time
@@ -45,7 +45,7 @@ def until(done: Callable[[], bool], seconds: float = 10.0) -> None:
 
 
 class Hand:
-    """A device that rests, with buttons."""
+    """Device at rest, with buttons."""
 
     paces = False
 
@@ -65,7 +65,7 @@ class Hand:
         pass
 
     def press(self, button: int, seconds: float = 0.06) -> None:
-        # A contact that was open for less than 20 ms bounces.
+        # A contact that was open for less than 20 ms counts as a bounce.
         time.sleep(seconds)
         self.buttons = (self.buttons or 0) | button
         time.sleep(seconds)
@@ -74,7 +74,7 @@ class Hand:
 
 
 class Arm:
-    """One that stays where it is."""
+    """Arm that stays in place."""
 
     paces = False
 
@@ -108,7 +108,7 @@ def test_a_button_engages_and_another_works_the_gripper() -> None:
     hand.press(GRIPPER)
     hand.press(ENGAGE)
     until(lambda: master.state == "engaged" and slave.state == "engaged")
-    # The other side falls silent: nothing but a press couples again.
+    # The other side falls silent: only a press couples again.
     hand.press(GRIPPER)
     hand.press(GRIPPER)
     time.sleep(0.3)
@@ -120,7 +120,7 @@ def test_a_button_engages_and_another_works_the_gripper() -> None:
     slave.stop()
     far, _ = slave.finish()
     assert set(near.trigger.tolist()) == {0.0, 1.0}
-    # It was open when they came together and the trigger closed: it follows once the trigger has come to it.
+    # The gripper was open and the trigger closed at the engagement: the gripper follows after the trigger has met it.
     assert far.gripper_command[-1] == pytest.approx(1.0, abs=0.05)
 
 
@@ -150,7 +150,7 @@ def test_a_switch_of_the_clutch_is_open_after_the_sides_have_parted() -> None:
 
 @anew_after_stalls
 def test_a_clutch_that_is_closed_or_not_known_must_be_seen_open_first() -> None:
-    """Neither a bit that is always there nor a driver that loses the buttons for a while presses it."""
+    """Neither a bit that is always set nor a driver that loses the buttons for a while counts as a press."""
     spec = scene_json(
         override_scene(load_scene("remote_push", ["environment.pushers=[]"]), ["master.buttons={clutch = 4}"])
     )

@@ -1,4 +1,4 @@
-"""The control socket of a live side: who may stop, press and scale it, and who not."""
+"""Control socket of a live side: the connections that may stop, press and scale it, and the refused ones."""
 
 import contextlib
 import socket
@@ -21,12 +21,12 @@ pytestmark = pytest.mark.live
 
 BEAT_S = 0.1
 MOST = 32
-"""Connections at once."""
+"""Largest number of connections at once."""
 
 
 @pytest.fixture
 def sides(tmp_path: Path) -> Iterator[tuple[LiveMaster, LiveSlave]]:
-    """Two whose start presses nothing, each with a control socket in the folder."""
+    """Start two sides without an automatic press, each with a control socket in the folder."""
     scene = scene_json(override_scene(two_sides(), ["operator.clutch=once"]))
     slave = LiveSlave(scene, listen="127.0.0.1:0", run_id=2, insecure=True, control=tmp_path / "slave")
     old_s = time.monotonic() - 10.0
@@ -47,7 +47,7 @@ def wait_for(condition: Callable[[], bool], within_s: float = 5.0) -> None:
 
 
 def hold(control: Control, *, beats: int = 12, every_s: float = BEAT_S) -> dict[str, Any]:
-    """Beats at even times until the first that is no more answered by a token; its answer."""
+    """Send beats at even times until an answer has no token; return that answer."""
     begun_s = time.monotonic()
     token: dict[str, Any] = {}
     answer: dict[str, Any] = {}
@@ -80,25 +80,25 @@ def test_what_is_no_hold_presses_nothing(sides: tuple[LiveMaster, LiveSlave], tm
     master, _ = sides
     path = tmp_path / "master"
     with Control(path) as control:
-        # A queue that stalled and goes on: a whole hold at once.
+        # A stalled queue resumes: a whole hold arrives at once.
         beats = b"".join(b'{"do":"hold","held_ms":%d}\n' % held for held in range(0, 1300, 100))
         control.send(beats)
         answers = [control.answer() for _ in range(13)]
         assert not any(answer["pressed"] for answer in answers)
         assert not answers[-1]["done"]
-        # Tokens in time, but all beats within a moment.
+        # Tokens are in time, but all beats come within a moment.
         assert not hold(control, every_s=0.001)["pressed"]
-        # A gap.
+        # The beats have a gap.
         token = control.ask("hold", held_ms=0)["token"]
         time.sleep(0.45)
         assert "stopped" in control.ask("hold", held_ms=450, token=token)["text"]
-        # Too short.
+        # The hold is too short.
         assert not hold(control, beats=6)["pressed"]
         control.ask("let_go")
     with Control(path) as control:
         assert not hold(control, beats=5)["pressed"]
     with Control(path) as control:
-        # It does not go on at another connection.
+        # A hold does not continue on another connection.
         assert "let go" in control.ask("hold", held_ms=600, token=1)["text"]
     time.sleep(0.3)
     assert master.state == "disengaged"
@@ -111,13 +111,13 @@ def test_a_stop_is_at_rest_at_once_whatever_others_do(
 ) -> None:
     path = tmp_path / ("master", "slave")[side]
     with Control(path) as silent, Control(path) as talks, Control(path) as stops:
-        # One sends without end and reads nothing.
+        # One client sends without end and reads nothing.
         talks.socket.setblocking(False)
         try:
             while True:
                 talks.send(b'{"do":"status"}\n' * 100)
         except (BlockingIOError, BrokenPipeError, ConnectionResetError):
-            # Who does not read the answers is closed.
+            # The server closes a client that does not read its answers.
             pass
         silent.send(b'{"do":"st')
         begun_s = time.monotonic()
@@ -135,18 +135,18 @@ def test_a_further_connection_closes_the_idlest_which_is_told_why(
     path = tmp_path / "master"
     with contextlib.ExitStack() as stack:
         idle, *others = [stack.enter_context(Control(path)) for _ in range(MOST)]
-        # For 0.1 s a new one counts as busy.
+        # A new connection counts as busy for 0.1 s.
         time.sleep(0.2)
         for other in others:
             assert other.ask("status")["done"]
-        # Half a request is none.
+        # Half a request does not count.
         idle.send(b'{"do":"st')
         with Control(path) as new:
             assert new.ask("status")["done"]
             told = idle.answer()
             assert (told["to"], told["done"], "another program has connected" in told["text"]) == ("", False, True)
             assert idle.answer() == {}
-            # Nobody else is.
+            # The server closes no other connection.
             for other in others:
                 assert other.ask("status")["done"]
     assert not sides[0].finished
@@ -225,7 +225,7 @@ def test_a_stop_acts_while_the_side_has_no_descriptor_left(tmp_path: Path) -> No
             assert process.stdout is not None
             assert "Too many open files" in process.stdout.readline()
             with contextlib.ExitStack() as stack:
-                # More than one, of which each takes the place of the one before.
+                # Open more than one; each takes the place of the previous one.
                 for _ in range(3):
                     control = stack.enter_context(Control(path))
                     assert control.ask("status")["done"]
@@ -237,7 +237,7 @@ def test_a_stop_acts_while_the_side_has_no_descriptor_left(tmp_path: Path) -> No
 
 
 def test_programs_at_the_telemetry_keep_no_stop_out(tmp_path: Path) -> None:
-    """They are 16 at most, whether they read or not."""
+    """Telemetry accepts 16 clients at most, whether they read or not."""
     path, telemetry = tmp_path / "slave", tmp_path / "telemetry"
     before = len(list(Path("/proc/self/fd").iterdir()))
     slave = LiveSlave(
@@ -300,7 +300,7 @@ def test_what_is_no_request_is_one_line_and_the_end(
         answer = control.answer()
         assert answer["done"] is False
         assert said in answer["text"]
-        # A reset, where it had not read all of it.
+        # The server resets the connection if it has not read all bytes.
         with contextlib.suppress(ConnectionResetError):
             assert control.answer() == {}
     with Control(tmp_path / "master") as control:

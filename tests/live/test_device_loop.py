@@ -1,4 +1,4 @@
-"""Loops that a driver turns, and how drivers are found."""
+"""Loops stepped by a driver, and the discovery of drivers."""
 
 import gc
 import itertools
@@ -53,7 +53,7 @@ def how(**others: object) -> dict[str, Any]:
 
 
 class Hand:
-    """Where a path says, on as many axes as it has."""
+    """A hand that follows a path, on as many axes as the path has."""
 
     paces = False
 
@@ -76,7 +76,7 @@ class Hand:
 
 
 class Arm:
-    """Where it is commanded to be; x < 0 pushes with 100 N/m. It waits for its own samples."""
+    """An arm at its commanded position; x < 0 pushes with 100 N/m. It paces the loop."""
 
     paces = True
 
@@ -120,7 +120,7 @@ def until(done: Callable[[], bool], seconds: float = 10.0) -> None:
 @pytest.mark.parametrize("side", [LiveSlave, SlaveLoop])
 @anew_after_stalls
 def test_a_side_that_begins_leaves_the_interpreter_to_the_loops_that_run(side: type[LiveSlave | SlaveLoop]) -> None:
-    """What it sets aside takes its time; an arm whose watchdog is armed waits for its driver meanwhile."""
+    """Allocating its memory takes time, in which an arm with an armed watchdog waits for its driver."""
     woken_s, ended = [time.monotonic()], threading.Event()
 
     def wake() -> None:
@@ -170,10 +170,10 @@ def test_a_driven_arm_follows_and_is_felt(axes: int, spec: bytes) -> None:
     pushed = done.environment_force if axes == 1 else done.environment_force[:, 0]
     assert pushed.max() > 1.0
     assert force.max() > 1.0
-    # Nothing lies between the two once the ladder has faded in; where this machine stalls a loop, it holds.
+    # Nothing lies between the two once the ladder has faded in; if this machine stalls a loop, it holds.
     assert report.holds == 0
     assert force.max() == pytest.approx(pushed.max(), rel=0.05)
-    # 3 m/s is what the slave takes of a command; a tick may have been left out.
+    # The slave limits a command to 3 m/s; a tick may have been skipped.
     assert max(arm.steps) < 0.03
     assert arm.stops >= 1
 
@@ -242,7 +242,7 @@ def test_a_velocity_is_in_every_sample_or_in_none(first: float | None, then: flo
     loop = MasterLoop(ONE, peer="127.0.0.1:9", **how(realtime="off"))
     loop.begin()
     assert loop.step(0.0, first) is not None
-    # What a device says beside a fault is not known.
+    # During a fault the velocity may be missing.
     assert loop.step(0.0, then, fault="unplugged") is not None
     with pytest.raises(TypeError, match=r"velocity is .* must be in every sample or in none"):
         loop.step(0.0, then)
@@ -270,7 +270,7 @@ def test_a_time_of_a_sample_is_checked_where_it_enters(times: list[Any], kind: t
             assert loop.step(*sample, time_s=time_s) is not None
         with pytest.raises(kind, match=said):
             loop.step(*sample, time_s=last)
-        # A device that was restarted has another clock.
+        # A restarted device has another clock.
         assert loop.step(*sample, fault="restarted", time_s=-1.0) is not None
         assert loop.step(*sample, time_s=-1.0) is not None
         loop.stop()
@@ -278,7 +278,7 @@ def test_a_time_of_a_sample_is_checked_where_it_enters(times: list[Any], kind: t
 
 
 class Renewing:
-    """A hand or an arm that moves along a path, and has a new sample every few ms."""
+    """A hand or an arm that moves along a path, with a new sample every few ms."""
 
     paces = False
 
@@ -286,7 +286,7 @@ class Renewing:
         self.every, self.stamped, self.reads = every, stamped, 0
 
     def sampled_s(self) -> float:
-        """Time of the newest sample: by the reads, since the loop is not on time beside other tests."""
+        """Return the time of the newest sample, by the reads, because the loop is late beside other tests."""
         self.reads += 1
         return 1e-3 * self.every * (self.reads // self.every)
 
@@ -304,7 +304,7 @@ class Renewing:
 
 
 class RenewingHand(Renewing):
-    """A hand."""
+    """A hand with slow samples."""
 
     def read(self) -> MasterSample:
         time_s = self.sampled_s()
@@ -312,7 +312,7 @@ class RenewingHand(Renewing):
 
 
 class RenewingArm(Renewing):
-    """An arm."""
+    """An arm with slow samples."""
 
     def read(self) -> SlaveSample:
         time_s = self.sampled_s()
@@ -336,7 +336,7 @@ def test_a_device_that_is_slower_than_its_loop_is_warned_of_and_recorded(
         _, report = run.finish()
         assert run.error is None
         assert report.renewal == pytest.approx(1.0 / every, abs=0.02)
-        # Once.
+        # The warning comes once.
         assert len(said) == (every > 1), said
         for text in said:
             named = re.search(rf"must be one each tick of 1 ms; .*; set \{key} period_s to (0\.0\d+),", text)
@@ -355,14 +355,14 @@ def test_a_burst_of_samples_is_held_back_to_the_period() -> None:
     for _ in range(401):
         assert loop.step(0.0) is not None
     took_s = time.monotonic() - begun_s
-    # 400 gaps of at least 7 / 8 ms, by the same clock.
+    # These are 400 gaps of at least 7 / 8 ms, by the same clock.
     assert took_s >= 400 * 0.875e-3
     _, report = loop.finish()
     assert report.ticks == 401
 
 
 KEPT = (9.9,)
-"""N, of a device whose driver failed."""
+"""Force in N of a device whose driver failed."""
 
 
 @pytest.mark.parametrize(("failures", "rests"), [(1, True), (3, True), (10**6, False)])
@@ -450,7 +450,7 @@ def test_a_loop_that_did_not_begin_takes_no_step() -> None:
 
 
 def without(part: str) -> bytes:
-    """A scene that is live but for one of its parts."""
+    """Return a live scene without one of its parts."""
     scene = json.loads(ONE)
     del scene[part]
     return json.dumps(scene).encode()
@@ -508,7 +508,7 @@ def test_an_arm_that_paces_by_another_period_than_the_scene_has_is_refused(
 
         def __init__(self) -> None:
             super().__init__(1, device_s if fits else 0.001)
-            # Known once it is open, as that of an arm whose controller says it.
+            # The period is known only once the arm is open, like that of an arm whose controller reports it.
             self.period_s: float | None = None  # type: ignore[assignment]
 
         def open(self) -> None:
@@ -550,7 +550,7 @@ def test_a_device_that_paces_by_another_period_than_the_scene_has_is_refused() -
     run.finish()
     assert "[run] period_s = 0.001: Paced gives a sample each 0.002 s" in str(run.error)
     assert "set [run] period_s = 0.002" in str(run.error)
-    # Whoever does not pace turns by the clock of the loop, whatever it says of itself.
+    # A device that does not pace runs by the clock of the loop; its own period has no effect.
     Paced.paces = False
     run = MasterRun(hand, MasterLoop(ONE, peer="127.0.0.1:9", **how()), period_s=0.001)
     until(lambda: run.ticks > 3)
@@ -582,7 +582,7 @@ def test_a_device_that_is_given_up_is_closed_and_neither_read_nor_moved() -> Non
     assert gc.isenabled()
     arm.let.set()
     until(lambda: run.finished)
-    # Once more: it was not open yet when it was closed.
+    # It is closed a second time, because it was not open yet at the first.
     assert arm.calls == ["close", "close"]
     assert "nobody waited" in str(run.error)
 
@@ -600,7 +600,7 @@ def test_of_two_loops_the_last_that_ends_brings_back_the_interpreter() -> None:
         assert quiet()
         runs[0].finish()
         assert quiet()
-        # An end that is requested again is none of another loop.
+        # A repeated request to end does not affect another loop.
         with pytest.raises(RuntimeError, match="finished before"):
             runs[0].finish()
         assert quiet()
@@ -682,7 +682,7 @@ class Arm:
 
 
 def packaged(folder: Path, driver: str) -> dict[str, str]:
-    """The environment of a process that finds a driver `bench` of another package."""
+    """Return the environment of a process that finds a driver `bench` of another package."""
     (folder / "bench_arm.py").write_text(textwrap.dedent(driver))
     package = folder / "bench_arm-1.0.dist-info"
     package.mkdir(exist_ok=True)
@@ -756,7 +756,7 @@ def test_a_driver_that_blocks_is_reported_while_it_does(tmp_path: Path) -> None:
 
 
 class Stuck:
-    """One method of a driver that hangs once it is told to, until it is let go."""
+    """A driver with one method that hangs on request, until it is released."""
 
     def __init__(self, driver: Any, method: str) -> None:  # noqa: ANN401
         self.driver, self.method = driver, method
@@ -793,7 +793,7 @@ def test_a_driver_that_does_not_return_is_named_on_both_screens_and_left_at_rest
         other = LiveMaster(ONE, peer=loop.address, **how())
     try:
         until(lambda: run.state == other.state == "engaged")
-        # A slave is written to once it is led.
+        # A slave is written to only once it is led.
         until(lambda: device.calls[-20:].count(method) > 0)
         hung_s = time.monotonic()
         device.hangs.set()
@@ -802,7 +802,7 @@ def test_a_driver_that_does_not_return_is_named_on_both_screens_and_left_at_rest
             until(lambda screen=screen: named in (screen.cause() or ""))  # type: ignore[misc]
         shown_s = time.monotonic() - hung_s
         assert run.state == "fault"
-        # The loop goes on without the driver, for whoever reads telemetry or a recording.
+        # The loop goes on without the driver, for readers of telemetry and recordings.
         ticks = run.ticks
         until(lambda: run.ticks > ticks + 10)
         device.calls.clear()
@@ -815,7 +815,7 @@ def test_a_driver_that_does_not_return_is_named_on_both_screens_and_left_at_rest
         other.finish()
     assert report.ticks > ticks
     assert "the driver has not returned" in str(run.error)
-    # By other threads: zero or a stop, then the end.
+    # Other threads write zero or stop, and then end it.
     assert device.calls[:2] == ["write" if side == "master" else "stop", "close"]
     if side == "master":
         assert device.driver.force == (0.0,)
@@ -884,7 +884,7 @@ def test_ctrl_c_says_that_a_second_one_ends_at_once_and_leaves_a_driver_that_han
     assert said.index("stopped") < said.index("closed")
     assert "the driver has not returned" in said
     assert slave.returncode == 1
-    # Not the 10 s that an arm may take to be let down.
+    # It does not take the 10 s in which an arm may be lowered.
     assert took_s < 8.0
 
 
@@ -929,5 +929,5 @@ def test_ctrl_c_ends_a_command_whose_device_opens(tmp_path: Path, opens_s: float
     assert "listens on" not in said
     assert "Traceback" not in said
     assert shown == ""
-    # 1 s of patience with a device that may still open, and a machine that does much else.
+    # The limit is 1 s for a device that may still open, plus delays of a busy machine.
     assert took_s < 10.0

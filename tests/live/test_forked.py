@@ -1,4 +1,4 @@
-"""A process that is forked while sides run, as by a library of a driver: it ends, and leaves the sides alone."""
+"""A process forked while sides run, as by a library of a driver: it ends, and the sides continue."""
 
 import subprocess
 import sys

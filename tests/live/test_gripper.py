@@ -1,4 +1,4 @@
-"""A gripper beside a driven arm: led through both loops over sockets, by the trigger of a scene or of a device."""
+"""A gripper beside an arm: both loops move it over sockets, by the trigger of a scene or of a device."""
 
 import math
 import secrets
@@ -48,7 +48,7 @@ def until(done: Callable[[], bool], seconds: float = 10.0) -> None:
 
 
 class Arm:
-    """Where it was commanded to be."""
+    """Arm that is always at its commanded position."""
 
     paces = False
 
@@ -74,7 +74,7 @@ class Arm:
 
 
 class Hand:
-    """A device that rests, with a trigger."""
+    """Device at rest, with a trigger."""
 
     paces = False
 
@@ -95,7 +95,7 @@ class Hand:
 
 
 class Jaws:
-    """A gripper that is at once where it is led, up to something at 0.7, and writes down what it is to do."""
+    """Gripper that is always at its commanded position, up to an object at 0.7, and records its commands."""
 
     def __init__(self) -> None:
         self.orders: list[GripperCommand | str] = []
@@ -146,7 +146,7 @@ def test_it_is_led_by_the_trigger_and_keeps_its_grip_when_the_master_ends() -> N
     assert jaws.orders[0] == "open"
     assert jaws.orders[-2:] == ["hold", "close"], "its end is a hold, too"
     moves = [order for order in jaws.orders if isinstance(order, GripperCommand)]
-    # Nothing moves it after the first hold.
+    # Nothing moves the gripper after the first hold.
     assert jaws.orders.index("hold") == 1 + len(moves)
     positions = [move.position for move in moves]
     assert positions == sorted(positions)
@@ -158,7 +158,7 @@ def test_it_is_led_by_the_trigger_and_keeps_its_grip_when_the_master_ends() -> N
 
 
 class JawsOfArm(Jaws):
-    """On the bus of their arm."""
+    """Gripper on the bus of its arm."""
 
     def __init__(self, refused: str = "") -> None:
         super().__init__()
@@ -310,7 +310,7 @@ def test_a_gripper_that_does_not_open_ends_the_run_and_is_named() -> None:
 
 @anew_after_stalls
 def test_robotiq_picks_something_up_through_both_loops() -> None:
-    """The driver, its thread and the server of an emulated URCap, led by the trigger at the far end."""
+    """Run the driver, its thread and the server of an emulated URCap; the trigger at the far end moves the gripper."""
     with served(emulated(40.0)) as server:
         jaws = RobotiqGripper(host="127.0.0.1", port=server.port)
         slave, _ = slave_of(jaws)

@@ -1,4 +1,4 @@
-"""Python's interpreter beside a loop: what a device made while it opened, and whose turn it is."""
+"""Python's interpreter beside a loop: objects made while a device opened, and the priority of threads."""
 
 import gc
 import os
@@ -15,7 +15,7 @@ YOUNG = 100_000
 
 
 class Heavy:
-    """A device that makes many objects while it opens, as an import of CasADi does."""
+    """A device that makes many objects while it opens, like an import of CasADi."""
 
     paces = False
 
@@ -38,10 +38,10 @@ def quiet() -> Iterator[None]:
         QUIET.end()
 
 
-def test_what_a_device_made_while_it_opened_is_not_collected_in_its_loop(quiet: None) -> None:  # noqa: ARG001
+def test_objects_made_while_opening_are_not_collected_in_the_loop(quiet: None) -> None:  # noqa: ARG001
     device: Any = Heavy()
     with opened(device, DeviceNotes(), "period_s", None):
-        # What the first `poll` of a run looks at while the loop waits for the interpreter.
+        # These objects are visited by the first `poll` of a run while the loop waits for the interpreter.
         assert len(gc.get_objects(generation=0)) < YOUNG / 100
 
 
@@ -52,7 +52,7 @@ def test_without_a_loop_the_collector_is_left_alone() -> None:
 
 
 def in_realtime(call: Any) -> bool:  # noqa: ANN401  # a function
-    """Calls it on a thread with SCHED_FIFO, if that is granted; whether it was."""
+    """Call a function on a thread with SCHED_FIFO, if granted; return true if it was."""
     granted: list[bool] = []
 
     def run() -> None:
@@ -69,7 +69,7 @@ def in_realtime(call: Any) -> bool:  # noqa: ANN401  # a function
     return bool(granted)
 
 
-def test_who_may_hold_the_interpreter_goes_before_ordinary_processes(quiet: None) -> None:  # noqa: ARG001
+def test_interpreter_holder_precedes_ordinary_processes(quiet: None) -> None:  # noqa: ARG001
     before = os.sched_getscheduler(0)
     seen: list[tuple[int, int]] = []
     me = threading.get_native_id()
@@ -83,7 +83,7 @@ def test_who_may_hold_the_interpreter_goes_before_ordinary_processes(quiet: None
         if not in_realtime(raised):
             pytest.skip("this system grants no SCHED_FIFO")
         assert seen == [(os.SCHED_FIFO, HOLDER_PRIORITY)]
-        # One of two loops ends: the other still needs it.
+        # One of two loops ends: the other still needs the priority.
         QUIET.end()
         assert os.sched_getscheduler(0) == os.SCHED_FIFO
         QUIET.end()

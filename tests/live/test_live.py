@@ -1,4 +1,4 @@
-"""Real processes and sockets: the subject is the operating system, so bounds on time are loose."""
+"""Live runs with real processes and sockets; bounds on time are loose, because the subject is the operating system."""
 
 import json
 import re
@@ -40,7 +40,7 @@ def key(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Child:
-    """A command under test, and the line that says that its socket is open."""
+    """A command under test with its first line, which says that its socket is open."""
 
     def __init__(self, *arguments: str) -> None:
         self.process = subprocess.Popen(
@@ -59,7 +59,7 @@ class Child:
         return found[1].rstrip(",")
 
     def engaged(self) -> None:
-        """Waits until it says that it is; the test's own timeout bounds that."""
+        """Wait until it prints that it is engaged; the timeout of the test bounds the wait."""
         assert self.process.stderr is not None
         said: list[str] = []
         for line in self.process.stderr:
@@ -69,7 +69,7 @@ class Child:
         pytest.fail(f"it ended before: {''.join(said)}")
 
     def end(self) -> str:
-        """Waits for the end and gives what it said on standard error."""
+        """Wait for the end and return its standard error."""
         _, said = self.process.communicate(timeout=START_TIMEOUT_S)
         return said or ""
 
@@ -80,7 +80,7 @@ def load(path: Path) -> dict[str, npt.NDArray[np.float64]]:
 
 
 def explain(path: Path) -> dict[str, Any]:
-    """What `haptether explain` says of a flight recorder's file."""
+    """Return the output of `haptether explain` for a flight recorder's file."""
     ended = subprocess.run(
         [*COMMAND, "explain", str(path), "--json", "-"],
         capture_output=True, text=True, timeout=START_TIMEOUT_S, check=True,
@@ -168,7 +168,7 @@ def test_a_stopped_slave_holds_until_the_clutch_is_pressed_anew(
     slave.process.send_signal(signal.SIGCONT)
     time.sleep(1.0)
     for side in (slave, master):
-        # Nothing to acknowledge: nothing happens, least of all what a signal without a handler does.
+        # There is nothing to acknowledge: the signal has no effect, and does not end the process.
         side.process.send_signal(signal.SIGUSR2)
     master.process.send_signal(signal.SIGUSR1)
     said = master.end()
@@ -188,7 +188,7 @@ def test_a_stopped_slave_holds_until_the_clutch_is_pressed_anew(
 def test_both_commands_end_cleanly_on_a_signal(key: Path, children: list[Child], number: signal.Signals) -> None:
     slave = Child("slave", "--key", str(key), "--listen", "127.0.0.1:0")
     children.append(slave)
-    # On a machine that does much else it is late, which is not the subject here.
+    # On a busy machine it is late, which is not the subject here.
     netsim = Child(
         "netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", slave.address(), "--max-error-s", "1"
     )  # fmt: skip
@@ -314,8 +314,8 @@ def test_live_and_virtual_time_run_the_same_scene(key: Path, children: list[Chil
         pytest.skip("the machine stalled a loop for over 20 ms: the live run held, as it should")
     for time_s in (0.5, 1.0, 1.5, 2.1):
         ticks = round(time_s * 1e3)
-        # Loopback and the two loops' phase cost up to a few ticks; the hand moves at most 0.08 m/s here.
-        # By time: a loop that wakes late leaves ticks out.
+        # Loopback and the two loops' phase cost up to a few ticks; the hand moves at most 0.08 m/s here. Ticks are
+        # matched by time, because a loop that wakes late skips ticks.
         tick = int(np.searchsorted(live["time_s"], live["time_s"][engaged] + time_s - 5e-4))
         assert live["position"][tick] == pytest.approx(virtual.position[offset + ticks], abs=5e-4)
         assert live["device_force"][tick] == pytest.approx(virtual.device_force[offset + ticks], abs=0.15)
@@ -340,17 +340,17 @@ def test_demo_shows_that_protection_holds(tmp_path: Path) -> None:
 
 
 MAX_MIB = 120.0
-"""Most memory that a side uses and locks by default."""
+"""Largest memory in MiB that a side uses and locks by default."""
 
 
 def status_mib(pid: int) -> dict[str, float]:
-    """The sizes in /proc/PID/status."""
+    """Return the sizes in /proc/PID/status in MiB."""
     found = re.findall(r"^(\w+):\s+(\d+) kB$", Path(f"/proc/{pid}/status").read_text(), re.MULTILINE)
     return {name: int(size) / 1024.0 for name, size in found}
 
 
 def loop_faults(pid: int) -> int:
-    """Page faults of the loop's thread so far."""
+    """Return the page faults of the loop's thread so far."""
     for task in Path(f"/proc/{pid}/task").iterdir():
         if (task / "comm").read_text().strip() == "haptether-loop":
             fields = (task / "stat").read_text().rpartition(")")[2].split()
@@ -386,7 +386,7 @@ def test_a_side_locks_what_its_ticks_use_and_little_more(
     for child, faults in zip((slave, master), before, strict=True):
         sizes = status_mib(child.process.pid)
         assert max(sizes["VmRSS"], sizes["VmLck"]) <= MAX_MIB, sizes
-        # Without the right to lock it is as it is.
+        # Without the right to lock memory, page faults may occur.
         if sizes["VmLck"] > 0.0:
             assert loop_faults(child.process.pid) == faults
 
@@ -427,7 +427,7 @@ def test_ctrl_c_leaves_no_process_behind(tmp_path: Path) -> None:
 
 
 def test_sockets_are_not_left_open(key: Path, children: list[Child]) -> None:
-    """A slave that has ended gives its address back."""
+    """A slave that has ended releases its address."""
     slave = Child("slave", "--key", str(key), "--listen", "127.0.0.1:0", "--patience-s", "0.3")
     children.append(slave)
     address = slave.address()
@@ -447,12 +447,12 @@ def test_check_link_measures_and_moves_nothing(key: Path, children: list[Child],
     children.append(check)
     said = check.end()
     report = json.loads(path.read_text())
-    # Whether this machine is good enough now is not the subject: the status must say the same.
+    # The quality of this machine is not the subject: the status must only match the verdict.
     assert check.process.returncode == (0 if report["verdict"]["good"] else 1), said
     link, verdict = report["link"], report["verdict"]
     assert link["arrived"] > 100
     assert link["rate_hz"] <= 1000.5
-    # Both ends look once a millisecond: the waits there and back add up to that, less what two ticks compute.
+    # Both ends check once per millisecond. The waits there and back add up to that, minus the work of two ticks.
     assert 0.5e-3 <= link["round_trip_p50_s"] <= link["round_trip_p99_s"] <= link["round_trip_max_s"]
     assert verdict["delay_s"] == pytest.approx(link["round_trip_p99_s"] + 1e-3)
     assert verdict["bearable_delay_s"] is None, "a soft wall under a firm hand"
@@ -490,7 +490,7 @@ def test_check_link_says_when_a_coupling_bears_less_than_the_link_has(
 
 
 def test_check_link_judges_the_coupling_of_a_scene(key: Path, children: list[Child], tmp_path: Path) -> None:
-    """Three axes, a slave at 2 ms, and a wall and an arm of its own; without an operator nobody presses either."""
+    """Three axes, a slave at 2 ms, and its own wall and arm; without an operator nobody presses either."""
     scene = tmp_path / "stiff.toml"
     scene.write_text(
         "schema = 1\n"
@@ -570,17 +570,17 @@ def test_scales_change_while_both_sides_run() -> None:
     while (master.state, slave.state) != ("engaged", "engaged"):
         assert time.monotonic() < end_s, (master.state, slave.state)
         time.sleep(0.01)
-    # Coupled: no further than twice, and half.
+    # While coupled, a scale may change at most by a factor of two.
     for refused in (2.1, 0.4, 5.0, 99.0):
         with pytest.raises(ValueError, match="release the clutch first"):
             master.set_force_scale(refused)
         with pytest.raises(ValueError, match="release the clutch first"):
             slave.set_position_scale(refused)
-    # The hand is there after 0.4 s.
+    # The hand has arrived after 0.4 s.
     time.sleep(0.8)
     master.set_force_scale(0.5)
     slave.set_position_scale(2.0)
-    # Nothing to acknowledge: nothing happens.
+    # There is nothing to acknowledge: the calls have no effect.
     master.acknowledge()
     slave.acknowledge()
     time.sleep(0.8)

@@ -1,4 +1,4 @@
-"""Devices that exert by themselves, as drivers of live sides: what is said before an open, and where nothing closes."""
+"""Devices that exert a force by themselves, in live sides: the notice before `open`, and cases without a close."""
 
 import os
 import signal
@@ -23,7 +23,7 @@ mass_kg = 0.1
 
 
 def side(tmp_path: Path, name: str, driver: str) -> Terminal:
-    """A live side with a driver of the tests on a terminal, whose other side is not there."""
+    """Start a live side with a test driver on a terminal, without its peer."""
     group = f"haptether.{name}s"
     scene = tmp_path / "scene.toml"
     chosen = "driver" if name == "master" else "device"

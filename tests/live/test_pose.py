@@ -1,4 +1,4 @@
-"""Sides of kind "pose" over sockets: beside virtual time, and with drivers of both ends."""
+"""Sides of kind "pose" over sockets: against virtual time, and with drivers of both ends."""
 
 import json
 import math
@@ -34,7 +34,7 @@ UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 
 def turning() -> Scene:
-    """A hand turns a handle about two axes against what the environment does to the tool, and never lets go."""
+    """Return a scene in which a hand turns a handle about two axes, against torques on the tool, and never lets go."""
     return override_scene(
         load_scene("torque_release", ["link={}"]),
         [
@@ -63,7 +63,7 @@ def until(done: Callable[[], bool], seconds: float = 10.0) -> None:
 
 
 def angle(one: np.ndarray, other: np.ndarray) -> float:
-    """Between two orientations, unit quaternions, in rad."""
+    """Return the angle in rad between two orientations, given as unit quaternions."""
     return 2.0 * math.acos(min(1.0, abs(float(np.dot(one, other)))))
 
 
@@ -87,16 +87,16 @@ def test_live_and_virtual_time_turn_alike() -> None:
     for time_s in (0.3, 0.6, 0.9, 1.2, 1.5):
         tick = int(np.searchsorted(near.time_s, begun_s + time_s - 5e-4))
         there = round((offset_s + time_s) * 1e3)
-        # Loopback and the phase of two loops: a few ticks, in which the hand turns at most 1.6 rad/s.
+        # Loopback and the phase of two loops cost a few ticks, in which the hand turns at most 1.6 rad/s.
         assert angle(near.orientation[tick], run.signals.orientation[there]) < 8e-3
         np.testing.assert_allclose(near.position[tick], run.signals.position[there], atol=5e-4)
         np.testing.assert_allclose(near.device_torque[tick], run.signals.device_torque[there], atol=3e-3)
-    # The slave by its own time: where it ended it stood as in virtual time.
+    # The slave has its own time; its last orientation is that of virtual time.
     assert angle(far.orientation[-1], run.signals.slave_orientation[-1]) < 8e-3
 
 
 class Hand:
-    """A device that turns about z as it is made to, and notes what it is to exert."""
+    """A device that turns about z as set by the test, and records its commanded wrenches."""
 
     paces = False
     kinds = ("pose",)
@@ -121,7 +121,7 @@ class Hand:
 
 
 class Arm:
-    """Where and how it was commanded to be; measures a torque."""
+    """An arm in its commanded pose, which measures a torque."""
 
     paces = False
     kinds = ("linear", "pose")
@@ -164,19 +164,19 @@ def about_z(turned: float) -> tuple[float, ...]:
 
 @anew_after_stalls
 def test_drivers_of_both_ends_turn_together() -> None:
-    """`R_s = R_m R_m0' R_s0`: by half a turn about x, the arm turns about z of the base as the hand does."""
+    """`R_s = R_m R_m0' R_s0`: half a turn apart about x, the arm turns about z of the base like the hand."""
     hand, arm = Hand(), Arm((0.0, 0.0, 0.05))
     slave = SlaveRun(arm, SlaveLoop(SPEC, listen="127.0.0.1:0", **how()))
     master = MasterRun(hand, MasterLoop(SPEC, peer=slave.address, duration_s=20.0, patience_s=10.0, **how()))
     until(lambda: master.state == "engaged" and slave.state == "engaged")
     for step in range(1, 101):
-        # Rounded, as 32 bits are.
+        # Rounded to 32 bits.
         hand.orientation = tuple(float(np.float32(part)) for part in about_z(0.004 * step))
         time.sleep(2e-3)
     until(lambda: angle(np.array(arm.orientation), np.array((0.0, math.cos(0.2), math.sin(0.2), 0.0))) < 1e-5)
     # The torque fades in over 0.2 s.
     until(lambda: abs(hand.wrenches[-1][1][2] - 0.05) < 1e-3)
-    # What is no orientation is no wrench in that tick, and a fault.
+    # An invalid orientation gives a zero wrench in that tick, and a fault.
     before = len(hand.wrenches)
     hand.orientation = (1.0, 0.1, 0.0, 0.0)
     until(lambda: master.state == "fault")
@@ -196,7 +196,7 @@ def about_x(turned: float) -> tuple[float, ...]:
 
 
 def aligning(turned: float) -> tuple[Hand, Arm, MasterRun, SlaveRun]:
-    """An arm that is turned from its hand, aligned at 1 rad/s up to 1 rad; the start of the master is the press."""
+    """Return a pair whose arm is turned from its hand: alignment at 1 rad/s up to 1 rad; the master's start presses."""
     spec = scene_json(override_scene(turning(), ["coupling.alignment={speed = 1.0, max_angle = 1.0}"]))
     hand, arm = Hand(), Arm((0.0, 0.0, 0.05))
     arm.orientation = about_x(turned)
@@ -223,7 +223,7 @@ def test_a_driven_arm_is_turned_to_the_hand_before_the_two_engage() -> None:
     sines = np.linalg.norm(far.command_orientation[turned, 1:], axis=1)
     steps = -np.diff(2.0 * np.arcsin(sines))
     assert steps.min() > -1e-6
-    # A late tick makes up for one that was missed at most.
+    # A late tick makes up for at most one missed tick.
     assert steps.max() < 2.0 * 1e-3 * 1.01
     before = near.state != 2
     before[np.argmax(near.state == 2) :] = False
@@ -277,7 +277,7 @@ def test_a_sample_without_an_orientation_ends_the_run() -> None:
 
 
 def test_sides_of_another_kind_do_not_engage() -> None:
-    """Of the same length, but in other coordinates."""
+    """Both kinds have the same number of axes, but different coordinates."""
     points = override_scene(
         load_scene("three_axis_box", ["link={}"]), ["run.period_s=0.001", "run.duration_s=1.0", "master.kind='joints'"]
     )

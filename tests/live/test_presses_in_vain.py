@@ -1,4 +1,4 @@
-"""Presses of the clutch that do nothing, and what is said of them."""
+"""Presses of the clutch without effect, and their reports."""
 
 import io
 import os
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.live
 
 SCENE = scene_json(load_scene("remote_push", ["environment.pushers=[]", "link.forward={}", "link.backward={}"]))
 OLD_S = 5.5
-"""Beyond the 5 s for which a start is a press, docs/ladder.md."""
+"""Age in s of a start beyond the 5 s for which it counts as a press, docs/ladder.md."""
 
 
 def how(**others: object) -> dict[str, Any]:
@@ -38,7 +38,7 @@ def until(done: Callable[[], bool], seconds: float = 10.0) -> bool:
 
 
 class Button:
-    """A device that rests, with a button or without."""
+    """A device at rest, with or without a button."""
 
     paces = False
 
@@ -75,7 +75,7 @@ def test_a_start_of_long_ago_couples_nobody_and_is_said(pressed: bool | None) ->
         assert why is not None
         assert "more than 5 s ago" in why
         if pressed is None:
-            # Anew, should the loop have been late just then.
+            # Press repeatedly, because the loop may be late at a press.
             def coupled() -> bool:
                 master.press_clutch()
                 return until(lambda: master.state == "engaged", 1.0)
@@ -139,7 +139,7 @@ def test_a_command_that_stood_still_while_it_loaded_ends_at_once_and_says_why() 
         stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, stdin=subprocess.DEVNULL, text=True,
     )  # fmt: skip
     try:
-        # It has begun, and loads.
+        # The process has begun, and still loads.
         time.sleep(0.1)
         master.send_signal(signal.SIGSTOP)
         time.sleep(OLD_S)
@@ -157,11 +157,11 @@ def test_a_command_that_stood_still_while_it_loaded_ends_at_once_and_says_why() 
 
 
 ELSEWHERE = "elsewhere"
-"""In the place of what is typed: the clutch is pressed by a signal or at the console."""
+"""Stands for a press by a signal or at the console, instead of typed text."""
 
 
 class Typing(io.StringIO):
-    """Standard error that types on the terminal when it is asked something, or presses the clutch elsewhere."""
+    """Standard error that types on the terminal when a question appears, or presses the clutch elsewhere."""
 
     def __init__(self, terminal: int, press: Callable[[], None], *typed: str) -> None:
         super().__init__()
@@ -182,7 +182,7 @@ class Typing(io.StringIO):
 def asked(
     monkeypatch: pytest.MonkeyPatch, *typed: str, before: str = "", starts_by_press: bool = True
 ) -> tuple[SideWatch, bool, str]:
-    """A master whose start was long ago, and a person who types: its watch, whether it engaged, and what was said."""
+    """Run a master with an old start and a typing person; return its watch, true if it engaged, and the output."""
     slave = LiveSlave(SCENE, listen="127.0.0.1:0", **how())
     scene = scene_json(load_scene("remote_push", ["environment.pushers=[]", "operator.clutch=once"]))
     patience_s = 8.0 if starts_by_press else 2.0
@@ -219,7 +219,7 @@ def asked(
         ((ELSEWHERE,), "", True),
         (("no\n",), "", False),
         (("\n",), "", False),
-        # Typed before the question, it is no answer.
+        # An answer typed before the question does not count.
         (("\n",), "yes\n", False),
     ],
 )
@@ -236,7 +236,7 @@ def test_an_answer_of_uncertain_time_is_asked_for_again(monkeypatch: pytest.Monk
     stood_still = False
 
     def late(readers: list[int], *_: object) -> tuple[list[int], list[int], list[int]]:
-        # The process stands still between the question and the look at the answer.
+        # The process stands still between the question and the check of the answer.
         nonlocal stood_still
         if not stood_still:
             stood_still = True
@@ -271,5 +271,5 @@ print(time.monotonic() - started_s())
 """
     begun_s = time.monotonic()
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    # What the system tells of a process is in ticks of 10 ms.
+    # The system reports process times in ticks of 10 ms.
     assert 1.0 <= float(ended.stdout) <= time.monotonic() - begun_s + 0.02

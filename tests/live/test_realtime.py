@@ -34,7 +34,7 @@ BUSY_S = 4.0
 
 
 class Options(TypedDict, total=False):
-    """What a loop requests."""
+    """Requests of a loop."""
 
     realtime: str
     priority: int
@@ -45,7 +45,7 @@ class Options(TypedDict, total=False):
 
 @pytest.fixture
 def peer() -> Iterator[str]:
-    """A socket that nobody reads."""
+    """Yield the address of a socket that nobody reads."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sink:
         sink.bind(("127.0.0.1", 0))
         yield f"127.0.0.1:{sink.getsockname()[1]}"
@@ -64,7 +64,7 @@ def run_for(peer: str, seconds: float, **options: Unpack[Options]) -> tuple[Mast
 
 
 def loop_threads() -> list[int]:
-    """Loops of this process, as the kernel numbers them."""
+    """Return the kernel's numbers of this process's loop threads."""
     tasks = Path("/proc/self/task")
     return [int(task.name) for task in tasks.iterdir() if (task / "comm").read_text().strip() == "haptether-loop"]
 
@@ -158,7 +158,7 @@ def test_a_thread_that_holds_the_interpreter_does_not_hold_the_loop(peer: str) -
     began = time.monotonic()
     held_s = 0.0
     while held_s < 0.3:
-        # One call into C that lets nobody else run Python.
+        # One call into C that keeps all other threads out of Python.
         before = time.monotonic()
         sum(range(30_000_000))
         held_s = max(held_s, time.monotonic() - before)
@@ -166,7 +166,7 @@ def test_a_thread_that_holds_the_interpreter_does_not_hold_the_loop(peer: str) -
             break
     trace, report = master.finish()
     assert report.ticks > 100
-    # A loop that needed the interpreter would be as late as it was held; the machine itself may be busy.
+    # A loop that needed the interpreter would be as late as this call takes; the machine itself may be busy.
     assert float(trace.overshoot_s.max()) < max(0.1, 0.5 * held_s)
 
 
@@ -225,7 +225,7 @@ def test_a_recording_that_cannot_begin_says_where(peer: str, tmp_path: Path) -> 
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 512 KiB."""
+    """Yield a disk of 512 KiB."""
     folder = tmp_path / "disk"
     folder.mkdir()
     mounted = subprocess.run(
@@ -261,7 +261,7 @@ def test_a_full_disk_costs_records_and_nothing_else(
 
 
 def test_a_disk_that_does_not_answer_costs_records_and_nothing_else(peer: str, tmp_path: Path) -> None:
-    """A pipe that nobody empties."""
+    """The disk is a pipe that nobody empties."""
     path = tmp_path / "run.mcap"
     os.mkfifo(path)
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
@@ -294,6 +294,6 @@ def test_late_wakes_are_no_fault_of_a_clock() -> None:
             process.wait()
     late = [report.path for report in reports]
     assert [path.clock_faults for path in late] == [0, 0], [path.last_clock_fault for path in late]
-    # They have heard of one another, and woke late.
+    # They have heard from one another, and woke late.
     assert min(report.link.fresh for report in reports) > 100
     assert sum(report.skipped for report in reports) > 0

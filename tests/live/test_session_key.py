@@ -1,4 +1,4 @@
-"""The key file: who may read it, what it holds, and what is refused."""
+"""The key file: its permissions, its content and its refusals."""
 
 import base64
 import os
@@ -42,7 +42,7 @@ def test_the_known_answer(tmp_path: Path) -> None:
     text = "haptether session key 1\nAAECAwQFBgcICQoLDA0ODxAREhMUFRYXGBkaGxwdHh8=\n"
     assert text == key_text()
     assert read_key(written(tmp_path / "key", text)) == bytes(range(32))
-    # Brought over by a machine that ends its lines otherwise.
+    # A machine with other line ends wrote this file.
     assert read_key(written(tmp_path / "other", text.replace("\n", "\r\n"))) == bytes(range(32))
     assert read_key(written(tmp_path / "bare", text, 0o400)) == bytes(range(32))
 
@@ -62,7 +62,7 @@ def test_a_weak_key_is_refused_wherever_it_enters(tmp_path: Path, key: bytes) ->
 
 
 def copies(pid: int, *secrets: bytes) -> int:
-    """How often any of some bytes lie in the memory of a process."""
+    """Return the number of copies of some bytes in the memory of a process."""
     found = 0
     proc = Path(f"/proc/{pid}")
     with (proc / "maps").open(encoding="ascii") as maps, (proc / "mem").open("rb", buffering=0) as memory:
@@ -112,7 +112,7 @@ sys.stdin.readline()
 def test_a_live_process_has_one_copy_of_the_key_a_side_and_none_after_it(tmp_path: Path) -> None:
     path = tmp_path / "arm.key"
     write_key(path)
-    # Both as it is and as the file has it.
+    # Search both forms: the key itself, and its text in the file.
     secrets = (bytes(read_key(path)), path.read_bytes().splitlines()[1])
     with subprocess.Popen(
         [sys.executable, "-c", HELD, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -129,7 +129,7 @@ def test_a_live_process_has_one_copy_of_the_key_a_side_and_none_after_it(tmp_pat
         finally:
             process.kill()
     assert state != "disengaged"
-    # Not dumped, and of no size.
+    # The process is not dumpable, and its core limit is 0.
     assert (dumpable, core) == ("0", "0")
     assert held == 2
     assert left == 0

@@ -1,4 +1,4 @@
-"""What a live side shows on its terminal, and where its telemetry is without an option."""
+"""Panel of a live side on its terminal, and its telemetry socket without an option."""
 
 import contextlib
 import os
@@ -22,7 +22,7 @@ TIMEOUT_S = 60.0
 
 
 class Terminal:
-    """A terminal of 100 columns with a command on it."""
+    """A terminal of 100 columns that runs a command."""
 
     def __init__(self, folder: Path, *arguments: str, environment: Mapping[str, str] = os.environ) -> None:
         self.master, slave = os.openpty()
@@ -36,7 +36,7 @@ class Terminal:
         self.text = ""
 
     def until(self, pattern: str) -> None:
-        """Reads until there is text of this pattern."""
+        """Read until text matches this pattern."""
         end = time.monotonic() + TIMEOUT_S
         while not re.search(pattern, self.text):
             assert time.monotonic() < end, self.text[-3000:]
@@ -49,7 +49,7 @@ class Terminal:
                 self.text += re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown)
 
     def end(self, number: int) -> int:
-        """The status after a signal, with all that was shown before."""
+        """Send a signal; return the exit status, with all output read."""
         self.process.send_signal(number)
         end = time.monotonic() + TIMEOUT_S
         while self.process.poll() is None:
@@ -63,7 +63,7 @@ class Terminal:
 def folder(tmp_path: Path) -> Iterator[Path]:
     tmp_path.chmod(0o700)
     yield tmp_path
-    # Whatever became of the test: nothing that draws is left.
+    # No drawing process may be left, even after a failed test.
     found = subprocess.run(["pgrep", "-f", f"panel_process {tmp_path}"], capture_output=True, text=True, check=False)
     assert not found.stdout
 
@@ -83,7 +83,7 @@ def test_a_side_shows_its_panel_and_what_it_says_above_it(folder: Path) -> None:
     side.until(r"there was nothing to acknowledge here\s*\n?╭─ slave")
     assert "╭─ slave" in shown[0]
     assert side.end(signal.SIGINT) == 0
-    # The result has the place of the panel.
+    # The result replaces the panel.
     assert "slave disengaged: " in side.text.rpartition("╯")[2]
 
 
@@ -119,7 +119,7 @@ def test_a_driver_that_blocks_is_said_above_the_panel_while_it_does(folder: Path
     environment = packaged(folder, BLOCKING.replace("2.0", "5.0"))
     side = Terminal(folder, *arguments, environment=environment)
     side.until("loop late")
-    # No sample comes while it blocks.
+    # No sample comes while the driver blocks.
     begun_s = time.monotonic()
     side.until("has not returned for 0.5 s")
     assert time.monotonic() - begun_s < 4.0

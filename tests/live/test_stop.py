@@ -1,4 +1,4 @@
-"""Stop works: whoever reads the output, whatever a driver does, and with no memory left."""
+"""Stops with stalled readers of the output, with hanging drivers, and with no memory left."""
 
 import itertools
 import os
@@ -31,7 +31,7 @@ BESIDE_OTHERS = {
     stopping.stop_name("slave", "pipe", signal.SIGHUP),
     stopping.stop_name("slave", "pty", signal.SIGTERM),
 }
-"""Rows that `make faults` has, and that differ from others by the signal alone."""
+"""Rows of `make faults` that differ from others only by the signal."""
 ROWS = {
     name: measure
     for name, measure in stopping.rows(Limits(hold_s=0.15, fade_s=0.2)).items()
@@ -137,8 +137,8 @@ def test_ctrl_c_while_a_command_loads(arguments: tuple[str, ...], delay_s: float
     try:
         stderr = process.stderr
         assert stderr is not None
-        # What comes before is Python's own start, which answers Ctrl-C by itself: the first import after that of the
-        # package is made by the command, which has taken the signal over by then.
+        # The first import after that of the package comes from the command, which has taken the signal over by then.
+        # Before it, Python's own start answers Ctrl-C.
         for line in stderr:
             if line.rstrip().endswith("haptether.cli"):
                 break
@@ -158,9 +158,9 @@ def test_ctrl_c_while_a_command_loads(arguments: tuple[str, ...], delay_s: float
             process.stderr.close()
     assert "Traceback" not in said[0]
     assert "KeyboardInterrupt" not in said[0]
-    # By the signal itself: 130 for a shell, too. It meets a process whose Python has begun to end.
+    # A process whose Python has begun to end may end by the signal itself: 130 for a shell, too.
     ended = status in {130, -signal.SIGINT}
-    # A side that runs already ends in good order, and what has done its work with the status of that.
+    # A side that already runs ends in good order; a command that has done its work ends with its own status.
     own = {0} if arguments in LIVE and arguments[0] != "demo" else {0, 1} if arguments in SHORT else set()
     assert had_ended or ended or status in own
 
@@ -168,7 +168,7 @@ def test_ctrl_c_while_a_command_loads(arguments: tuple[str, ...], delay_s: float
 @pytest.mark.parametrize("button", [signal.SIGUSR1, signal.SIGUSR2])
 @pytest.mark.parametrize("ignored", [True, False])
 def test_a_button_pressed_while_a_side_loads_does_not_end_it(button: int, ignored: bool) -> None:
-    # A script starts a job in its background with SIGINT ignored.
+    # A script starts background jobs with SIGINT ignored.
     process = subprocess.Popen(
         ["sh", "-c", 'test "$0" && trap "" INT; exec "$@"', "yes" if ignored else "",
          sys.executable, "-X", "importtime", "-m", "haptether", *LIVE[0], "--realtime", "off"],
@@ -185,7 +185,7 @@ def test_a_button_pressed_while_a_side_loads_does_not_end_it(button: int, ignore
         reading = threading.Thread(target=process.stderr.read, daemon=True)
         reading.start()
         assert process.poll() is None
-        # Sent to a side that runs, it stops it all the same.
+        # SIGINT stops a running side even if it was ignored before.
         time.sleep(0.3)
         process.send_signal(signal.SIGINT)
         assert process.wait(8.0) == 0
@@ -216,7 +216,7 @@ def test_a_side_that_idles_and_records_takes_no_more_memory(tmp_path: Path) -> N
     finally:
         process.kill()
         process.wait()
-    # What was kept of each tick grew by 150 KB a second before; a day of this bound is 900 MB less.
+    # An earlier leak per tick was 150 KB per second; this bound allows 900 MB less in a day.
     assert grown < 10 * 5_000, f"{grown / 10.0:.0f} bytes a second"
 
 
@@ -232,7 +232,7 @@ def test_what_is_kept_of_a_run_is_bounded_and_in_order(capsys: pytest.CaptureFix
     assert len(trace) == 250
     assert report.dropped_records == report.ticks - 250
     print_kept(trace, report)
-    # A tick that is left out makes it longer.
+    # A skipped tick makes it longer.
     assert re.search(r"the figures cover the last 0\.2\d* s: --keep-s keeps more", capsys.readouterr().err)
     assert (np.diff(trace.time_s) > 0.0).all()
     assert trace.time_s[-1] > 0.9
@@ -249,7 +249,7 @@ def test_a_flight_file_is_for_its_owner_alone_and_follows_no_link(tmp_path: Path
     flight.write("one")
     assert path.read_text() == "one"
     assert path.stat().st_mode & 0o777 == 0o600
-    # Planted later: it is replaced.
+    # A link that is planted later is replaced.
     path.unlink()
     path.symlink_to(victim)
     flight.write("two")
@@ -281,7 +281,7 @@ def test_a_flight_file_that_is_read_slowly_is_whole(tmp_path: Path) -> None:
     reader = threading.Thread(target=take)
     reader.start()
     while not read and reader.is_alive():
-        # Until the reader has opened it.
+        # Repeat until the reader has opened the pipe.
         FlightFile(tmp_path / "pipe").write(flight)
         time.sleep(0.05)
     reader.join(20.0)

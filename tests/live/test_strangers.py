@@ -1,4 +1,4 @@
-"""Datagrams that are not of the peer: counted, and told to the operator of the side that gets them."""
+"""Datagrams that are not from the peer: the side that gets them counts them and tells its operator."""
 
 import secrets
 import socket
@@ -20,7 +20,7 @@ ELSEWHERE = "datagram from another address than the peer's"
 
 
 def told(side: LiveMaster | LiveSlave, what: str, again: Callable[[], object] = lambda: None) -> str:
-    """The first event of a side that says so."""
+    """Return the first event of a side with this text."""
     until = time.monotonic() + PATIENCE_S
     while time.monotonic() < until:
         again()

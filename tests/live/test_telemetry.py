@@ -1,4 +1,4 @@
-"""What a live loop sends of itself: to readers that read, that stall, that go, and to what is no reader."""
+"""Telemetry of a live loop: to readers that read, stall or go, and to other clients."""
 
 import json
 import secrets
@@ -55,7 +55,7 @@ Readers = tuple[TelemetryReader, TelemetryReader]
 
 @pytest.fixture
 def sides(tmp_path: Path) -> Iterator[tuple[LiveMaster, LiveSlave, Readers]]:
-    """Two that engage, and who reads them: of the slave from before there is a master."""
+    """Yield two sides that engage, with their readers; the slave has its reader before there is a master."""
     scene = scene_json(two_sides())
     paths = tmp_path / "master.sock", tmp_path / "slave.sock"
     slave = LiveSlave(
@@ -96,7 +96,7 @@ def test_both_sides_send_all_ticks_with_their_extremes_and_what_changes(
         assert isinstance(messages[-1], TelemetryEnd)
         time_ns = np.rint(ticks.time_s * 1e9).astype(np.int64)
         assert samples(messages)[-1].time_ns == time_ns[-1]
-        # From its first sample on: what was before may have been over when the reader came.
+        # Counted from the first sample, because earlier ticks may have passed before the reader came.
         first = samples(messages)[0]
         assert sum(sample.ticks for sample in samples(messages)[1:]) == np.count_nonzero(time_ns > first.time_ns)
         states = [ladder_state_name(int(code)) for code in ticks.state]
@@ -112,7 +112,7 @@ def test_both_sides_send_all_ticks_with_their_extremes_and_what_changes(
         ] == changed
     assert ("aligning", "engaged") in changes(seen[1], "state")
     assert report.dropped_records == slave_report.dropped_records == 0
-    # Each sample against the ticks that it stands for.
+    # Each sample is compared with the ticks that it stands for.
     first_ns = samples(seen[0])[0].time_ns
     time_ns = np.rint(trace.time_s * 1e9).astype(np.int64)
     begin = int(np.searchsorted(time_ns, first_ns, side="right"))
@@ -139,7 +139,7 @@ def test_a_cause_reaches_those_who_come_later(tmp_path: Path) -> None:
             time.sleep(0.01)
             assert time.monotonic() < end_s
         text = json.loads(master.cause() or "")["text"]
-        # It was sent before this one came.
+        # The cause was sent before this reader came.
         time.sleep(0.2)
         with TelemetryReader(path) as reader:
             first = next(iter(reader))
@@ -163,7 +163,7 @@ def test_a_reader_that_does_not_read_or_talks_holds_nothing_up(tmp_path: Path) -
     stalled.close()
     assert isinstance(messages[-1], TelemetryEnd)
     assert samples(messages)[-1].dropped == 0
-    # What was sent to it stopped nothing.
+    # Bytes sent by the reader did not stop the side.
     assert report.ticks + report.skipped > 1900
 
 
@@ -228,7 +228,7 @@ def test_what_is_no_telemetry_is_refused(sent: bytes, error: type[Exception], sa
                 try:
                     client.sendall(sent)
                 except OSError:
-                    # It has read enough.
+                    # The client has read enough.
                     return
 
         server = threading.Thread(target=serve)
@@ -248,7 +248,7 @@ def test_a_message_that_comes_byte_by_byte_is_not_waited_for_longer(tmp_path: Pa
         def serve() -> None:
             client, _ = listener.accept()
             with client:
-                # Each byte well within the time, the line never.
+                # Each byte comes well within the time, but the line never ends.
                 for _ in range(200):
                     if done.wait(0.05):
                         return

@@ -1,4 +1,4 @@
-"""A trigger that the finger feels, live: as in virtual time, through a driver, and drivers without a motor for it."""
+"""A trigger with force feedback, live: against virtual time, through a driver, and with drivers without a motor."""
 
 import math
 import secrets
@@ -51,7 +51,7 @@ def until(done: Callable[[], bool], seconds: float = 10.0) -> None:
 
 
 class Hand:
-    """A device that rests, without a motor at its trigger."""
+    """Device at rest, without a motor at its trigger."""
 
     paces = False
 
@@ -72,7 +72,7 @@ class Hand:
 
 
 class FeelingHand(Hand):
-    """The same, with one, whose forces are kept."""
+    """The same with a motor; it records its forces."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -87,7 +87,7 @@ class FeelingHand(Hand):
 
 @anew_after_stalls
 def test_live_and_virtual_time_feel_alike() -> None:
-    """Parity: the same trigger and the same forces at it, at the same time since engagement."""
+    """Compare live and virtual time: the same trigger and forces, at the same time since engagement."""
     spec = scene_json(FELT)
     slave = LiveSlave(spec, listen="127.0.0.1:0", **how())
     master = LiveMaster(spec, peer=slave.address, duration_s=1.6, patience_s=10.0, **how())
@@ -106,8 +106,8 @@ def test_live_and_virtual_time_feel_alike() -> None:
     for time_s in (0.05, 0.3, 0.45, 0.7, 1.0, 1.5):
         tick = int(np.searchsorted(near.time_s, begun_s + time_s - 5e-4))
         there = round((offset_s + time_s) * 1e3)
-        # Loopback and the phase of two loops: a few ticks, in which the trigger closes at 2 / s and the force grows by
-        # 10 N/s.
+        # Loopback and the phase of two loops shift by a few ticks; meanwhile the trigger closes at 2 / s and the force
+        # grows by 10 N/s.
         assert near.trigger[tick] == pytest.approx(run.signals["trigger"][there], abs=0.02)
         expected = run.signals["trigger_device_force"][there]
         assert near.trigger_device_force[tick] == pytest.approx(expected, abs=0.15)
@@ -142,7 +142,7 @@ def test_a_driver_exerts_what_the_jaws_press_with_and_ends_at_rest() -> None:
     master, slave, loop = driven(hand)
     until(lambda: loop.state == "engaged" or master.finished)
     hand.trigger = 0.0
-    # The trigger closes, no faster than the jaws follow.
+    # The trigger closes no faster than the jaws follow.
     for step in range(81):
         hand.trigger = 0.01 * step
         time.sleep(0.005)

@@ -1,4 +1,4 @@
-"""Where a fault happened, in the driver's own words, and what to do: at both screens and in every record."""
+"""Place of a fault, the driver's own words, and the remedies: on both screens and in every record."""
 
 import json
 import os
@@ -62,7 +62,7 @@ LINE = next(number for number, line in enumerate(textwrap.dedent(DRIVER).splitli
 
 
 class Screen:
-    """A command, and what it says on standard error, line by line."""
+    """A command with its standard error, line by line."""
 
     def __init__(self, environment: dict[str, str], *arguments: str) -> None:
         self.process = subprocess.Popen(
@@ -82,7 +82,7 @@ class Screen:
         self._waiting.put("")
 
     def until(self, said: str, again: signal.Signals | None = None) -> str:
-        """Waits for a line that holds `said`, and gives it; a signal that a late loop passed over is sent `again`."""
+        """Wait for a line that contains `said`, and return it; send the signal `again` if a late loop ignored it."""
         while True:
             try:
                 line = self._waiting.get(timeout=TIMEOUT_S if again is None else 2.0)
@@ -98,11 +98,11 @@ class Screen:
                 return self.lines[-1]
 
     def join(self) -> None:
-        """Waits until all that it said has been read."""
+        """Wait until all of its output has been read."""
         self._reader.join(timeout=TIMEOUT_S)
 
     def end(self) -> str:
-        """Waits for the end and gives all that it said."""
+        """Wait for the end and return all of its output."""
         self.process.wait(timeout=TIMEOUT_S)
         self.join()
         while line := self._waiting.get(timeout=TIMEOUT_S):
@@ -122,7 +122,7 @@ def screens() -> Iterator[list[Screen]]:
 
 
 def packaged(folder: Path) -> dict[str, str]:
-    """The environment of a process that finds the driver `bench` of another package."""
+    """Return the environment of a process that finds the driver `bench` of another package."""
     (folder / "bench_arm.py").write_text(textwrap.dedent(DRIVER))
     package = folder / "bench_arm-1.0.dist-info"
     package.mkdir()
@@ -133,7 +133,7 @@ def packaged(folder: Path) -> dict[str, str]:
 
 
 def begun(tmp_path: Path, screens: list[Screen], *flags: str, secure: bool, **options: str) -> tuple[Screen, Screen]:
-    """A slave with the driver, and a master, both recorded."""
+    """Start a slave with the driver, and a master, both recorded."""
     key = ["--insecure"]
     if secure:
         write_key(tmp_path / "key")
@@ -165,7 +165,7 @@ WORDS = "joint 4: the brake [/nope] is \x1b[2Jstuck"
 SHOWN = "joint 4: the brake [/nope] is \\ufffd[2Jstuck"
 
 
-# A loop that woke late takes no press.
+# A loop that woke late accepts no press.
 @pytest.mark.alone
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("secure", [False, True], ids=["insecure", "secure"])
@@ -190,7 +190,7 @@ def test_a_fault_of_the_arm_is_shown_at_both_screens_with_what_to_do_in_order(
         assert master.until(text).startswith(f"stop: {text}")
         master.until("  2.")
 
-    # The press that nobody could answer says so, at once. A loop that woke late takes none for a while.
+    # A press that nobody could answer is reported at once. A loop that woke late accepts none for a while.
     time.sleep(0.5)
     master.process.send_signal(signal.SIGUSR1)
     begun_s = time.monotonic()
@@ -198,7 +198,7 @@ def test_a_fault_of_the_arm_is_shown_at_both_screens_with_what_to_do_in_order(
     assert time.monotonic() - begun_s < 6.0
     assert master.until("  1.") == f"{slave_acknowledges}(there: kill -USR2 PID)"
 
-    # In that order it couples again.
+    # In this order of remedies it couples again.
     flag.unlink()
     slave.process.send_signal(signal.SIGUSR2)
     assert slave.until("slave: acknowledged") == "slave: acknowledged: what was wrong counts as mended"
@@ -228,7 +228,7 @@ def test_a_fault_of_the_arm_is_shown_at_both_screens_with_what_to_do_in_order(
             env=os.environ | {"COLUMNS": "80"}, capture_output=True, text=True, timeout=TIMEOUT_S, check=True,
         ).stdout  # fmt: skip
         said = " ".join(explained.split())
-        # The words of the arm, whosever file it is.
+        # Both files contain the words of the arm.
         assert "the slave has a fault: joint 4: the brake [/nope]" in said
         assert "1. mend the cause, then acknowledge it at the slave" in said
         assert "\x1b" not in explained
@@ -248,7 +248,7 @@ def test_a_drivers_exception_shows_file_and_line_at_both_screens_and_its_traceba
     assert "start the slave again" in master.until("  1.")
     said = slave.end()
     assert slave.process.returncode == 1
-    # This process is gone: there is nothing left to acknowledge at it.
+    # This process is gone: nothing is left to acknowledge there.
     assert "mend the cause, then start the slave again" in said
     assert "acknowledge" not in said
     assert seen.search(said.splitlines()[-1])
@@ -270,7 +270,7 @@ def how(**others: object) -> dict[str, Any]:
 
 
 class Hand:
-    """A device at one place, that says of itself what is wrong."""
+    """A device at one place that reports a fault on request."""
 
     paces = False
 
@@ -324,7 +324,7 @@ def test_a_fault_of_the_hands_device_is_shown_at_the_slave() -> None:
 
 
 class UnsayableError(Exception):
-    """Whose words cannot be had."""
+    """An error whose text cannot be read."""
 
     def __str__(self) -> str:
         raise RuntimeError
@@ -390,7 +390,7 @@ def test_an_orderly_end_is_no_hold(secure: bool, first: str) -> None:
     ends, stays = (master, slave) if first == "master" else (slave, master)
     ends.finish()
     until(lambda: cause(stays).get("text") == f"the {first} has ended")
-    # Longer than to a stop.
+    # This is longer than the time to a stop.
     time.sleep(0.4)
     assert stays.state == "disengaged"
     assert cause(stays)["at"] == first
@@ -403,7 +403,7 @@ def test_an_orderly_end_is_no_hold(secure: bool, first: str) -> None:
 
 @pytest.mark.parametrize("first", ["master", "slave"])
 def test_the_end_of_a_driven_side_comes_before_its_silence(first: str) -> None:
-    """Whoever waits for the report of a run may take its time: the other side learns of the end before."""
+    """Even if the report of a run is fetched late, the other side learns of the end before."""
 
     class Arm(Hand):
         def read(self) -> SlaveSample:  # type: ignore[override]

@@ -1,4 +1,4 @@
-"""A machine bound to several addresses answers from the address that was asked."""
+"""A machine bound to several addresses answers from the address that a client used."""
 
 import json
 import os
@@ -19,7 +19,7 @@ PROGRAM = (sys.executable, "-m", "tests.live.host_with_two_addresses")
 
 
 class Machine:
-    """A network of its own, as long as its process lives."""
+    """Network namespace that lasts as long as its process."""
 
     def __init__(self, process: "subprocess.Popen[bytes]") -> None:
         self.pid = process.pid
@@ -38,7 +38,7 @@ class Machine:
 
 @pytest.fixture
 def machines() -> Iterator[tuple[Machine, Machine]]:
-    """Two machines with a cable between them: one has two addresses of each kind, the other one."""
+    """Connect two machines with a cable: one has two addresses of each kind, the other one."""
     if os.geteuid() != 0 or any(shutil.which(name) is None for name in ("unshare", "nsenter", "ip")):
         pytest.skip("network namespaces need root, unshare, nsenter and ip")
     with ExitStack() as stack:
@@ -67,7 +67,7 @@ def machines() -> Iterator[tuple[Machine, Machine]]:
             (client, "plug", ("10.77.0.9/24", "fd77::9/64")),
         ):
             for address in addresses:
-                # Usable at once: nobody else has them.
+                # The addresses are usable at once: nobody else has them.
                 flags = ("nodad",) if ":" in address else ()
                 machine.ip("address", "add", address, "dev", link, *flags)
             machine.ip("link", "set", link, "addrgenmode", "none")
@@ -89,7 +89,7 @@ def test_the_answer_comes_from_the_address_that_was_asked(machines: tuple[Machin
             for bound, hosts in (("0.0.0.0:0", v4), ("[::]:0", (*v6, *v4)))
             for host in hosts
             for kind, port in ports[bound].items()
-            # One slave serves one master, which asks the second address.
+            # A slave serves one master only, which uses the second address.
             if kind != "slave" or (bound, host) in {("0.0.0.0:0", v4[1]), ("[::]:0", v6[1])}
         }
         asking = client.start("ask", json.dumps(peers))
@@ -100,7 +100,7 @@ def test_the_answer_comes_from_the_address_that_was_asked(machines: tuple[Machin
 
 
 def test_a_second_address_of_loopback_is_answered_from_there() -> None:
-    """The same without a network of its own, over IPv4."""
+    """Test the same without a network namespace, over IPv4."""
     serving = subprocess.Popen((*PROGRAM, "serve"), cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         assert serving.stdout is not None

@@ -62,7 +62,7 @@ def test_the_motion_is_that_of_dop853(scene: Scene) -> None:
 
 
 def test_the_scenes_have_what_they_are_for() -> None:
-    """A bounce that never bounces, or a grip that never slips, would prove nothing."""
+    """Check the scenes: one without a bounce, or a grip without a slip, would prove nothing."""
     assert len(reference(bounces()).met_s) == 18
     velocity = reference(rub()).velocity
     assert np.count_nonzero(velocity == 0.0) > 10
@@ -81,11 +81,11 @@ def test_a_held_wall_is_its_recursion() -> None:
     [("semi-implicit-euler", 1), ("velocity-verlet", 2), ("rk4", 4)],
 )
 def test_a_method_of_the_bench_has_its_order(method: Method, order: int) -> None:
-    """A peer that errs would make the engine look good."""
+    """Check the order of each method: a wrong reference would flatter the engine."""
     scene = path()
     truth = reference(scene)
     coarse, fine = (
         float(np.abs(step(scene, method, step_s).position - truth.position).max()) for step_s in (1e-3, 5e-4)
     )
-    # The kinks of the path lie on steps, so that each method keeps its order.
+    # The kinks of the path lie on step boundaries, so that each method keeps its order.
     assert np.log2(coarse / fine) == pytest.approx(order, abs=0.1)

@@ -1,4 +1,4 @@
-"""Models of device, hand, wall, pusher and arm, and the loop without a network in closed form."""
+"""Models of device, hand, wall, pusher and arm, and the closed-form loop without a network."""
 
 import re
 from collections.abc import Callable
@@ -21,7 +21,7 @@ DELTA, ETA = -0.03, 0.5
 """The paper's thresholds of WSC."""
 
 OPEN = LimiterSettings(max_force_n=100.0, max_slew_n_per_s=1e6, max_power_w=1e3, ramp_in_s=0.0)
-"""Bounds that nothing here reaches: the first force is there at once."""
+"""Limits that nothing here reaches: the first force acts at once."""
 
 NAN, INF = np.nan, np.inf
 POSITIVE = "finite and above 0"
@@ -98,7 +98,7 @@ def test_a_hand_follows_its_path_and_lets_go() -> None:
     for time_s, target in [(-1.0, 1.0), (0.0, 1.0), (1.0, -2.0), (2.0, 0.0), (3.0, 2.0), (9.0, 2.0)]:
         assert abs(held.target(time_s) - target) <= 1e-15
     for s in np.linspace(0.0, 1.0, 21):
-        # 10 s³ - 15 s⁴ + 6 s⁵, by Horner's rule there: a handful of roundings of values below 20.
+        # 10 s³ - 15 s⁴ + 6 s⁵; the model uses Horner's rule: some roundings of values below 20.
         expected = 1.0 - 3.0 * (10 * s**3 - 15 * s**4 + 6 * s**5)
         assert abs(held.target(float(s)) - expected) <= 1e-14
     for time_s, strength in [(0.0, 20.0), (1.0, 20.0), (1.01, 15.0), (1.03, 5.0), (1.04, 0.0)]:
@@ -120,7 +120,7 @@ def test_a_wall_pushes_out_and_never_pulls() -> None:
 
 
 def ejected(settings: SafetySettings | None = None, stiffness: float = STIFFNESS, depth: float = DEPTH) -> LocalTrace:
-    """Nobody holds: the device is let go at rest, in a wall."""
+    """Release the device at rest, in a wall, without a hand."""
     return run_local(
         HapticDevice(mass_kg=MASS),
         Hand.absent(position=-depth),
@@ -132,7 +132,7 @@ def ejected(settings: SafetySettings | None = None, stiffness: float = STIFFNESS
 
 
 def sampled(stiffness: float, depth: float) -> float:
-    """Speed at which a wall that is sampled and held throws the device out of it."""
+    """Return the speed at which a sampled and held wall ejects the device."""
     z, v = -depth, 0.0
     while z < 0.0:
         force = -stiffness * z
@@ -145,7 +145,7 @@ def sampled(stiffness: float, depth: float) -> float:
 def test_an_ejection_without_a_controller(stiffness: float, depth: float) -> None:
     trace = ejected(stiffness=stiffness, depth=depth)
     peak = trace.velocity.max()
-    # The recursion is what the model solves; some 60 ticks of rounding.
+    # The model solves this recursion; the difference is the rounding of some 60 ticks.
     assert abs(peak - sampled(stiffness, depth)) <= 1e-12
     # Energy conservation; sampling gains exp(pi/8 dT sqrt(K/m)): 1.4 % at 200 N/m, 3.2 % at 1000.
     rate = np.sqrt(stiffness / MASS)
@@ -161,16 +161,16 @@ def first_trip(trace: LocalTrace) -> int:
 
 def test_wsc_trips_at_its_speed_after_a_release_from_rest() -> None:
     trace = ejected(SafetySettings(["wsc"], energy_threshold_j=DELTA, energy_ratio=ETA))
-    # No hand, so no work of one: E_wso = -m V² / (2 eta), which passes delta at this speed.
+    # Without a hand no work is done: E_wso = -m V² / (2 eta), which passes delta at this speed.
     speed = np.sqrt(2 * ETA * abs(DELTA) / MASS)
     assert abs(speed - 0.437) < 5e-4
     tick = first_trip(trace)
     assert tick == np.flatnonzero(trace.velocity > speed)[0]
     moving = MASS * trace.velocity[: tick + 1] ** 2 / (2 * ETA)
-    # F_h cancels to rounding of 8 N; the ticks so far add 8 N * 1 m/s * dT * u each.
+    # F_h cancels to rounding of 8 N; each tick so far adds 8 N * 1 m/s * dT * u.
     assert np.all(abs(trace.windowed_energy_j[: tick + 1] + moving) <= 1e-15)
     assert abs(trace.grasp_force[: tick + 1]).max() <= 1e-12
-    # From the trip on the device renders the damping alone while WSC stays tripped.
+    # After the trip the device renders the damping alone, as long as WSC stays tripped.
     on = np.flatnonzero(trace.tripped == 4)
     assert np.all(abs(trace.device_force[on] + 5.0 * trace.velocity[on]) <= 1e-14)
     assert trace.velocity.max() < 0.36 * ejected().velocity.max()
@@ -199,7 +199,7 @@ def test_wsc_trips_late_with_the_whole_press_inside_its_window() -> None:
     assert abs(trace.position[released] + DEPTH) <= 1e-9
     tick = first_trip(trace)
     assert tick > released
-    # The hand has stored K D²/2 in the wall; E_wso = that - m V² / (2 eta) passes delta at this speed.
+    # The hand has stored K D²/2 in the wall; that energy less m V² / (2 eta) passes delta at this speed.
     speed = np.sqrt((abs(DELTA) + STIFFNESS * DEPTH**2 / 2) * 2 * ETA / MASS)
     assert abs(speed - 1.077) < 5e-4
     # The speed grows by one tick of K z / m up to the trip. The rectangle rule of Eq. 11 misses
@@ -209,7 +209,7 @@ def test_wsc_trips_late_with_the_whole_press_inside_its_window() -> None:
     missed = STIFFNESS * DT * (10 / 7) * DEPTH**2 / pressed_s
     lowered = missed * 2 * ETA / MASS / (2 * speed)
     assert lowered < 2e-3
-    # Twice: `left` and the press are those of the ideal motion.
+    # The factor 2 covers the ideal motion in `left` and in the press.
     assert trace.velocity[tick] > speed - 2 * lowered
     assert trace.velocity[tick - 1] < speed
     assert trace.velocity[tick] < speed + 1.1 * step
@@ -248,7 +248,7 @@ def test_a_force_that_acts_late_moves_a_free_device_so_much_later(delay: int) ->
         for ticks in (delay, 0)
     )
     assert np.all(late.velocity[:delay] == 0.0)
-    # The same sums; time enters the model's steps, and rounds.
+    # The sums are the same; time enters the model's steps, and rounds.
     assert np.all(abs(late.velocity[delay:] - prompt.velocity[:-delay]) <= 1e-14)
     assert np.array_equal(late.device_force, prompt.device_force), "what is commanded, not what acts"
     with pytest.raises(ValueError, match="device_delay = 1001: must be at most 1000"):
@@ -257,7 +257,10 @@ def test_a_force_that_acts_late_moves_a_free_device_so_much_later(delay: int) ->
 
 @pytest.mark.parametrize("kind", ["strength", "gain"])
 def test_what_falls_at_a_release(kind: Literal["strength", "gain"]) -> None:
-    """F_h = K_h (target - x) - B_h V: its bound falls, or it itself (Hogan 1989; master/src/hand.rs)."""
+    """Check both kinds of release: the bound of F_h falls, or F_h itself (Hogan 1989; master/src/hand.rs).
+
+    F_h = K_h (target - x) - B_h V.
+    """
     stiffness, damping, strength, target, begin, decay = 300.0, 5.0, 11.7, -0.065, 0.5, 0.08
     held = Hand(
         stiffness=stiffness, damping=damping, strength_n=strength, start=0.0, legs=[(0.4, target, "minimum-jerk")],
@@ -282,7 +285,7 @@ def test_friction_stops_the_device_for_good() -> None:
         ticks=1000,
         start=(0.0, 0.1),
     )
-    # v² / (2 c / m), and v m / c until it rests.
+    # v² / (2 c / m), and v m / c until rest.
     assert abs(trace.position[-1] - 0.1**2 * MASS / (2 * 0.038)) <= 1e-15
     rests = 0.1 * MASS / 0.038
     assert np.all((trace.velocity > 0) == (trace.time_s < rests))
@@ -293,7 +296,7 @@ def test_a_stop_takes_all_speed() -> None:
     for speed, stop in [(0.5, 0.05), (-0.5, -0.1)]:
         trace = run_local(stopped, Hand.absent(), Wall(stiffness=0.0), ticks=300, start=(0.0, speed))
         reached = trace.time_s >= stop / speed
-        # Half a metre a second for at most 200 ticks, each rounded once.
+        # 0.5 m/s for at most 200 ticks, each rounded once.
         free = speed * trace.time_s
         assert np.all(abs(trace.position - np.where(reached, stop, free)) <= 200 * 2.0**-54)
         assert np.array_equal(trace.velocity != 0.0, ~reached)
@@ -332,7 +335,7 @@ def test_the_encoder_and_its_estimator_are_in_the_loop() -> None:
             Hand.absent(position=-DEPTH),
             Wall(stiffness=STIFFNESS),
             ticks=30,
-            # HSC reads F_h; its threshold is out of reach, for nobody holds.
+            # HSC reads F_h; its threshold is out of reach, as nobody holds.
             settings=SafetySettings(["hsc"], grasp_threshold=1e9),
             estimator=kind,
             limiter=OPEN,

@@ -1,4 +1,4 @@
-"""Simulated loops lose their stability where closed forms say; `benches/stability.py` has all rows of the tables."""
+"""Stability limits of simulated loops against closed forms; `benches/stability.py` has all rows of the tables."""
 
 from functools import cache
 
@@ -19,7 +19,7 @@ from stability import (
 pytestmark = pytest.mark.slow
 
 TOLERANCE = 0.01
-"""Of the simulated against the closed form; what is measured is within 0.5 %."""
+"""Relative tolerance of the simulated against the closed form; measured errors are within 0.5 %."""
 
 
 @cache
@@ -28,7 +28,7 @@ def all_cases() -> dict[str, Case]:
 
 
 def test_closed_forms_give_the_printed_figures() -> None:
-    """Each figure is printed with 2 to 6 digits: within half of its last one, or 1 % of a figure of two digits."""
+    """Figures have 2 to 6 printed digits: the tolerance is half of the last digit, or 1 % of a figure of two digits."""
     for case in all_cases().values():
         assert case.printed is not None
         assert case.closed.gain == pytest.approx(case.printed, rel=3e-3), case.name
@@ -36,7 +36,7 @@ def test_closed_forms_give_the_printed_figures() -> None:
 
 
 def spectral_radius(stiffness: float, damping: float, period_s: float, late: int) -> float:
-    """Of the wall's loop: roots of `(z - 1)(z - a) z^(d + 1) + (K z + B (z - 1) / T) (g_1 z + g_0)`."""
+    """Return the largest root of the wall's loop: `(z - 1)(z - a) z^(d + 1) + (K z + B (z - 1) / T) (g_1 z + g_0)`."""
     mass_kg, viscous = 0.1, 0.5
     a = np.exp(-viscous / mass_kg * period_s)
     glide = (1.0 - a) * mass_kg / viscous
@@ -89,7 +89,7 @@ def test_a_simulated_loop_is_stable_up_to_its_closed_form(name: str) -> None:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("number", [0, 1, 2, 3])
 def test_position_force_is_stable_up_to_the_ratio_of_the_masses(number: int) -> None:
-    """At 0.1 ms the loop is two periods late, which costs up to 3 % of gain: held against its sampled form."""
+    """At 0.1 ms the loop is two periods late: up to 3 % less gain. The tight tolerance is to the sampled form."""
     fine = all_cases()[f"position-force, plant {number}, M_m / M_s"]
     coarse = [case for case in teleoperator_cases(within=0.04) if case.name == fine.name]
     row = measure(coarse[0], tolerance=2e-3)

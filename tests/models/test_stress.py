@@ -1,4 +1,4 @@
-"""Loops far beyond what is physical: they end with numbers, in time, and say when and why they diverged."""
+"""Loops far beyond physical settings: they end in time with finite numbers, and report time and cause of divergence."""
 
 import time
 from itertools import product
@@ -14,20 +14,20 @@ from haptether.bridge import Run, Scene, SceneError, simulate, sweep
 pytestmark = pytest.mark.slow
 
 STIFF = 1e7
-"""In N/m: four orders above a wall that a hand can tell from steel."""
+"""Stiffness in N/m: four orders above a wall that a hand can tell from steel."""
 SHAPES: dict[str, dict[str, Any]] = {
     "plane": {"kind": "plane"},
     "sphere": {"kind": "sphere", "radius": 0.05},
     "box": {"kind": "box", "half_extents": 0.05},
     "spring": {"kind": "spring"},
 }
-"""Their surfaces, and the anchor of the spring, are put at x = 0."""
+"""Shapes whose surface, or whose spring's anchor, is at x = 0."""
 MAX_OF_REAL_TIME = 100.0
-"""In time of the processor, which others that compute meanwhile do not lengthen."""
+"""Largest ratio of processor time to simulated time; processor time does not depend on other load."""
 
 
 def run(raw: dict[str, Any]) -> Run:
-    """Run a scene, and check what holds of every run and that it took no more than 100 times as long."""
+    """Run a scene; check the invariants of every run, and a processor time of at most 100 times the duration."""
     scene = msgspec.convert(raw, Scene)
     begun_s = time.process_time()
     done = simulate(scene)
@@ -39,7 +39,7 @@ def run(raw: dict[str, Any]) -> Run:
 
 
 def stressed(axes: int, has_arm: bool, *, shape: str, law: str, period_s: float, viscous: float) -> dict[str, Any]:
-    """A device of a gram that a hand presses on what is as hard as it gets."""
+    """Press a device of one gram on the hardest contacts with a hand."""
     duration_s = 0.02 if period_s < 1e-3 else 0.5
     contact: dict[str, Any] = {"law": law, "stiffness": STIFF, "damping": 1.0}
     along = [1.0] + [0.0] * (axes - 1)
@@ -87,7 +87,7 @@ def test_continuous_walls_end_with_numbers(axes: int) -> None:
 
 
 def unstable(axes: int, has_arm: bool) -> dict[str, Any]:
-    """A spring far above what its rate and its delay allow."""
+    """Return a spring far above the stability bound of its rate and its delay."""
     raw: dict[str, Any] = {
         "schema": 1,
         "run": {"duration_s": 20.0},
@@ -118,7 +118,7 @@ def test_a_loop_that_diverges_says_when_and_why_and_stops(axes: int, has_arm: bo
 @pytest.mark.parametrize("has_arm", [False, True])
 @pytest.mark.parametrize("period_s", [2.4e-5, 1.1e-4, 1e-3])
 def test_what_is_too_stiff_is_taken_coarsely_and_reported_at_any_rate(period_s: float, has_arm: bool) -> None:
-    """A spring that drags a body of 0.3 g with 2e5 N s/m: a rate of 7e8 / s. Short ticks have no more patience."""
+    """Use a spring that drags a body of 0.3 g with 2e5 N s/m: a rate of 7e8 / s. Short ticks make no difference."""
     raw = unstable(3, has_arm)
     raw["run"] = {"duration_s": 100 * period_s, "period_s": period_s}
     drags = {"stiffness": 5e3, "damping": 2e5}
@@ -149,7 +149,7 @@ def test_an_arm_that_leaves_its_room_has_diverged() -> None:
 
 
 def test_long_delays_lose_nothing_and_stay_finite() -> None:
-    """More frames are under way than a queue of the network holds: in virtual time it is as long as it must be."""
+    """Put more frames in flight than a network queue holds: in virtual time the queue grows as needed."""
     raw = unstable(1, True)
     raw["run"] = {"duration_s": 2.2, "period_s": 1e-5}
     raw["link"] = {"forward": {"delay_s": 1.0}, "backward": {"delay_s": 1.0}}
@@ -168,7 +168,7 @@ def test_a_spring_five_seconds_late_diverges() -> None:
     assert run(local).metrics.diverged
     remote = unstable(1, True)
     remote["run"]["duration_s"] = 100.0
-    # A press waits for 5 s: over a way there and back of as much nobody can engage.
+    # A press waits for 5 s: with a round trip of the same length it never engages.
     remote["link"] = {"forward": {"delay_s": 2.5}, "backward": {"delay_s": 2.5}}
     assert run(remote).metrics.outcome == "never-engaged"
     remote["link"] = {"forward": {"delay_s": 2.4}, "backward": {"delay_s": 2.4}}
@@ -177,7 +177,7 @@ def test_a_spring_five_seconds_late_diverges() -> None:
 
 @pytest.mark.thorough
 def test_ten_million_ticks() -> None:
-    """A free oscillation keeps its energy over 1e7 ticks: the wall's held force returns what b takes at K = b / T."""
+    """A free oscillation keeps its energy over 1e7 ticks: at K = b / T the wall's held force returns the loss by b."""
     raw: dict[str, Any] = {
         "schema": 1,
         "run": {"duration_s": 100.0, "period_s": 1e-5},

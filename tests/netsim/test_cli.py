@@ -1,4 +1,4 @@
-"""`haptether netsim`: its table, CSV and JSON, flags, and what it refuses."""
+"""`haptether netsim`: its table, CSV and JSON, flags, and refusals."""
 
 import csv
 import io
@@ -45,7 +45,7 @@ def test_a_copy_has_a_row_directly_after_its_packet_and_shifts_nothing(capsys: p
     single, doubled = rows(sample(capsys, *ROUGH)), rows(sample(capsys, *ROUGH, "--duplicate", "0.2"))
     assert [row for row in doubled if row["cause"] != "duplicate"] == single
     places = [place for place, row in enumerate(doubled) if row["cause"] == "duplicate"]
-    # 1800 packets arrive, a fifth of them twice: 360 +- 4 * 17.
+    # 1800 packets arrive, and a fifth of them is duplicated: 360 +- 4 * 17.
     assert 290 <= len(places) <= 430
     for place in places:
         assert doubled[place]["index"] == doubled[place - 1]["index"]
@@ -67,7 +67,7 @@ def test_the_table_sets_asked_beside_realised(capsys: pytest.CaptureFixture[str]
     assert realised["mean_s"] == pytest.approx(0.05, rel=0.02)
     assert realised["sigma_s"] == pytest.approx(0.005, rel=0.02)
     assert realised["p99_s"] == pytest.approx(0.05 + 2.3263 * 0.005, rel=0.02)
-    # 1000 bursts of mean 4 with a deviation of 3.5: four deviations of their mean, and of their number.
+    # 1000 bursts have mean 4 and deviation 3.5: allow four deviations of their mean, and of their number.
     assert realised["mean_burst"] == pytest.approx(4.0, abs=4 * 3.5 / np.sqrt(1000))
     assert realised["loss"] == pytest.approx(0.02, rel=0.2)
     assert (realised["reordered"], realised["duplicates"], realised["damaged"]) == (0.0, 0.0, 0.0)
@@ -157,7 +157,7 @@ def test_a_recording_begins_at_its_first_record(
     given = ["--trace", str(tmp_path / "a.csv")] if how == "flag" else [str(scene)]
     assert main(["netsim", "sample", *given, "--packets", "990", "--rate", "1000", "--json", "-"]) == 0
     realised = json.loads(capsys.readouterr().out)["realised"]
-    # Each delay for its 10 ms; of one constant delay the deviation would be none.
+    # Each delay acts for its 10 ms; a constant delay would have no deviation.
     assert realised["mean_s"] == pytest.approx(0.05, abs=0.002)
     assert realised["sigma_s"] > 0.02
 

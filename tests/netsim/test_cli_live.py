@@ -1,4 +1,4 @@
-"""`haptether netsim proxy`, `set`, `echo` and `record` as processes: bounds on time are loose."""
+"""`haptether netsim proxy`, `set`, `echo` and `record` as processes, with loose bounds on time."""
 
 import csv
 import importlib.util
@@ -21,12 +21,12 @@ pytestmark = pytest.mark.live
 
 COMMAND = [sys.executable, "-m", "haptether", "netsim"]
 PATIENCE_S = 30.0
-# On a machine that does much else, p99 may be anything.
+# On a busy machine p99 may have any value.
 ANY_ERROR = ("--max-error-s", "1")
 
 
 class Child:
-    """A command that runs, and the line that says that its socket is open."""
+    """A running command with its first line, which says that its socket is open."""
 
     def __init__(self, *arguments: str) -> None:
         self.process = subprocess.Popen(
@@ -42,7 +42,7 @@ class Child:
         return found[1]
 
     def end(self) -> tuple[str, str]:
-        """Ask it to end and give what it said, on standard output and standard error."""
+        """Ask it to end and return its standard output and standard error."""
         self.process.send_signal(signal.SIGINT)
         return self.process.communicate(timeout=PATIENCE_S)
 
@@ -85,7 +85,7 @@ def to(peer: socket.socket) -> list[str]:
 
 
 class Client:
-    """Sends datagrams through a proxy and tells how long they took."""
+    """Sends datagrams through a proxy and returns their travel times."""
 
     def __init__(self, proxy: Child, peer: socket.socket) -> None:
         host, port = proxy.address().split(":")
@@ -131,7 +131,7 @@ def test_a_proxy_says_how_good_it_was(start: Start, peer: socket.socket) -> None
 
 
 def test_a_run_that_is_too_late_is_invalid(start: Start, peer: socket.socket) -> None:
-    # No machine sends within a nanosecond of when it should.
+    # No machine sends within a nanosecond of the due time.
     proxy = start(*to(peer), "--delay-s", "0.001", "--max-error-s", "1e-9", "--json", "-")
     with Client(proxy, peer) as client:
         client.taken_s()
@@ -296,7 +296,7 @@ def test_a_measured_network_is_replayed(start: Start, tmp_path: Path) -> None:
     assert figures["probes"] == 500
     assert 0.04 <= figures["shortest_s"] <= figures["round_trip_p50_s"] <= 0.14
     assert figures["round_trip_p99_s"] >= figures["round_trip_p50_s"]
-    # Of 500 answers a fifth, within five deviations of 9; those at the end nobody tells the way of.
+    # A fifth of 500 answers, within five deviations of 9. The direction of losses at the end is unknown.
     assert 55 <= figures["lost_backward"] + figures["lost_forward"] <= 145
     assert figures["worst_gap_s"] >= 0.005
     for word in ("round trip", "p50", "p99", "lost", "worst gap", "only the sum of both ways is certain", "--trace"):

@@ -1,4 +1,4 @@
-"""`haptether netsim compare`: netem's quirks are the known ones, and ours does what was requested."""
+"""`haptether netsim compare`: netem shows its known quirks, and our emulation meets the request."""
 
 import json
 from typing import Any
@@ -27,10 +27,10 @@ def compared(capsys: pytest.CaptureFixture[str], text: str, *flags: str) -> dict
 def test_a_correlated_loss_all_but_ceases_and_ours_does_not(capsys: pytest.CaptureFixture[str]) -> None:
     report = compared(capsys, "delay 50ms 10ms 25% loss 1% 25%")
     asked, netem, ours = report["asked"], report["netem"], report["ours"]
-    # sch_netem.c, measured: 0.0003 %, so that 200000 packets lose none, one or two.
+    # sch_netem.c, measured: 0.0003 %, so that zero, one or two of 200000 packets are lost.
     assert netem["loss"] <= 5e-5
     assert asked["loss"] == 0.01
-    # 1490 bursts of mean 1.347: a deviation of 4 % of the share.
+    # 1490 bursts of mean 1.347: the share deviates by 4 %.
     assert ours["loss"] == pytest.approx(0.01, rel=0.16)
     assert asked["mean_burst"] == pytest.approx(1.0 / (0.75 * 0.99))
     assert ours["mean_burst"] == pytest.approx(asked["mean_burst"], rel=0.1)
@@ -81,10 +81,10 @@ def test_what_netem_does_as_asked_has_no_quirk(text: str, capsys: pytest.Capture
 @pytest.mark.parametrize(
     ("text", "loss", "mean_burst"),
     [
-        # The bad state lasts 1 / r packets, all lost: p / (p + r).
+        # The bad state lasts 1 / r packets, which are all lost: p / (p + r).
         ("loss gemodel 1% 10%", 0.01 / 0.11, 10.0),
         ("loss state 1% 25%", 0.01 / 0.26, 4.0),
-        # Alone: p14 / (1 + p14), each lost packet by itself.
+        # Isolated losses: p14 / (1 + p14), each lost packet by itself.
         ("loss state 0% 100% 0% 0% 10%", 1.0 / 11.0, 1.0),
         ("loss 10%", 0.1, 1.0 / 0.9),
     ],
@@ -93,7 +93,7 @@ def test_what_a_chain_is_asked_for_is_its_stationary_state(text: str, loss: floa
     found = compare_netem(text, np.arange(PACKETS) * 1_000_000)
     assert found.asked.loss == pytest.approx(loss, rel=1e-9)
     assert found.asked.mean_burst == pytest.approx(mean_burst, rel=1e-9)
-    # Some 2000 bursts at least: both within 10 %.
+    # At least about 2000 bursts: both figures within 10 %.
     for figures in (found.netem, found.ours):
         assert figures.loss == pytest.approx(loss, rel=0.1)
         assert figures.mean_burst == pytest.approx(mean_burst, rel=0.1)

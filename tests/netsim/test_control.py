@@ -1,4 +1,4 @@
-"""Requests to a proxy that runs: what they change, and what they are refused for."""
+"""Requests to a running proxy: their effects and their refusals."""
 
 import json
 import re
@@ -19,7 +19,7 @@ PATIENCE_S = 10.0
 
 
 class Changes:
-    """In the place of a proxy: keeps what it receives."""
+    """A stand-in for a proxy that keeps the received changes."""
 
     def __init__(self) -> None:
         self.received: list[tuple[str, LinkSettings]] = []
@@ -88,7 +88,7 @@ def test_what_is_not_named_stays() -> None:
     ],
 )
 def test_a_bad_request_names_the_key_and_changes_nothing(request_: object, said: str) -> None:
-    # Beside one that could be carried out.
+    # A valid change beside the bad one.
     if isinstance(request_, dict) and "backward" in request_:
         request_ = {"forward": {"delay_s": 0.2}, **request_}
     answer, changes, goes_on = handled(request_)
@@ -142,7 +142,7 @@ def test_after_a_line_that_is_no_request_nothing_counts(line: bytes) -> None:
         with connected(address) as client, client.makefile("rb") as answers:
             client.sendall(line + b'{"forward": {"delay_s": 0.1}}\n')
             assert json.loads(answers.readline())["ok"] is False
-            # What was sent after it was never read: the connection may be reset.
+            # Later bytes were never read: the connection may be reset.
             with suppress(ConnectionResetError):
                 assert answers.read() == b""
         assert ask_control(address, {"show": True})["forward"] == {}
@@ -162,7 +162,7 @@ def test_a_further_connection_closes_the_idlest_which_is_told_why() -> None:
         for client in clients:
             client.sendall(b'{"show": true}\n')
             assert client.recv(1 << 16).startswith(b'{"ok":true')
-        # Half a line is no request, and what nobody reads is no answer.
+        # An incomplete request, or an unread answer, does not make a client active.
         clients[0].sendall(b'{"sh')
         clients[1].sendall(b'{"show": true}\n')
         assert clients[1].recv(1 << 16).startswith(b'{"ok":true')
@@ -179,7 +179,7 @@ def test_a_further_connection_closes_the_idlest_which_is_told_why() -> None:
 @pytest.mark.parametrize("idle", [4, 5, 60])
 def test_idle_clients_keep_nobody_from_a_setting(idle: int) -> None:
     with proxied(LinkSettings()) as (address, _), ExitStack() as stack:
-        # All at once: most wait to be accepted when the request comes.
+        # All connect at once: most wait to be accepted when the request comes.
         for _ in range(idle):
             stack.enter_context(connected(address))
         assert ask_control(address, {"forward": {"delay_s": 0.25}})["ok"] is True
@@ -191,7 +191,7 @@ def test_a_client_that_reads_nothing_keeps_no_other_waiting() -> None:
         for _ in range(3):
             client = stack.enter_context(connected(address))
             client.setblocking(False)
-            # Full, or closed for it.
+            # The buffer is full, or the connection was closed for that.
             with suppress(OSError):
                 while True:
                     client.send(b'{"show": true}\n' * 1000)

@@ -48,7 +48,7 @@ def test_the_log_says_what_became_of_each_datagram(peer: socket.socket, tmp_path
             client.sendto(bytes(size), (host, int(port)))
             assert len(peer.recv(64)) == size
         proxy.change("forward", LinkSettings(loss=1.0))
-        # Taken up within 20 ms.
+        # The change takes effect within 20 ms.
         time.sleep(0.1)
         client.sendto(b"lost", (host, int(port)))
         wait_for(lambda: proxy.statistics().forward.lost == 1)
@@ -107,7 +107,7 @@ def test_a_measured_network_is_the_one_there_is(tmp_path: Path) -> None:
     assert len(recording) == 300
     lost = np.isnan(recording.backward_delay_s)
     assert np.count_nonzero(lost) == recording.lost_backward
-    # Of answers lost at the end nobody tells the way.
+    # The direction of answers lost at the end is unknown.
     total = recording.lost_forward + recording.lost_backward
     assert total == statistics.backward.lost > 0
     assert 0.030 <= recording.shortest_s <= 0.040

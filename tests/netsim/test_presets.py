@@ -1,4 +1,4 @@
-"""Presets reproduce the figures that they claim, over a million packets."""
+"""Presets reproduce their documented figures over a million packets."""
 
 import functools
 
@@ -11,7 +11,7 @@ from haptether.netsim import PRESETS, Figure, LinkSettings, Verdicts, burst_leng
 pytestmark = pytest.mark.slow
 
 PACKETS, PERIOD_NS = 1_000_000, 10_000_000
-"""Nearly three hours at 100 Hz: gaps and slots are rare, and their share has to settle."""
+"""Number of packets, and period: nearly three hours at 100 Hz, as the share of rare gaps and slots must settle."""
 
 
 @functools.cache
@@ -27,7 +27,7 @@ def delays(verdicts: Verdicts) -> npt.NDArray[np.float64]:
 
 
 def gaps_per_minute(settings: LinkSettings, longest_s: float) -> float:
-    """Times per minute that a stream at 1 kHz is interrupted for longer; only gaps hold so many packets at once."""
+    """Return the long interruptions of a 1 kHz stream per minute; only gaps hold so many packets at once."""
     sent = np.arange(PACKETS, dtype=np.int64) * 1_000_000
     out = judge_all(settings, sent, seed=11, sizes=92).packets
     arrived = np.sort(out.t_out_ns[out.t_out_ns >= 0])
@@ -87,7 +87,7 @@ def test_what_is_given_beside_a_preset_counts_instead() -> None:
 
 
 def test_the_starlink_slots_are_15_s_apart() -> None:
-    """Packets are slow in the first 140 ms and the last 75 ms of a slot, and nowhere else."""
+    """Check the slots: packets are slow in the first 140 ms and the last 75 ms of a slot only."""
     forward, _ = sampled("starlink")
     delay, phase = delays(forward), (forward.t_in_ns * 1e-9) % 15.0
     spikes = (phase < 0.14) | (phase >= 15.0 - 0.075)

@@ -1,4 +1,4 @@
-"""The first verdicts of the network model, from its description in Python integers: no code is shared with it."""
+"""First verdicts of the network model, recomputed in Python integers without shared code."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -18,7 +18,7 @@ KNOWN = {(name, direction): rest for name, direction, rest in ROWS}
 
 
 def draw(stream: int, index: int) -> int:
-    """64 bits of Philox4x32-10, keyed by the seed (Salmon et al. 2011)."""
+    """Return 64 bits of Philox4x32-10, keyed by the seed (Salmon et al. 2011)."""
     word = 0xFFFF_FFFF
     c = [index & word, index >> 32, stream & word, stream >> 32]
     k = [SEED & word, SEED >> 32]
@@ -90,7 +90,7 @@ def four_state(side: int) -> Iterator[bool]:
 
 
 def on_off(gap_s: float, off_share: float, key: int) -> Iterator[bool]:
-    """Whether it is off at each packet: the state is redrawn at the times of a Poisson process, block by block."""
+    """Yield the state at each packet, true for off; it is redrawn at the times of a Poisson process, block by block."""
     block_ns = round(8 * gap_s * 1e9)
     redrawn = [(0, below(off_share, draw(key, 0)))]
     for block in range(PACKETS * SPACING_NS // block_ns + 1):
@@ -138,7 +138,7 @@ def test_first_verdicts(name: str, model: Callable[[int], Iterator[bool]], direc
 
 
 def test_flipped_bits() -> None:
-    """By Floyd's choice of three of the 512 bits of a packet (Bentley and Floyd 1987)."""
+    """Floyd's method chooses three of the 512 bits of a packet (Bentley and Floyd 1987)."""
     flipped = []
     for n in range(PACKETS):
         chosen: set[int] = set()

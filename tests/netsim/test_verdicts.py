@@ -1,4 +1,4 @@
-"""Verdicts of the network model: bounds, rates, determinism, and what is refused."""
+"""Verdicts of the network model: bounds, rates, determinism and refusals."""
 
 import math
 import re
@@ -21,7 +21,7 @@ seeds = st.integers(0, 2**64 - 1)
 
 
 def uniform(half_width_s: float) -> dict[str, Any]:
-    """Jitter that is uniform and independent from packet to packet, so that packets overtake one another."""
+    """Return uniform jitter that is independent from packet to packet, so that packets overtake one another."""
     return {
         "jitter_s": half_width_s / math.sqrt(3.0),
         "distribution": "uniform",
@@ -135,7 +135,7 @@ def test_an_impairment_shifts_no_draw_of_another(seed: int) -> None:
     jitter = judge(LinkSettings(delay_s=0.05, **uniform(0.01)), sent, seed=seed)
     loss = judge(LinkSettings(loss=0.05), sent, seed=seed)
     assert np.array_equal(both, np.where(loss == -1, -1, jitter))
-    # What a smaller rate loses, a larger rate loses too.
+    # A larger rate loses every packet that a smaller rate loses.
     more = judge(LinkSettings(loss=0.2), sent, seed=seed)
     assert np.all(more[loss == -1] == -1)
 

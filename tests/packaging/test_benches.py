@@ -1,4 +1,4 @@
-"""Benches: what they compare is placed the same way."""
+"""Benches: the compared programs run on the same processors."""
 
 import argparse
 import multiprocessing
@@ -12,7 +12,7 @@ BENCHES = Path(__file__).resolve().parents[2] / "benches"
 
 
 @pytest.fixture
-def round_trip(monkeypatch: pytest.MonkeyPatch) -> Any:  # noqa: ANN401  # a module of no package
+def round_trip(monkeypatch: pytest.MonkeyPatch) -> Any:  # noqa: ANN401  # the module is outside a package
     monkeypatch.syspath_prepend(str(BENCHES))
     return pytest.importorskip("round_trip")
 
@@ -20,7 +20,7 @@ def round_trip(monkeypatch: pytest.MonkeyPatch) -> Any:  # noqa: ANN401  # a mod
 @pytest.mark.live
 @pytest.mark.parametrize("name", ["Python socket", "asyncio"])
 def test_who_pings_and_who_answers_are_pinned_while_they_do(
-    round_trip: Any,  # noqa: ANN401  # a module of no package
+    round_trip: Any,  # noqa: ANN401  # the module is outside a package
     name: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -1,4 +1,4 @@
-"""No process that Haptether starts imports from the folder that its user works in."""
+"""No process that Haptether starts imports from the user's working folder."""
 
 import ast
 import multiprocessing
@@ -34,18 +34,18 @@ STARTERS = {
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working folder with a file for every name that a process could import; each notes that it was imported."""
+    """Create a working folder with a file for every importable name; each file notes its import."""
     for name in NAMES:
         (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'imported')!r}, 'a').write('{name} ')\n")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(("", ".", os.environ.get("PYTHONPATH", ""))))
-    # The folder is not the only one that pytest has put on the path of this process.
+    # Pytest adds further folders to the path of this process.
     monkeypatch.setattr(sys, "path", [place for place in sys.path if place])
     return tmp_path
 
 
 class NeverStopped:
-    """Nobody stops it."""
+    """A flag that is never set."""
 
     def __bool__(self) -> bool:
         return False
@@ -79,7 +79,7 @@ def the_arm() -> None:
 
 def workers_of_a_cluster() -> None:
     class LocalCluster:
-        """Starts an interpreter as a nanny of Dask does."""
+        """Starts an interpreter like a nanny of Dask."""
 
         def __init__(self, **_: object) -> None:
             process = multiprocessing.get_context("spawn").Process(target=os.getpid)
@@ -141,7 +141,7 @@ def test_these_are_all_places_that_start_a_process() -> None:
 
 
 def starts(tree: ast.AST) -> bool:
-    """True if a file calls something that starts a process, or imports it from its module."""
+    """Return true if a file calls, or imports, a function that starts a process."""
     used = {
         (node.value.id, node.attr)
         for node in ast.walk(tree)

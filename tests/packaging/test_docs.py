@@ -1,4 +1,4 @@
-"""Code in the documents runs, and what they point to exists."""
+"""Code in the documents runs, and its references exist."""
 
 import re
 import subprocess
@@ -80,7 +80,7 @@ def test_drivers_of_scenes_in_documents_are_accepted(page: str, text: str, tmp_p
     (tmp_path / "scene.toml").write_text(text)
     found = check_scene(load_scene(tmp_path / "scene.toml"), remedies=False).findings
     of_drivers = [finding for finding in found if finding.name in {"master driver", "slave driver"}]
-    # An arm has a file of the user's own.
+    # An arm needs a file of the user.
     wrong = [finding.text for finding in of_drivers if finding.state == "bad" and "calibrate" not in finding.text]
     assert not wrong, page
     assert len(of_drivers) == text.count("driver = ") + len(re.findall(r'device = "(?:ur|dynamixel)"', text))
@@ -108,7 +108,7 @@ def test_the_arm_of_ones_own_has_every_key_and_the_torque_that_the_page_says(tmp
             assert re.search(rf"\b{field.name}( = |\]\]?)", text), (table.__name__, field.name)
     (tmp_path / "arm.toml").write_text(text)
     shoulder, elbow = ArmKinematics(load_arm(str(tmp_path / "arm.toml"))).gravity([0.0, 0.0])
-    # m g r, against a positive turn about y, which moves the links down.
+    # m g r, for a positive turn about y, which moves the links down.
     assert elbow == pytest.approx(-0.1 * 9.81 * 0.1)
     assert shoulder == pytest.approx(-9.81 * (0.2 * 0.1 + 0.1 * 0.3))
     assert f"{0.1 * 9.81 * 0.1:.3f} N m" in page
@@ -130,7 +130,7 @@ def test_the_page_names_the_commands_without_json() -> None:
 
 
 def shown_commands(page: Path) -> list[tuple[str, str]]:
-    """Command and arguments of each line of a page that begins with `haptether`."""
+    """Return command and arguments of each line of a page that begins with `haptether`."""
     pattern = r"^(?:\.venv/bin/|env/bin/)?haptether ((?:(?:netsim|dynamixel) )?[a-z0-9-]+)(.*?)(?:#|$)"
     return re.findall(pattern, page.read_text(), re.MULTILINE)
 

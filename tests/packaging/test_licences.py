@@ -1,11 +1,10 @@
-"""Everything that is linked into or imported by Haptether may be shipped with it.
+"""Licences of all linked and imported components permit shipping.
 
-Two lists are held against allow-lists of licences: the crates of the whole Cargo graph, for every
-platform, and the Python distributions that Haptether needs at run time, as installed here from
-tools/requirements.txt. What only develops or tests it is not shipped and not asked.
+Two lists are checked against allow-lists of licences. The first has the crates of the whole Cargo graph, for every
+platform. The second has the Python distributions that Haptether needs at run time, as installed from
+tools/requirements.txt. Development and test dependencies are not shipped and not checked.
 
-Known vulnerabilities of crates are outside of this: looking them up needs the advisory database,
-which cannot be had offline.
+Known vulnerabilities of crates are out of scope: the advisory database is not available offline.
 """
 
 import importlib.metadata
@@ -37,7 +36,7 @@ PERMISSIVE = frozenset(
     }
 )
 
-# A Python distribution stays a file of its own that a user may replace: the LGPL asks no more.
+# A Python distribution stays a separate file that a user may replace: the LGPL requires no more.
 PYTHON_ALLOWED = PERMISSIVE | {
     "HPND",
     "LGPL-2.1-or-later",
@@ -47,11 +46,11 @@ PYTHON_ALLOWED = PERMISSIVE | {
     "PSF-2.0",
 }
 
-# Of single distributions: certifi is Mozilla's list of certificates as a file, which the MPL lets anybody pass on
-# beside works of other licences as long as that file stays under it.
+# Exceptions for single distributions. certifi is Mozilla's list of certificates as a file. The MPL permits its
+# distribution beside works of other licences as long as that file stays under it.
 OF_ONE = {"certifi": frozenset({"MPL-2.0"})}
 
-# Distributions that predate licence expressions say it in a classifier.
+# Distributions that predate licence expressions use a classifier.
 CLASSIFIERS = {
     "Apache Software License": "Apache-2.0",
     "BSD License": "BSD-3-Clause",
@@ -66,7 +65,7 @@ CLASSIFIERS = {
 }
 
 EXTRAS = ("", "analysis", "console", "dynamixel", "haply", "parquet", "record", "ur", "view")
-"""The optional dependencies that tools/requirements.txt holds, and none at all."""
+"""The optional dependencies in tools/requirements.txt, and the package without any."""
 
 
 class Expression:
@@ -80,7 +79,7 @@ class Expression:
         self._tokens: list[str] = re.findall(r"[()/]|[^\s()/]+", text)
 
     def satisfiable(self, allowed: frozenset[str]) -> bool:
-        """Whether a choice of licences out of `allowed` meets the expression."""
+        """Return true if a choice of `allowed` licences satisfies the expression."""
         result = self._either(allowed)
         if self._tokens:
             raise self._error()
@@ -133,7 +132,7 @@ class Expression:
         ("GPL-3.0-only/MIT", True),
         ("MIT AND GPL-3.0-only", False),
         ("(MIT OR GPL-3.0-only) AND Unicode-3.0", True),
-        # AND binds tighter: the second alternative alone is not enough, the first is.
+        # AND binds tighter: the first alternative suffices, the second does not.
         ("MIT OR ISC AND GPL-3.0-only", True),
         ("(MIT OR ISC) AND GPL-3.0-only", False),
         ("GPL-3.0-only OR MIT AND (ISC OR GPL-2.0-only)", True),
@@ -153,7 +152,7 @@ def test_what_is_not_an_expression_is_refused(text: str) -> None:
 
 
 def cargo_metadata() -> dict[str, list[dict[str, str | None]]]:
-    """The Cargo graph, without the network where the crates are already here."""
+    """Return the Cargo graph, without the network if the crates are available."""
     command = ["cargo", "metadata", "--format-version", "1", "--locked"]
     answer = subprocess.run([*command, "--offline"], cwd=ROOT, capture_output=True, text=True, check=False)
     if answer.returncode != 0:
@@ -175,7 +174,7 @@ def test_every_crate_has_a_permissive_licence() -> None:
 
 
 def runtime_distributions() -> dict[str, importlib.metadata.Distribution]:
-    """What `haptether` and its locked extras need, and what that needs, by name."""
+    """Return the distributions that `haptether` with its locked extras needs, recursively, by name."""
     found: dict[str, importlib.metadata.Distribution] = {}
     pending: list[tuple[str, tuple[str, ...]]] = [("haptether", EXTRAS)]
     seen: set[tuple[str, tuple[str, ...]]] = set()
@@ -193,14 +192,14 @@ def runtime_distributions() -> dict[str, importlib.metadata.Distribution]:
 
 
 def licence(distribution: importlib.metadata.Distribution) -> str:
-    """The licence expression of a distribution, from the best place that states one."""
+    """Return the licence expression of a distribution, from the best source that states one."""
     metadata = distribution.metadata
     if "License-Expression" in metadata:
         return metadata["License-Expression"]
     stated = [
         line.rpartition(" :: ")[2]
         for line in metadata.get_all("Classifier") or []
-        # "OSI Approved" alone names none.
+        # "OSI Approved" alone is not a licence.
         if line.startswith("License :: ") and line.count(" :: ") > 1
     ]
     if stated:

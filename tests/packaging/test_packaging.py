@@ -1,7 +1,7 @@
-"""What is shipped is what is in the tree: the wheel, the source distribution and the lock.
+"""Wheel, source distribution and lock match the tree.
 
-That maturin follows the links from python/haptether to the rooms is observed and not documented, so
-both archives are built here and compared file by file.
+That maturin follows the links from python/haptether to the rooms is observed, not documented. Both archives are
+therefore built here and compared file by file.
 """
 
 import os
@@ -29,7 +29,7 @@ building = pytest.mark.timeout(400)
 
 
 def tree() -> list[PurePosixPath]:
-    """The files of the repository: those that git has or would take, without git those on disk."""
+    """Return the files of the repository: tracked and untracked files of git, or without git the files on disk."""
     git = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
     paths: list[Path] = []
     if (ROOT / ".git").exists() and shutil.which("git"):
@@ -44,7 +44,7 @@ def tree() -> list[PurePosixPath]:
 
 
 def packaged() -> Iterator[str]:
-    """Where each file of the Python package stands in the wheel, the extension aside."""
+    """Yield the place of each file of the Python package in the wheel, without the extension."""
     links = [path for path in (ROOT / "python" / "haptether").iterdir() if path.is_symlink()]
     rooms = {link.resolve().name: link.name for link in links}
     for path in tree():
@@ -55,12 +55,12 @@ def packaged() -> Iterator[str]:
 
 
 def cargo_only(path: PurePosixPath) -> bool:
-    """Whether a file of a room is of no use without a Rust compiler."""
+    """Return true if a file of a room is useless without a Rust compiler."""
     return path.suffix == ".rs" or path.parts[1] in {"src", "Cargo.toml"} or "proptest-regressions" in path.parts
 
 
 UNOPTIMISED = {"CARGO_PROFILE_DEV_OPT_LEVEL": "0", "CARGO_PROFILE_DEV_DEBUG": "0"}
-"""What is compiled only to be listed: in 1 min instead of 3."""
+"""Settings for builds whose files are only listed: 1 min instead of 3."""
 
 
 def maturin(*arguments: str, cwd: Path = ROOT, target: Path = TARGET) -> None:
@@ -77,7 +77,7 @@ def maturin(*arguments: str, cwd: Path = ROOT, target: Path = TARGET) -> None:
 
 
 PROFILE = (ROOT / ".tools" / "profile").read_text("utf-8").strip()
-"""The profile of the editable installation: the wheel takes what it has compiled."""
+"""Profile of the editable installation, whose compiled files the wheel reuses."""
 
 
 def build_wheel(out: Path, cwd: Path = ROOT, target: Path = TARGET, profile: str = PROFILE) -> Path:
@@ -89,13 +89,13 @@ def build_wheel(out: Path, cwd: Path = ROOT, target: Path = TARGET, profile: str
 
 @pytest.fixture(scope="session")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel, built from what the editable installation has already compiled."""
+    """Return the wheel, built from the compiled files of the editable installation."""
     return build_wheel(tmp_path_factory.mktemp("wheel"))
 
 
 @pytest.fixture(scope="session")
 def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The source distribution."""
+    """Return the source distribution."""
     out = tmp_path_factory.mktemp("sdist")
     maturin("sdist", "--out", str(out))
     (archive,) = out.glob("*.tar.gz")
@@ -103,7 +103,7 @@ def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def contents(wheel: Path) -> tuple[list[str], list[str]]:
-    """The files of a wheel: those of the package, and those of its description."""
+    """Return the files of a wheel: those of the package, and those of its description."""
     with zipfile.ZipFile(wheel) as archive:
         names = [name for name in archive.namelist() if not name.endswith("/")]
     described = [name for name in names if name.split("/")[0].endswith(".dist-info")]
@@ -166,9 +166,9 @@ def test_the_sdist_holds_the_sources_of_both_languages_once(sdist: Path) -> None
 @pytest.mark.thorough
 @building
 def test_the_sdist_builds_the_same_wheel(sdist: Path, wheel: Path, tmp_path: Path) -> None:
-    # At one place, so that what cargo keeps of it is replaced and does not pile up; and with new
-    # times, because cargo would take the archive's fixed ones for unchanged sources. Its target folder is its own:
-    # in the repository's, cargo would take the unpacked sources for the ones that the next build is about.
+    # The build has one fixed place, so that cargo replaces its files instead of piling them up. Extraction sets new
+    # times, because cargo would take the archive's fixed times for unchanged sources. It has its own target folder,
+    # because in the repository's, cargo would take the unpacked sources for those of the next build.
     place = TARGET / "from-sdist"
     shutil.rmtree(place, ignore_errors=True)
     with tarfile.open(sdist) as archive:
@@ -185,13 +185,13 @@ UV = os.environ.get("UV", str(ROOT / ".tools" / "uv" / "bin" / "uv"))
 
 
 def interpreters() -> dict[str, str]:
-    """The interpreters of this machine by version, those of pyenv included."""
+    """Return the interpreters of this machine by version, with those of pyenv."""
     pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
     found: dict[str, str] = {}
     for version in ("3.11", "3.12", "3.13", "3.14"):
         name = f"python{version}"
         for program in filter(None, [shutil.which(name), *sorted(map(str, pyenv.glob(f"versions/*/bin/{name}")))]):
-            # A shim of pyenv exists for versions that are not selected, and fails.
+            # A pyenv shim also exists for versions that are not selected, and fails.
             if subprocess.run([program, "-c", "import venv"], capture_output=True, check=False).returncode == 0:
                 found.setdefault(version, program)
     return found
@@ -202,7 +202,7 @@ MAX_INSTALLED_MB = 90
 
 
 def install(version: str, wheel: Path, folder: Path) -> Path:
-    """Make a clean environment with the wheel and what it requires, and nothing else."""
+    """Make a clean environment with the wheel and its requirements only."""
     place = folder / version
     subprocess.run([UV, "venv", "--quiet", "--python", PYTHONS[version], str(place)], check=True)
     arguments = ["--quiet", "--python", str(place / "bin" / "python"), str(wheel)]
@@ -212,7 +212,7 @@ def install(version: str, wheel: Path, folder: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def newest(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel in the newest interpreter of this machine."""
+    """Return an installation of the wheel in the newest interpreter of this machine."""
     return install(max(PYTHONS), wheel, tmp_path_factory.mktemp("newest"))
 
 
@@ -267,7 +267,7 @@ def test_a_command_names_the_extra_before_it_computes(newest: Path, arguments: l
 
 
 def locked() -> list[Requirement]:
-    """The lines of the lock without their hashes."""
+    """Return the lines of the lock without their hashes."""
     text = LOCK.read_text(encoding="utf-8").replace("\\\n", " ")
     lines = [line for line in text.splitlines() if line and not line.lstrip().startswith("#")]
     assert all("--hash=sha256:" in line for line in lines)

@@ -1,4 +1,4 @@
-"""The rules of the tree that no compiler holds: public names, clocks, and who imports whom."""
+"""Rules of the tree that no compiler checks: public names, clocks and imports between rooms."""
 
 import ast
 import importlib
@@ -15,8 +15,8 @@ PACKAGE = ROOT / "python" / "haptether"
 
 CRATES = ("safety", "netsim", "dynamixel", "master", "slave", "bridge")
 
-# What a room's Python may import of the other rooms: what its crate may use. `studies` and `view`
-# have no crate; a recording is read through the bridge.
+# Rooms that the Python files of a room may import: those that its crate may use. `studies` and `view` have no crate; a
+# recording is read through the bridge.
 MAY_IMPORT = {
     "safety": frozenset[str](),
     "netsim": frozenset[str](),
@@ -27,12 +27,12 @@ MAY_IMPORT = {
     "studies": frozenset(CRATES),
     "view": frozenset({"bridge", "dynamixel", "slave", "master"}),
 }
-# The part of `view` that draws from arrays: it uses no other room, so whoever has arrays may use it.
+# The part of `view` that draws from arrays: it uses no other room, so rooms with arrays may use it.
 DRAWING = ("haptether.view.style", "haptether.view.figures")
 MAY_DRAW = frozenset({"bridge", "studies"})
 ROOMS = tuple(room for room in MAY_IMPORT if (PACKAGE / room).exists())
 
-# The runners and the threads beside them: they, and nothing else in Rust, may know what time it is.
+# Only the runners and their threads may read a clock in Rust.
 CLOCK_OWNERS = ("live", "proxy", "recorder", "telemetry", "writer")
 CLOCK = re.compile(
     r"\bInstant\b|\bSystemTime\b|\bUNIX_EPOCH\b|\bclock_gettime\b|\bclock_nanosleep\b"
@@ -86,9 +86,9 @@ def test_the_clock_is_recognised() -> None:
 
 
 def imports(path: Path, package: tuple[str, ...]) -> Iterator[tuple[int, str]]:
-    """Line and full dotted name of everything that a file imports.
+    """Yield line and full dotted name of each import of a file.
 
-    `package` is the dotted name of the folder that the file lies in, which relative imports need.
+    `package` is the dotted name of the file's folder, which relative imports need.
     """
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -108,7 +108,7 @@ def python_files(room: str) -> Iterator[tuple[Path, tuple[str, ...]]]:
 
 @pytest.mark.parametrize("room", ROOMS)
 def test_a_room_imports_only_the_rooms_its_crate_may_use(room: str) -> None:
-    # The command line is above all rooms, and `import haptether` alone would reach every one.
+    # The command line is above all rooms, and `import haptether` alone would reach every room.
     forbidden = {*MAY_IMPORT, "cli", ""} - MAY_IMPORT[room] - {room}
     wrong = [
         f"{path.relative_to(ROOT)}:{line}: {name}"
@@ -163,7 +163,7 @@ def test_relative_imports_are_resolved(tmp_path: Path) -> None:
 
 
 def heavy_modules(program: str) -> str:
-    """Which of the heavy libraries a program has loaded when it ends."""
+    """Return which of the heavy libraries a program has loaded when it ends."""
     report = f"print('loaded:', *sorted(set({HEAVY!r}) & set(sys.modules)))"
     answer = subprocess.run(
         [sys.executable, "-c", f"import sys\n{program}\n{report}"],

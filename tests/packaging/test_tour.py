@@ -1,4 +1,4 @@
-"""Files that the documents name exist, and what the tour names beside a file is defined in that file."""
+"""Files named in the documents exist, and names beside a file in the tour are defined in that file."""
 
 import re
 from collections.abc import Iterator
@@ -11,24 +11,24 @@ TOUR = ROOT / "docs" / "tour.md"
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *(ROOT / "docs").rglob("*.md")])
 FILE = re.compile(r"[\w.-]+(?:/[\w.-]+)+\.(?:rs|py|pyi|md|toml)")
 NOT_YET = {"safety/src/controller/speed.rs", "src/my_stylus/driver.py"}
-"""The controller that CONTRIBUTING shows how to add, and what `haptether new-driver` writes."""
+"""The controller that CONTRIBUTING shows how to add, and a file of `haptether new-driver`."""
 DEFINITIONS = {
     ".rs": r"\b(?:fn|struct|enum|trait|type|const|static)\s+{name}\b",
     ".py": r"^\s*(?:(?:async\s+)?def|class)\s+{name}\b|^{name}\s*[:=]",
 }
 PASSAGE = re.compile(r"\n\s*\n|\n(?=\d+\. )|\n(?=\|)|\n(?=#)")
-"""Between two steps, rows, headings or paragraphs: a name belongs to the file before it in its own passage."""
+"""Separator of steps, rows, headings or paragraphs: a name belongs to the file before it in its own passage."""
 
 
 def missing_files(text: str) -> Iterator[str]:
-    """Files in backticks that are not there."""
+    """Yield files in backticks that do not exist."""
     for quoted in re.findall(r"`([^`\n]+)`", text):
         if FILE.fullmatch(quoted) and quoted not in NOT_YET and not (ROOT / quoted).is_file():
             yield quoted
 
 
 def named_beside_files(text: str) -> Iterator[tuple[str, str]]:
-    """Each name in backticks with the file that stands before it."""
+    """Yield each name in backticks with the file before it."""
     for passage in PASSAGE.split(text):
         file = None
         for quoted in re.findall(r"`([^`]+)`", passage):
@@ -39,7 +39,7 @@ def named_beside_files(text: str) -> Iterator[tuple[str, str]]:
 
 
 def is_defined(file: str, name: str) -> bool:
-    """Whether a file of the tree defines a function, type or constant of that name."""
+    """Return true if a file of the tree defines a function, type or constant of that name."""
     pattern = DEFINITIONS[Path(file).suffix].format(name=re.escape(name))
     return re.search(pattern, (ROOT / file).read_text(), re.MULTILINE) is not None
 

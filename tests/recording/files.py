@@ -34,7 +34,7 @@ def write_recording(
     schema: str = "1",
     compression: CompressionType = CompressionType.NONE,
 ) -> Path:
-    """Write a file as the recorder does: each tick changes what the one before left of `MASTER` or `SLAVE`."""
+    """Write a file like the recorder does: each tick changes the previous one, from `MASTER` or `SLAVE` on."""
     tick = {"time_ns": 0, **(MASTER if side == "master" else SLAVE)}
     names = {name for one in ticks for name in one} | set(tick)
     with path.open("wb") as file:

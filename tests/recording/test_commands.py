@@ -1,4 +1,4 @@
-"""`haptether info`, `plot` and `export`: what they print, write and refuse."""
+"""`haptether info`, `plot` and `export`: their output, their files and their refusals."""
 
 import json
 from pathlib import Path
@@ -89,7 +89,7 @@ def test_a_table_alone_goes_to_standard_output(
     master: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    # Rows are written some at a time.
+    # The exporter writes rows in blocks.
     monkeypatch.setattr("haptether.cli.recording.export.ROWS_AT_ONCE", 7)
     assert main(["export", str(master), "--csv", "run.csv"]) == 0
     assert capfd.readouterr().out == "written: run.csv\n"

@@ -1,4 +1,4 @@
-"""Recordings that are damaged in part: what is valid is read, what is not is reported with the file's name."""
+"""Partly damaged recordings: valid parts are read, and damage is reported with the name of the file."""
 
 import json
 import re

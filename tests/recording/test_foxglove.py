@@ -1,4 +1,4 @@
-"""`haptether export --foxglove`: the schemas that Foxglove publishes, and our own messages as they were."""
+"""`haptether export --foxglove`: the schemas that Foxglove publishes, and our own messages unchanged."""
 
 import json
 import shutil
@@ -37,7 +37,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def messages(path: Path) -> dict[str, list[tuple[str, int, Any]]]:
-    """Schema, time and content of all messages of each topic, in the order of the file."""
+    """Return schema, time and content of all messages per topic, in the order of the file."""
     found: dict[str, list[tuple[str, int, Any]]] = defaultdict(list)
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
@@ -49,7 +49,7 @@ def messages(path: Path) -> dict[str, list[tuple[str, int, Any]]]:
 
 
 def conforms(value: Any, schema: dict[str, Any], at: str = "") -> None:  # noqa: ANN401  # any JSON
-    """Holds a message against the JSON schema of its channel."""
+    """Check a message against the JSON schema of its channel."""
     kind = schema["type"]
     kinds: dict[str, tuple[type, ...]] = {
         "object": (dict,), "array": (list,), "number": (int, float), "integer": (int,), "string": (str,),
@@ -68,7 +68,7 @@ def conforms(value: Any, schema: dict[str, Any], at: str = "") -> None:  # noqa:
 
 
 def pointed(quat: dict[str, float]) -> npt.NDArray[np.float64]:
-    """Where +x is turned to."""
+    """Return the direction of the rotated x axis."""
     x, y, z, w = (quat[part] for part in "xyzw")
     return np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
 
@@ -188,7 +188,7 @@ def test_the_layout_names_what_is_there(files: tuple[Path, Path], tmp_path: Path
             topic, _, signal = path["value"].partition(".")
             assert signal.removesuffix("[0]") in found[topic][0][2], path
 
-    def leaves(node: Any) -> set[str]:  # noqa: ANN401  # of JSON
+    def leaves(node: Any) -> set[str]:  # noqa: ANN401  # any JSON value
         return {node} if isinstance(node, str) else leaves(node["first"]) | leaves(node["second"])
 
     assert leaves(layout["layout"]) == set(panels)

@@ -1,4 +1,4 @@
-"""What a recording keeps, kind by kind. The words of a live driver: `tests/live/test_true_cause.py`."""
+"""Contents of a recording, kind by kind. The words of a live driver: `tests/live/test_true_cause.py`."""
 
 from collections.abc import Callable
 
@@ -29,7 +29,7 @@ RUNS = {
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], Recording]:
-    """The recording of one side of a run in virtual time."""
+    """Return a function that returns the recording of one side of a run in virtual time."""
     folder = tmp_path_factory.mktemp("kept")
     made: dict[tuple[str, str], Recording] = {}
 
@@ -99,7 +99,7 @@ def test_bits_and_signals_of_controllers_are_those_of_the_binary(controller: str
     trips = [event for event in run.events if event.kind == "trip"]
     assert trips
     for event in trips:
-        # The names are of Rust, the bits of its trace.
+        # The names come from Rust, the bits from its trace.
         bits = int(run.signals.tripped[np.searchsorted(run.signals.time_s, event.time_s - 1e-9)])
         assert tripped_names(bits) == tuple(event.detail.split()) == (controller,)
     bits = int(np.bitwise_or.reduce(run.signals.tripped.astype(np.int64)))
@@ -112,5 +112,5 @@ def test_figures_which_use_no_room_have_the_bits_and_states_of_the_binary() -> N
     from haptether.view.figures.run import LADDER, TRIPPED
 
     assert {name: bit for bit, name in TRIPPED.items()} == TRIP_BITS
-    # "apart" is what a reader is told of "disengaged".
+    # Figures show "disengaged" as "apart".
     assert LADDER[1:] == list(LADDER_STATES[1:])

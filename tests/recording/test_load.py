@@ -1,4 +1,4 @@
-"""`haptether.load`: a recorded run has the names, shapes, codes and events of one in virtual time."""
+"""`haptether.load`: a recorded run has the names, shapes, codes and events of a run in virtual time."""
 
 import errno
 import pickle
@@ -172,7 +172,7 @@ def test_a_file_that_is_cut_off_or_changed_early_is_refused_in_a_word(tmp_path: 
             read_recording(path)
         assert (raised.value.filename, raised.value.errno) == (path, errno_of(path))
         assert "must be what --record of master, slave or simulate wrote" in str(raised.value)
-    # Where another file would not help, none is asked for.
+    # If another file would not help, the message does not ask for one.
     with pytest.raises(NotADirectoryError) as raised:
         read_recording(tmp_path / "m.mcap" / "below")
     assert "must be" not in str(raised.value)
@@ -271,5 +271,5 @@ def test_a_live_run_loads_as_the_scene_that_it_ran(name: str, tmp_path: Path) ->
         assert run.signals[signal].dtype == there[signal].dtype or signal == "holds_object", signal
     engaged = {event.detail.partition(":")[0]: event.time_s for event in run.events if event.kind == "engaged"}
     assert set(engaged) == {"master", "slave"}
-    # Of one machine: a frame apart, and what a machine stands still.
+    # Both sides run on one machine: they differ by a frame and by stalls of the machine.
     assert abs(engaged["master"] - engaged["slave"]) < 0.2

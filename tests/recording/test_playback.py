@@ -1,4 +1,4 @@
-"""`haptether playback`: a recorded force acts on a hand again, in virtual time and live."""
+"""`haptether playback`: a recorded force acts on another hand, in virtual time and live."""
 
 import time
 from pathlib import Path
@@ -31,7 +31,7 @@ def test_the_force_that_was_recorded_is_rendered(files: tuple[Path, Path], side:
     rendered = played.signals.rendered_force
     first = int(np.argmax(played.signals.state == 2))
     held = slice(300, 2500)
-    # One tick from the arm to the hand, and one in which it is measured.
+    # One tick from the arm to the hand, and one for its measurement.
     np.testing.assert_allclose(rendered[first:][held], force[held], atol=0.05)
     recorded = simulate("remote_push").metrics.max_ejection_velocity
     assert played.metrics.max_ejection_velocity == pytest.approx(recorded, rel=0.1)
@@ -92,7 +92,7 @@ def test_a_live_master_feels_it_after_its_clutch_and_nothing_after_the_end(
     how: dict[str, Any] = {"insecure": True, "min_free_bytes": 0}
     slave = LiveSlave(scene_json(scene), listen="127.0.0.1:0", run_id=2, **how)
     path = tmp_path / "felt.mcap"
-    # Any master: it has a scene of its own, and knows nothing of a recording.
+    # The master has its own scene, and knows nothing of a recording.
     master = LiveMaster(
         scene_json(playback_scene(files[1], overrides=["environment.pushers=[]", "safety.controllers=[wsc]"])),
         peer=slave.address, run_id=1, record=path, **how,

@@ -1,4 +1,4 @@
-"""`haptether.replay`: bit for bit under a recording's own settings, and as another run would have been under others."""
+"""`haptether.replay`: bit-identical under a recording's own settings, and equal to another run under other settings."""
 
 import json
 import time
@@ -33,7 +33,7 @@ BAD_NETWORK = ["link.forward.loss=0.1", "link.backward.loss=0.1", "link.backward
 
 
 def recorded(folder: Path, scene: str, *overrides: str) -> Path:
-    """What a master of a run in virtual time would have recorded."""
+    """Return the recording of a master of a run in virtual time."""
     path = folder / "master.mcap"
     simulate(scene, overrides=overrides, record=(path, folder / "slave.mcap"))
     return path
@@ -64,9 +64,9 @@ def test_a_run_under_its_own_settings_is_the_same_bit_for_bit(
     assert (done.parts_s, done.level, done.hand, done.notes) == (None, "as measured", None, ())
     for name in ("rendered_force", "safety_force", "device_force", "grasp_force", "tripped"):
         np.testing.assert_array_equal(done.replayed[name], done.recorded[name])
-    # Where nothing is rendered, everything would be the same.
+    # If nothing were rendered, all results would be trivially equal.
     assert np.abs(done.replayed["device_force"]).max() > 0.1 or "device_torque" in done.replayed
-    # What was decided is not read from what was recorded of it: half the force is another one.
+    # Decisions are recomputed, not read from the recording: half the force gives another result.
     forces = {name: 0.5 * done.recorded[name] for name in done.recorded if name.startswith("requested_")}
     weaker = msgspec.structs.replace(read_recording(tmp_path / "master.mcap"), signals={**done.recorded, **forces})
     if any(force.any() for force in forces.values()):
@@ -100,7 +100,7 @@ def test_a_clock_that_was_set_leaves_ticks_out_and_the_past_behind(tmp_path: Pat
     step = ["link.master_clock.step_at_s=1.5", "run.duration_s=3"]
     late = read_recording(recorded(tmp_path, "remote_push", *step, "link.master_clock.step_s=0.3")).signals
     assert late["past"].tolist().count("stalled") == 1
-    # 20 ms late is no stall: the ticks between are carried over.
+    # 20 ms late is not a stall: the ticks between are carried over.
     slow = recorded(tmp_path, "remote_push", *step, "link.master_clock.step_s=0.02")
     assert read_recording(slow).signals["missed"].max() >= 5
     assert replay(slow).identical
@@ -147,7 +147,7 @@ def test_a_modelled_hand_goes_as_it_would_have_under_other_settings(push: Path, 
     done = replay(push, overrides=[f"safety.controllers={instead}"])
     assert done.level == "hand modelled"
     assert any("is a model of it" in note for note in done.notes)
-    # The run itself under those settings: until the arm answers, a round trip later, all that differs is the hand.
+    # Compare with a run under those settings: until the arm answers, a round trip later, only the hand differs.
     truth = simulate("remote_push", overrides=[f"safety.controllers={instead}"])
     assert truth.metrics.max_ejection_velocity is not None
     assert done.after.largest_speed == pytest.approx(truth.metrics.max_ejection_velocity, rel=off_by)
@@ -168,7 +168,7 @@ def test_they_part_where_the_settings_first_matter(push: Path) -> None:
     np.testing.assert_allclose(
         scaled.replayed["rendered_force"][held], 0.5 * done.recorded["rendered_force"][held], atol=2e-3
     )
-    # What changes no force parts nowhere.
+    # A change without effect on the force gives the same result.
     assert replay(push, overrides=["safety.hold_off_s=0.1"], hand="measured").identical
 
 
@@ -188,7 +188,7 @@ def test_the_hand_of_a_scene_is_identified(
     path = recorded(tmp_path, scene, *overrides)
     hand = replay(path, overrides=["safety.controllers=[]"], hand="modelled").hand
     assert hand is not None
-    # Three of its own standard errors, which must say something; the kernel's width besides, as a share of m / B.
+    # The tolerance is three of its own standard errors, plus the width of the kernel as a share of m / B.
     assert abs(hand.stiffness - stiffness) < 3.0 * hand.stiffness_error + 0.02 * stiffness
     assert hand.stiffness_error < 0.15 * stiffness
     assert abs(hand.damping - damping) < 3.0 * hand.damping_error + 0.05 * damping

@@ -1,4 +1,4 @@
-"""A call with arrays does what calls sample by sample do, whatever the arrays' layout and cut."""
+"""A call with arrays equals the calls sample by sample, for any layout and split of the arrays."""
 
 import itertools
 import re
@@ -46,7 +46,7 @@ INTERVENTION = (
 
 
 class Machine(NamedTuple):
-    """A class with `step` and `run`, and how its results become a tuple."""
+    """A class with `step` and `run`, and the conversion of its results to a tuple."""
 
     build: Callable[[int], Any]
     names: tuple[str, ...]
@@ -76,7 +76,7 @@ def intervention(result: Intervention | Interventions) -> tuple[Any, ...]:
     return tuple(getattr(result, name) for name in INTERVENTION)
 
 
-# A window, a hold-off and a ramp shorter than the arrays, so that all of them is passed through.
+# A window, a hold-off and a ramp shorter than the arrays, so that the arrays cover all of them.
 SETTINGS = SafetySettings(["vfc", "hsc", "wsc", "pc"], window=20, hold_off_s=0.002, release_ramp_s=0.002)
 LIMITS = LimiterSettings(max_slew_n_per_s=2000.0, max_power_w=2.0, ramp_in_s=0.01)
 
@@ -121,11 +121,11 @@ MACHINES = {
         lambda machine, *samples: machine.step(*samples),
     ),
 }
-"""Every class that takes arrays, and every estimator."""
+"""Each class that takes arrays, and each estimator."""
 
 
 def signals(machine: Machine, axes: int, seed: int = 0, ticks: int = TICKS) -> list[Array]:
-    """One array per argument: positions walk on an encoder's grid, the rest is noise."""
+    """Return one array per argument: positions walk on an encoder's grid, the rest is noise."""
     random = np.random.default_rng(seed)
     walk = np.round(np.cumsum(random.normal(size=(ticks, axes)) * 3.0, axis=0)) * QUANTUM
     scale = {"velocity": 0.5, "rendered_force": 3.0, "grasp_force": 3.0}
@@ -138,7 +138,7 @@ def signals(machine: Machine, axes: int, seed: int = 0, ticks: int = TICKS) -> l
 
 
 def same(left: tuple[Any, ...], right: tuple[Any, ...]) -> None:
-    """Every result of the same type and shape, and bit for bit the same."""
+    """Check that all results have the same type and shape, and the same bits."""
     assert len(left) == len(right)
     for a, b in zip(left, right, strict=True):
         assert (a.dtype, a.shape) == (b.dtype, b.shape)
@@ -220,7 +220,7 @@ def unaligned(array: Array) -> Array:
 
 
 def packed(array: Array) -> Array:
-    """A field of records without padding: strides that are no multiple of eight bytes."""
+    """Return a field of packed records: its strides are not multiples of eight bytes."""
     records = np.zeros(array.shape, dtype=[("flag", "u1"), ("value", "f8")])
     records["value"] = array
     return records["value"]

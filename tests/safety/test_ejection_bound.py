@@ -46,7 +46,7 @@ def speed_of(**changes: Any) -> float:  # noqa: ANN401  # any field
 @pytest.mark.parametrize("name", ESTIMATORS)
 @pytest.mark.parametrize("period_s", PERIODS)
 def test_kernels_predict_the_estimator(name: str, period_s: float) -> None:
-    """V^ and A of random forces are those of the kernels, to the rounding of positions of 1 m."""
+    """V^ and A of random forces match the kernels, up to the rounding of positions of 1 m."""
     from haptether.safety import Estimator
 
     known = kernel(ESTIMATORS[name], period_s)
@@ -57,13 +57,13 @@ def test_kernels_predict_the_estimator(name: str, period_s: float) -> None:
     estimated_velocity, estimated_acceleration, _ = Estimator(ESTIMATORS[name], period_s=period_s).run(position)
     lag = np.convolve(acceleration, known.lag_s)[: len(acceleration)]
     mean = np.convolve(acceleration, known.acceleration)[: len(acceleration)]
-    # Backward differences pass 2 eps / dT² of a position on to A.
+    # Backward differences amplify the rounding of a position to 2 eps / dT² in A.
     np.testing.assert_allclose(velocity - estimated_velocity, lag, atol=1e-9)
     np.testing.assert_allclose(estimated_acceleration, mean, atol=8 * 2.2e-16 / period_s**2 + 1e-8)
 
 
 def test_kernels_are_those_that_were_published() -> None:
-    """Figures of the default estimator at 1 kHz that another derivation found, to 1 %."""
+    """Figures of the default estimator at 1 kHz from another derivation, to 1 %."""
     known = kernel(EstimatorKind(), 1e-3)
     half = 0.5 * 2.3e-5
     found = (known.lag_norm_s, known.gain, known.tail_s)
@@ -130,7 +130,7 @@ def test_no_push_below_its_limits_is_better_than_the_best(
 
 
 def test_the_push_that_rises_is_the_worst_one_newest_last() -> None:
-    """Forth, back and forth again, as the lag of the filter says; none where V is measured."""
+    """It goes forth, back and forth again, as the lag of the filter requires; there is none if V is measured."""
     push = np.array(rising_push(EjectionSettings(**IDEAL, max_slew_n_per_s=1000.0)))
     assert push[-1] == 1.0
     assert np.count_nonzero(np.diff(np.sign(push))) == 2
@@ -142,7 +142,7 @@ def test_the_push_that_rises_is_the_worst_one_newest_last() -> None:
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=30), st.sampled_from([0.05, 0.3, 1.0]), st.randoms())
 def test_no_push_that_rises_is_better_than_the_bound_on_it(weights: list[float], growth: float, random: Any) -> None:  # noqa: ANN401
-    """Random pushes, oldest first, each made one that rises: where a sum would be below 0, the force is 0."""
+    """Random pushes, oldest first, each cut to its rising part: a negative sum ends it."""
     bound = best_rising_push(np.array(weights), growth)
     assert bound.most <= best_push(np.array(weights), growth).max() + 1e-12
     assert (np.diff(bound.lift) <= 0.0).all()
@@ -153,7 +153,7 @@ def test_no_push_that_rises_is_better_than_the_bound_on_it(weights: list[float],
         push.append(min(1.0, max(-1.0, random.choice([random.uniform(low, high), low, high]))))
     newest_first = np.array(push[::-1])
     sums = np.cumsum(newest_first)
-    # Behind the age at which V was last below where it is now, the hand still held: nothing before counts.
+    # Before the age at which V was last below its present value, the hand still held: earlier forces do not count.
     rises = int(np.argmax(sums < 0.0)) if (sums < 0.0).any() else len(sums)
     assert float(np.dot(weights[:rises], newest_first[:rises])) <= bound.most + 1e-12
 
@@ -182,7 +182,7 @@ def test_no_push_that_rises_below_its_limits_is_better_than_the_bound_on_it(
 
 
 def test_where_the_force_is_limited_a_lift_of_its_own_lowers_the_bound() -> None:
-    """Forth at the limit, back at the whole cap: V would have been greater before than it is at the end.
+    """Forth at the limit, back at the whole cap: V would have been greater earlier than at the end.
 
     Without growth limit the optimum is that of a linear programme: `max w f` over `-1 <= f <= h`, no sum below 0.
     """
@@ -193,7 +193,7 @@ def test_where_the_force_is_limited_a_lift_of_its_own_lowers_the_bound() -> None
     best = linprog(-weights, A_ub=sums, b_ub=np.zeros(len(weights)), bounds=[(-1.0, high) for high in highest])
     assert found.lift.any()
     assert best.fun is not None
-    # Limits are counted up to the next level.
+    # Limits are rounded up to the next level.
     slack = 2.0 * LEVEL_OF_LIMIT * np.abs(weights + found.lift).sum()
     assert -best.fun <= found.most <= -best.fun + slack
     assert found.most < 0.75 * best_push(weights, 0.99, highest=highest).max()
@@ -201,7 +201,7 @@ def test_where_the_force_is_limited_a_lift_of_its_own_lowers_the_bound() -> None
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=6), st.sampled_from([0.25, 0.5]))
 def test_a_push_from_zero_has_to_grow(weights: list[float], growth: float) -> None:
-    """The best of all on its levels whose oldest force is at least `-growth`."""
+    """Search all pushes on the levels whose oldest force is at least `-growth`."""
     levels = np.arange(-1.0, 1.0 + growth / 2, growth)
     best = -np.inf
     for push in itertools.product(levels, repeat=min(len(weights), 4)):
@@ -214,7 +214,7 @@ def test_a_push_from_zero_has_to_grow(weights: list[float], growth: float) -> No
 @pytest.mark.parametrize("name", ESTIMATORS)
 @pytest.mark.parametrize("slew", [1000.0, 1e9])
 def test_terms_hold_for_random_forces(name: str, slew: float) -> None:
-    """V^ since an age, and the energy of a hand that held, of forces that the limiter passes: Eq. 9a and 9b."""
+    """V^ since an age, and the energy of a holding hand, for forces that the limiter passes: Eq. 9a and 9b."""
     known, rng = kernel(ESTIMATORS[name], 1e-3), np.random.default_rng(5)
     growth, window, ticks = slew * 1e-3 / 7.9, 60, 150
     turned, _ = known.turned_speeds(growth)
@@ -229,7 +229,7 @@ def test_terms_hold_for_random_forces(name: str, slew: float) -> None:
         v = 1e-3 * np.cumsum(force)
         estimated = np.convolve(force, known.velocity)[:ticks]
         for place, age in enumerate((0, 12)):
-            # The tick that ends so many ticks ago began one tick before.
+            # The tick that ended `age` ticks ago began one tick before.
             change = np.abs(estimated[age + 1 :] - v[: -age - 1]).max() / turned[age]
             highest[place] = max(highest[place], change)
         # V^ at tick k has seen k ticks of the force.
@@ -247,7 +247,7 @@ def test_terms_hold_for_random_forces(name: str, slew: float) -> None:
 
 
 def rising_optimum(weights: Array) -> float:
-    """`max sum w f` over |f| <= 1 with `f[0] + ... + f[j] >= 0`, as a linear programme."""
+    """Solve `max sum w f` over |f| <= 1 with `f[0] + ... + f[j] >= 0`, as a linear programme."""
     sums = np.tril(np.ones((len(weights), len(weights))))
     found = linprog(-weights, A_ub=-sums, b_ub=np.zeros(len(weights)), bounds=(-1.0, 1.0))
     assert found.fun is not None
@@ -259,7 +259,7 @@ def rising_optimum(weights: Array) -> float:
 def test_an_ideal_device_has_the_closed_form(name: str, mass_kg: float, force: float, delta: float, eta: float) -> None:
     """`sqrt(2 eta |delta| / m) + F_max Lambda / m`, Lambda by a linear programme.
 
-    That the lift is even costs less than 4 % of Lambda.
+    The constant lift costs less than 4 % of Lambda.
     """
     found = speed_of(
         mass_kg=(mass_kg,), max_force_n=force, energy_threshold_j=-delta, energy_ratio=eta, estimator=ESTIMATORS[name]
@@ -270,7 +270,7 @@ def test_an_ideal_device_has_the_closed_form(name: str, mass_kg: float, force: f
 
 
 def test_the_papers_device_has_the_published_bound() -> None:
-    # 0.86 was published without regard to where V has been before.
+    # The published 0.86 does not account for the earlier values of V.
     assert speed_of() == pytest.approx(0.437 + 0.0503 * 7.785, rel=0.001)
     assert speed_of(estimator=None) == pytest.approx(0.437 + 0.0503, rel=0.001)
 
@@ -352,19 +352,19 @@ def test_vfc_adds_nothing_where_its_bound_does_not_hold(outside: dict[str, Any])
 
 
 def test_energy_of_the_hand_shifts_the_threshold() -> None:
-    """Where V is measured: the largest over the ticks of `min(V0 + a t, v_th(t))`, plus a tick."""
+    """V measured: the largest over the ticks of `min(V0 + a t, v_th(t))`, plus a tick."""
     a, power = 7.9 / 0.157, 7.9 * 0.3
     ticks = np.arange(101) * 1e-3
     threshold = np.sqrt((0.03 + (0.1 - ticks) * power) / 0.157)
     passes = np.minimum(0.3 + a * ticks, threshold)
     expected = max(passes.max(), threshold[-1]) + a * 1e-3
-    # Of the hand the tick of the release itself is still seen, 7.9 N times 0.3 m/s for 1 ms.
+    # The hand's energy includes the tick of the release itself: 7.9 N times 0.3 m/s for 1 ms.
     found = speed_of(estimator=None, hand_speed=0.3)
     assert found == pytest.approx(expected, rel=1e-6)
 
 
 def test_hsc_has_the_closed_form_of_a_push_that_is_never_seen() -> None:
-    """V measured: the cap works for the tick of the release and the one of the trip, then F_t over the travel."""
+    """V measured: the cap works for the tick of the release and the tick of the trip, then F_t over the travel."""
     a, travel_m = 7.9 / 0.157, 0.16
     settings = EjectionSettings(
         controllers=("hsc",), mass_kg=(0.157,), estimator=None, travel_m=travel_m, hsc_force_threshold_n=1.0
@@ -405,12 +405,12 @@ def test_no_random_release_exceeds_the_bound_of_hsc_with_a_velocity_threshold(sl
         seen = sweep(scene, samples=bench.random_pushes(rng, scene, 25), threads=1)
         worst.append(float(np.max(seen["max_ejection_velocity"])) / bound)
     assert max(worst) <= 1.0
-    # They are no random walk far below it.
+    # The worst is not far below the bound, as it would be for random walks.
     assert max(worst) > 0.4
 
 
 def test_wsc_with_a_force_threshold_lets_that_work_over_the_travel() -> None:
-    """V measured: as printed, and `2 F_w X / m` beside it."""
+    """V measured: as printed, plus `2 F_w X / m` under the root."""
     printed, travel_m = speed_of(estimator=None), 0.16
     gated = speed_of(estimator=None, wsc_force_threshold_n=0.3, travel_m=travel_m)
     assert gated == pytest.approx(sqrt(printed**2 + 2 * 0.3 * travel_m / 0.157), rel=1e-6)
@@ -437,12 +437,12 @@ def test_no_random_release_exceeds_the_bound_of_wsc_with_a_force_threshold(unsee
         seen = sweep(scene, samples=bench.random_pushes(rng, scene, 25), threads=1)
         worst.append(float(np.max(seen["max_ejection_velocity"])) / bound)
     assert max(worst) <= 1.0
-    # They are no random walk far below it.
+    # The worst is not far below the bound, as it would be for random walks.
     assert max(worst) > 0.4
 
 
 def test_a_late_tick_counts_with_the_force_that_it_holds() -> None:
-    """V measured: `(1 + s) F J V` beside delta, 2 F J V without a limit on growth; and twice J beside dT."""
+    """V measured: `(1 + s) F J V` is added to delta (2 F J V without a limit on growth), and twice J to dT."""
     late_s, a = 1e-3, 7.9 / 0.157
     for slew, forces in ((1e9, 2.0), (1000.0, 1.0 + 1.0 / 7.9)):
         found = speed_of(estimator=None, late_s=late_s, max_slew_n_per_s=slew)
@@ -452,7 +452,7 @@ def test_a_late_tick_counts_with_the_force_that_it_holds() -> None:
 
 
 def test_hsc_has_no_bound_where_the_force_comes_back_as_a_step() -> None:
-    """It compares a hand with the share that it has felt, and looks at the step a tick later."""
+    """HSC compares a hand with the force that it has felt, and sees the step a tick later."""
     push = {"shape": "ramp", "force_n": 7.9, "rise_s": 0.5}
     scene = override_scene(
         load_scene("paper_wall"),
@@ -479,7 +479,7 @@ def test_hsc_has_no_bound_where_the_force_comes_back_as_a_step() -> None:
 
 
 def test_a_device_that_rounds_its_force_up_works_with_half_a_quantum_more() -> None:
-    """A push below F_w that the device rounds to 0.19 N, after WSC has let pass what it may."""
+    """The device rounds a push below F_w to 0.19 N, after WSC has used up its energy threshold."""
     pushes = [{"shape": "step", "force_n": 7.9}, {"shape": "step", "at_s": 0.7085, "force_n": 0.0999 - 7.9}]
     scene = override_scene(
         load_scene("paper_wall"),
@@ -494,12 +494,12 @@ def test_a_device_that_rounds_its_force_up_works_with_half_a_quantum_more() -> N
     bound, seen = ejection_bound(scene).speed, simulate(scene).metrics.max_ejection_velocity
     assert bound is not None
     assert seen is not None
-    # The 0.095 N that are not asked for do work over 0.16 m: 0.7 m/s would be the bound without them.
+    # The extra 0.095 N do work over 0.16 m; without them the bound would be 0.7 m/s.
     assert 0.71 < seen <= bound
 
 
 def test_axes_that_are_alike_have_the_bound_of_one() -> None:
-    """The bound is of norms; only noise, an error on each axis, is larger by the root of their number."""
+    """The bound is in norms; only noise, an error on each axis, grows by the root of their number."""
     assert speed_of(mass_kg=(0.157,) * 3) == pytest.approx(speed_of(), rel=1e-9)
     assert speed_of(mass_kg=(0.157, 0.5, 0.3)) == pytest.approx(speed_of(), rel=1e-9)
     noisy = speed_of(quantum_m=2.3e-5 * sqrt(3.0))
@@ -516,7 +516,7 @@ def test_axes_that_are_alike_have_the_bound_of_one() -> None:
     ids=lambda worse: next(iter(worse)),
 )  # fmt: skip
 @pytest.mark.parametrize("slew", [1000.0, 1e9])
-def test_what_is_worse_has_a_higher_bound(worse: dict[str, Any], slew: float) -> None:
+def test_worse_settings_have_a_higher_bound(worse: dict[str, Any], slew: float) -> None:
     assert speed_of(**worse, max_slew_n_per_s=slew) > speed_of(max_slew_n_per_s=slew) * (1 + 1e-6)
 
 
@@ -544,11 +544,11 @@ def test_a_quick_estimate_of_v_lowers_the_bound_at_the_same_grasp_force() -> Non
 # -------------------------------------------------------------------------------------------------- negative friction
 
 DRIVEN: dict[str, Any] = {**IDEAL, "estimator": None, "viscous": (-0.05,)}
-"""Viscous friction that drives the device; V measured, so that r is one tick of the cap."""
+"""Viscous friction that drives the device; V is measured, so r is one tick of the cap."""
 
 
 def test_negative_friction_drives_over_the_travel_or_within_the_time() -> None:
-    """Eq. 18a by its own differential equation, Eq. 18b in closed form: whichever is less."""
+    """The bound is the smaller of Eq. 18a, by its own differential equation, and Eq. 18b, in closed form."""
     coasts = {**DRIVEN, "coulomb": (0.01,)}
     short, long = speed_of(**coasts, travel_m=1e-9), speed_of(**coasts, free_s=1e-9)
     assert short == pytest.approx(long, rel=1e-6)
@@ -564,8 +564,8 @@ def test_negative_friction_drives_over_the_travel_or_within_the_time() -> None:
     assert held == speed_of(**{**coasts, "coulomb": (0.05,)}, free_s=2.0)
 
 
-def test_damping_that_never_fades_ends_what_negative_friction_drives() -> None:
-    """Eq. 18c: with mu above d the bound is that of a tick more; with mu up to d there is none."""
+def test_damping_that_never_fades_bounds_negative_friction() -> None:
+    """Eq. 18c: for mu above d the bound is that of one more tick; for mu up to d there is none."""
     undriven = speed_of(estimator=None, viscous=(0.0,))
     kept = {**DRIVEN, "fades": False, "max_slew_n_per_s": 1000.0}
     assert undriven < speed_of(**kept, damping=5.0) < 1.01 * undriven
@@ -593,7 +593,7 @@ FADES = (
     "environment.objects=[]", "environment.pushers=[{shape=step,force_n=6.2656}]", "slave={}", "master.coulomb=0",
     "master.viscous=-0.05", "run.diverged_position=1000",
 )  # fmt: skip
-"""A link of 2 ms that dies so that the force has gone once the device is just below v_th."""
+"""A link of 2 ms that fails so that the force is gone once the device is just below v_th."""
 
 
 @pytest.mark.parametrize(
@@ -611,14 +611,14 @@ FADES = (
         ((*FADES, f"link.backward={{delay_s=0.002,outages={DEAF}}}", "master.stops=[-0.001,0.399]"), 0.5),
     ],
 )  # fmt: skip
-def test_what_negative_friction_drives_stays_below_the_bound(overrides: tuple[str, ...], least: float) -> None:
-    """Without damping, with too little, and with all of it until each path of the ladder takes it away."""
+def test_device_driven_by_negative_friction_stays_below_the_bound(overrides: tuple[str, ...], least: float) -> None:
+    """Damping is absent, too small, or full until each path of the ladder removes it."""
     scene = load_scene("paper_wall", overrides)
     bound, seen = ejection_bound(scene), simulate(scene).metrics.max_ejection_velocity
     assert bound.speed is not None
     assert seen is not None
     assert least < seen <= bound.speed
-    # A real device moves on where a run ends.
+    # A real device moves on after the end of a run.
     endless = ejection_bound(scene, free_s=inf)
     has_end = scene.master.stops is not None or (scene.slave is None and scene.safety.damping == 0.06)
     assert (endless.speed is not None) == has_end
@@ -628,7 +628,7 @@ def test_what_negative_friction_drives_stays_below_the_bound(overrides: tuple[st
 @pytest.mark.sampled(5)
 @pytest.mark.parametrize("group", bench.GROUPS)
 def test_no_release_exceeds_the_bound_whatever_the_sign_of_the_friction(group: str) -> None:
-    """1440 releases: b of both signs, mu from 0, dying links; `benches/ejection_bound.py` has 100 000."""
+    """1440 releases: b of both signs, mu from 0, failing links; `benches/ejection_bound.py` has 100 000."""
     seen = [bench.driven_ratios(seed, bench.GROUPS[group], rows=20) for seed in range(12)]
     worst = [float(each.max()) for each in seen if not isinstance(each, str)]
     assert len(worst) >= 8
@@ -637,7 +637,7 @@ def test_no_release_exceeds_the_bound_whatever_the_sign_of_the_friction(group: s
 
 def test_a_probe_that_damping_does_not_outweigh_leaves_no_bound() -> None:
     probed = {**DRIVEN, "free_s": 1.0, "probe_force_n": 0.5}
-    # A / (1.25 mu - d), and the tick in which it is decided.
+    # A / (1.25 mu - d), plus the tick of the decision.
     assert speed_of(**probed, damping=0.2) == pytest.approx(0.5 / (0.25 - 0.05) * exp(0.05 / 0.157), rel=1e-2)
     bound = ejection_bound(EjectionSettings(**{**probed, "damping": 0.04}))
     assert bound.speed is None
@@ -702,7 +702,7 @@ def test_of_a_device_that_turns_only_the_point_has_a_bound() -> None:
         assert said == turns, name
 
 
-def test_what_is_no_scene_is_refused() -> None:
+def test_other_types_than_a_scene_are_refused() -> None:
     with pytest.raises(TypeError, match=r"'remote_push': must be a scene, as `load_scene` gives it"):
         ejection_bound("remote_push")  # type: ignore[arg-type]  # the mistake
 
@@ -746,7 +746,7 @@ def test_settings_of_another_number_of_axes_are_refused(changes: dict[str, Any],
 @given(st.data())
 @settings(max_examples=60)
 def test_every_number_within_its_range_leads_to_a_bound_or_a_reason(data: st.DataObject) -> None:
-    """The ends of the ranges, and sizes of all orders between."""
+    """The drawn numbers are the ends of the ranges, and sizes of all orders between."""
 
     def number(low: float, high: float) -> st.SearchStrategy[float]:
         sizes = st.floats(-12.0, 9.0).map(lambda order: min(max(10.0**order, low), high))
@@ -763,7 +763,7 @@ def test_every_number_within_its_range_leads_to_a_bound_or_a_reason(data: st.Dat
     try:
         bound = ejection_bound(EjectionSettings(**{**IDEAL, **changes}))
     except ValueError as error:
-        assert "probe_force_n" in str(error)  # noqa: PT017  # and damping of 0
+        assert "probe_force_n" in str(error)  # noqa: PT017  # with a damping of 0
         return
     if bound.speed is None:
         assert bound.reason
@@ -780,7 +780,7 @@ def test_no_random_release_exceeds_the_bound(group: str, measured: bool) -> None
     """2400 releases; `benches/ejection_bound.py` has 100 000."""
     worst = [bench.ratios(seed, bench.GROUPS[group], measured=measured, rows=50) for seed in range(4)]
     assert max(float(of.max()) for of in worst) <= 1.0
-    # They are no random walk far below it.
+    # The worst is not far below the bound, as it would be for random walks.
     assert max(float(of.max()) for of in worst) > 0.5
 
 
@@ -837,6 +837,6 @@ def test_a_probe_may_be_what_is_fastest() -> None:
         speed, seen = ejection_bound(probed).speed, simulate(probed).metrics.max_ejection_velocity
         assert speed is not None
         assert seen is not None
-        # V is measured there: beside A / 1.25 mu there is the tick in which it is decided, and friction.
+        # V is measured: to A / 1.25 mu the tick of the decision and friction are added.
         assert expected <= speed <= expected + 3.0 / settings.mass_kg[0] * 2e-3
         assert seen <= speed

@@ -1,4 +1,4 @@
-"""Bad numbers are refused where they enter: a fault or a refusal that says what was seen, and no trace left."""
+"""Invalid numbers are refused at their entry: a fault or a refusal names the value, and the state stays unchanged."""
 
 import re
 from collections.abc import Callable
@@ -31,7 +31,7 @@ Array = npt.NDArray[np.float64]
 
 TICKS = 40
 BOUNDS = {"position": (1e3, "m"), "velocity": (1e3, "m/s")}
-"""Largest magnitude that is taken for a measurement; every force has 1e4 N."""
+"""Largest valid magnitude of a measurement; for every force it is 1e4 N."""
 COLUMNS = ("safety_force", "device_force", "tripped", "fault")
 OBSERVED = ("velocity_force", "grasp", "windowed_energy_j", "energy_j")
 
@@ -39,7 +39,7 @@ SETTINGS = SafetySettings(["vfc", "hsc", "wsc", "pc"], window=10, hold_off_s=0.0
 
 
 def bad_numbers(signal: str) -> dict[float, str]:
-    """Numbers that a signal cannot have, and what is said of each."""
+    """Return invalid numbers of a signal, each with its message."""
     bound, unit = BOUNDS.get(signal, (1e4, "N"))
     name = signal.replace("_", " ")
     absurd = f"{name} exceeds {bound:.0f} {unit}"
@@ -73,7 +73,7 @@ def assert_same(left: list[npt.NDArray[Any]], right: list[npt.NDArray[Any]]) -> 
 
 OBSERVATION = ("velocity", "rendered_force", "grasp_force")
 CONTROLLED = (*OBSERVATION, "rendered_force")
-"""Which signal each argument of a controller is; the last is the aligned F_v."""
+"""Signals of a controller's arguments; the last is the aligned F_v."""
 
 
 @pytest.mark.parametrize("axes", [1, 3, 7])
@@ -183,7 +183,7 @@ REFUSERS: dict[str, tuple[Callable[[int], Any], tuple[str, ...]]] = {
         ("position", "rendered_force"),
     ),
 }
-"""Classes that refuse a bad number, and which signal each argument of `run` is."""
+"""Classes that refuse an invalid number, each with the signals of the arguments of `run`."""
 
 
 def flat(results: Any) -> list[npt.NDArray[Any]]:  # noqa: ANN401
@@ -203,13 +203,13 @@ def test_observers_and_estimators_refuse_and_name_the_tick(name: str, axes: int)
             state = build(axes)
             with pytest.raises(ValueError, match=f"^{re.escape(f'tick {tick}: {message}')}$"):
                 state.run(*arrays)
-            # The ticks before the bad one have been taken, and nothing of the bad one.
+            # The ticks before the invalid one have been taken, and nothing of the invalid one.
             after = flat(state.run(*(array[tick + 1 :] for array in arrays)))
             assert_same(after, [result[tick:] for result in sound])
 
 
 def step(state: Any, one: list[list[float]], only: int | None = None) -> list[Any]:  # noqa: ANN401
-    """One tick; of an estimator, which takes two calls, only one of them if that is requested."""
+    """Run one tick; an estimator takes two calls, and `only` selects one of them."""
     if not isinstance(state, Estimator):
         return flat(state.step(*one))
     moved = [] if only == 1 else list(state.step(one[0]))
@@ -285,7 +285,7 @@ TABLE: list[tuple[str, float, str, Callable[[], object]]] = [
     *(("eta", x, RATIO, controlled("wsc", energy_ratio=x)) for x in (0.0, 1.5)),
     *(("w", x, WINDOW, controlled("wsc", window=x)) for x in (0, 3_600_001)),
     *(("eta", x, RATIO, controlled("pc", energy_ratio=x)) for x in (0.0, NAN)),
-    ("eta", 7.0, RATIO, controlled(energy_ratio=7.0)),  # wrong before any controller reads it
+    ("eta", 7.0, RATIO, controlled(energy_ratio=7.0)),  # invalid before any controller reads it
     ("w", 0, WINDOW, controlled("hsc", window=0)),
     *(("alpha", x, DAMPABLE, controlled("pc", pc_max_damping=x)) for x in (-1.0, 31.5)),
     *(("time", x, HOLD, controlled(hold_off_s=x)) for x in (-1e-3, 60.1, NAN)),

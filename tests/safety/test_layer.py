@@ -1,4 +1,4 @@
-"""The whole chain of a tick: against the same chain put together from its parts."""
+"""The whole chain of a tick, against the same chain assembled from its parts."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ SETTINGS = SafetySettings(["hsc", "wsc", "pc"], hsc_force_threshold_n=0.5)
 
 
 def motion(axes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Positions in m of a stylus that is thrown out at 0.3 s, and the force in N rendered on it."""
+    """Return positions in m of a stylus that is thrown out at 0.3 s, and the rendered force in N."""
     time_s = np.arange(TICKS) * 1e-3
     along = np.ones(axes) / np.sqrt(axes)
     position = np.outer(np.where(time_s < 0.3, -0.03, -0.03 + 20.0 * (time_s - 0.3) ** 2), along)
@@ -34,7 +34,7 @@ def test_the_chain_is_the_sum_of_its_parts(axes: int) -> None:
     ticks = SafetyLayer(device, SETTINGS, limiter=LIMITS).run(position, rendered)
 
     of_device, of_rendered = Estimator(axes=axes), Estimator(axes=axes)
-    # What is requested is bounded first, so that the observers see what can be rendered; then the sum is.
+    # The requested force is bounded first, so that the observers see a renderable force; the sum is bounded later.
     rendered, rendering = Limiter(LIMITS, axes=axes).run(rendered, np.zeros_like(rendered))
     controller = SafetyController(device, SETTINGS)
     limiter = Limiter(LimiterSettings(ramp_in_s=0.0), axes=axes)
@@ -67,7 +67,7 @@ def test_a_run_is_its_steps() -> None:
 
 
 def test_a_saturated_pc_says_what_it_owes() -> None:
-    """PC asks for more damping than the norm bound of 0.2 N delivers: the rest is owed."""
+    """PC requests more damping than the norm bound of 0.2 N delivers: the rest is owed."""
     velocity = np.full(50, 1.0)
     position = np.cumsum(velocity) * 1e-3
     device = DeviceModel(mass_kg=0.157)

@@ -1,8 +1,7 @@
-"""Observers and controllers against the paper's equations, written down once more in NumPy.
+"""Observers and controllers against the paper's equations, reimplemented in NumPy.
 
-Tolerances are bounds on rounding: u is half an ulp of 1, and each sum or product errs by at most u
-of its size. Where a trip is compared, the ticks whose observer lies within the bound of its
-threshold are left out; both answers are right there.
+Tolerances are bounds on rounding: u is half an ulp of 1, and each sum or product errs by at most u of its size. Trips
+are not compared in ticks whose observer is within its bound of the threshold: both answers are right there.
 """
 
 import numpy as np
@@ -33,7 +32,7 @@ axes_and_seed = given(axes=st.sampled_from((1, 2, 3, 4, 5, 6, 7)), seed=st.integ
 
 
 def signals(axes: int, seed: int) -> tuple[Array, Array, Array]:
-    """V, F_v and F_h: noise of changing strength, with rests."""
+    """Return V, F_v and F_h: noise of changing strength, with rests."""
     random = np.random.default_rng(seed)
     strength = np.exp(random.normal(size=(3, TICKS, 1)))
     noise = random.normal(size=(3, TICKS, axes)) * strength * np.array([0.3, 2.0, 2.0])[:, None, None]
@@ -51,7 +50,7 @@ def norm(vectors: Array) -> Array:
 
 
 def sum_so_far(power: Array) -> tuple[Array, Array]:
-    """Sum of Eq. 9 up to each tick, and by how much NumPy's and ours may differ."""
+    """Return the sum of Eq. 9 up to each tick, and the permitted difference between NumPy's and ours."""
     sizes = np.cumsum(np.abs(power))
     # The oracle adds n terms, each rounded; ours compensates and errs by less.
     return DT * np.cumsum(power), DT * U * (2 * np.arange(len(power)) + 30) * sizes
@@ -67,7 +66,7 @@ def test_eq_1_velocity_and_force(axes: int, seed: int) -> None:
     observer = VelocityForceObserver(velocity_threshold=0.7, force_threshold_n=1.3, axes=axes)
     seen = observer.run(velocity, rendered, grasp)
     expected = dot(velocity, rendered) / (0.7 * 1.3)
-    # Both sides: a product and a sum per axis, a product of the thresholds, a division.
+    # On both sides: a product and a sum per axis, a product of the thresholds, a division.
     bound = U * (4 * axes + 4) * dot(abs(velocity), abs(rendered)) / (0.7 * 1.3)
     assert np.all(abs(seen - expected) <= bound)
 
@@ -101,7 +100,7 @@ def test_eq_4_grasp_force(axes: int, seed: int) -> None:
     if axes == 1:
         assert np.array_equal(direction, np.sign(velocity))
     parts = [mass * acceleration, viscous * velocity, coulomb * direction, -force]
-    # Four roundings in a part (the norm's are halved by its root), three in their sum, twice.
+    # A part has four roundings (the root halves the norm's), their sum three, twice.
     bound = U * (2 * axes + 16) * sum(abs(part) for part in parts)
     assert np.all(abs(seen - sum(parts)) <= bound)
 
@@ -111,7 +110,7 @@ def test_eq_5_hand_grasp(axes: int, seed: int) -> None:
     velocity, rendered, grasp = signals(axes, seed)
     seen = HandGraspObserver(grasp_floor_n=0.002, axes=axes).run(velocity, rendered, grasp)
     expected = norm(rendered) / (norm(grasp) + 0.002)
-    # A norm of n axes: n roundings under the root, which halves them, and one of the root.
+    # A norm of n axes has n roundings under the root, which halves them, and one of the root.
     assert np.all(abs(seen - expected) <= U * (2 * axes + 8) * expected)
 
 
@@ -143,8 +142,8 @@ def test_eq_11_windowed_safety(axes: int, seed: int, window: int) -> None:
         first = n - window + 1 if n >= window else 1
         moving = float(kinetic(velocity[n - 1 : n], 0.4)[0])
         expected = DT * power[first - 1 : n].sum() - moving
-        # The running sum lives for at most two windows: that many additions and subtractions, none
-        # of a sum larger than all that passed in that time.
+        # The running sum lives for at most two windows. It has that many additions and subtractions, none of a sum
+        # larger than all that passed in that time.
         passed = size[max(0, n - 2 * window) : n]
         bound = DT * U * (4 * len(passed) + 4 * axes + 4) * passed.sum()
         bound += U * (4 * axes + 10) * moving + 2 * U * abs(expected)
@@ -155,7 +154,7 @@ def test_eq_11_windowed_safety(axes: int, seed: int, window: int) -> None:
 def test_the_passivity_observer_sums_exact_work(axes: int, seed: int) -> None:
     position, force, _ = signals(axes, seed)
     seen = PassivityObserver(axes=axes).run(position, force)
-    # What is held at tick n did its work from n - 1 to n.
+    # A force held at tick n did its work from n - 1 to n.
     work = dot(force[1:], np.diff(position, axis=0))
     expected = -np.concatenate([[0.0], np.cumsum(work)])
     sizes = np.concatenate([[0.0], np.cumsum(dot(abs(force[1:]), abs(np.diff(position, axis=0))))])
@@ -165,7 +164,7 @@ def test_the_passivity_observer_sums_exact_work(axes: int, seed: int) -> None:
 @axes_and_seed
 def test_eq_12_passivity_controller(axes: int, seed: int) -> None:
     velocity, rendered, grasp = signals(axes, seed)
-    # The pushes of the hand against the motion make E_so go up and down around 0.
+    # Pushes of the hand against the motion make E_so oscillate around 0.
     grasp -= 0.3 * velocity
     device = DeviceModel(mass_kg=MASS, axes=axes)
     max_damping = 30.0
@@ -182,7 +181,7 @@ def test_eq_12_passivity_controller(axes: int, seed: int) -> None:
     # The paper's -E / (V dT) counts a force against the motion; along +x it is E / (V dT).
     damping = np.minimum(np.maximum(-energy, 0.0) / (squared * DT), max_damping)
     expected = -damping[:, None] * velocity
-    # The damping is wrong by what the energy is; it is continuous at both of its bounds.
+    # The error of the damping is that of the energy; the damping is continuous at both of its bounds.
     slack = bound / (squared * DT) + U * (4 * axes + 10) * damping
     assert np.all(abs(interventions.safety_force - expected) <= slack[:, None] * abs(velocity))
     clear = abs(energy) > bound
@@ -191,13 +190,13 @@ def test_eq_12_passivity_controller(axes: int, seed: int) -> None:
 
 
 def judged(name: str, velocity: Array, rendered: Array, grasp: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """How far each tick is beyond the threshold, and where rounding cannot have decided."""
+    """Return how far each tick is beyond the threshold, and a mask of ticks that rounding cannot have decided."""
     if name == "vfc":
         beyond = dot(velocity, rendered) / (0.6 * 1.0) - 1.0
         size = 1.0 + dot(abs(velocity), abs(rendered)) / 0.6
     elif name == "hsc":
         ratio = norm(rendered) / (norm(grasp) + 1e-3)
-        # Both conditions at once; the smaller margin decides.
+        # Both conditions must hold; the smaller margin decides.
         beyond = np.minimum(ratio - 1.5, norm(rendered) - 0.1)
         size = 1.0 + ratio + norm(rendered)
     else:
@@ -219,7 +218,7 @@ def test_eq_2_13_14_cancel_and_damp(name: str, bit: int, axes: int, seed: int) -
     unsafe = beyond > 0
     assert np.array_equal((interventions.tripped == bit)[clear], unsafe[clear])
     assert 0 < unsafe.sum() < TICKS, "the signals do not reach both branches"
-    # The same two roundings on both sides: bit for bit.
+    # Both sides have the same two roundings: the results are bit-identical.
     law = np.where((interventions.tripped == bit)[:, None], -rendered - 5.0 * velocity, 0.0)
     assert np.array_equal(interventions.safety_force, law)
     assert np.array_equal(interventions.device_force, rendered + law)
@@ -232,12 +231,12 @@ def test_s_h_compares_forces_of_the_same_lateness(axes: int, seed: int) -> None:
     device = DeviceModel(mass_kg=MASS, axes=axes)
     controller = SafetyController(device, SafetySettings(["hsc"]))
     interventions = controller.run(velocity, rendered, grasp, aligned)
-    # Eq. 5 and 14 with the force that is as late as F_h; what is cancelled is F_v of this tick.
+    # Eq. 5 and 14 use the force aligned with F_h; the cancelled force is F_v of this tick.
     assert interventions.grasp is not None
     ratio = norm(aligned) / (norm(grasp) + 1e-3)
     assert np.all(abs(interventions.grasp - ratio) <= U * (2 * axes + 8) * ratio)
     beyond, clear = judged("hsc", velocity, aligned, grasp)
-    # F_t must hold for the force of this tick as well: nothing is cancelled where nothing is rendered.
+    # F_t must hold for the force of this tick as well: nothing is cancelled if nothing is rendered.
     pushing = norm(rendered) > 0.1
     assert np.array_equal((interventions.tripped == 2)[clear], ((beyond > 0) & pushing)[clear])
     law = np.where((interventions.tripped == 2)[:, None], -rendered - 5.0 * velocity, 0.0)
@@ -245,7 +244,7 @@ def test_s_h_compares_forces_of_the_same_lateness(axes: int, seed: int) -> None:
 
 
 def settings(name: str) -> SafetySettings:
-    """The controller alone, with the paper's thresholds."""
+    """Return settings of the controller alone, with the paper's thresholds."""
     match name:
         case "vfc":
             return SafetySettings(["vfc"])

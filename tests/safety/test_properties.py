@@ -1,4 +1,4 @@
-"""What holds for every signal: the law, symmetry and scaling of the observers, the limits."""
+"""Properties of every signal: the law, symmetry and scaling of the observers, the limits."""
 
 from collections.abc import Callable
 from typing import Literal
@@ -34,7 +34,7 @@ seeds = st.integers(0, 2**32)
 
 
 def signals(axes: int, seed: int) -> tuple[Array, Array, Array]:
-    """V, F_v and F_h."""
+    """Return V, F_v and F_h."""
     random = np.random.default_rng(seed)
     strength = np.exp(random.normal(size=(3, TICKS, 1)))
     noise = random.normal(size=(3, TICKS, axes)) * strength * np.array([0.3, 2.0, 2.0])[:, None, None]
@@ -68,7 +68,7 @@ def test_the_law_acts_exactly_when_one_trips(names: list[Name], axes: int, seed:
     interventions = controlled(axes, names, velocity, rendered, grasp)
     tripped = interventions.tripped != 0
     assert np.array_equal(interventions.safety_force, np.where(tripped[:, None], -rendered - 5.0 * velocity, 0.0))
-    # While it acts, the device renders the damping alone.
+    # While the controller acts, the device renders the damping alone.
     rounding = 2 * U * (abs(rendered) + 5.0 * abs(velocity))
     assert np.all(abs(interventions.device_force + 5.0 * velocity)[tripped] <= rounding[tripped])
     assert np.array_equal(interventions.device_force[~tripped], rendered[~tripped])
@@ -109,7 +109,7 @@ def test_the_passivity_controller_has_the_share_that_an_intervention_leaves() ->
     passivity = force("pc")
     assert np.all(passivity < 0)
     expected = gain * (-rendered - 5.0 * velocity) + (1 - gain) * passivity
-    # Some six roundings, of forces below 25 N (50 N s/m at 0.5 m/s).
+    # About six roundings, of forces below 25 N (50 N s/m at 0.5 m/s).
     assert np.all(abs(force("hsc", "pc") - expected) <= 8 * U * 25.0)
 
 
@@ -140,13 +140,13 @@ def test_a_rotation_of_the_frame_changes_no_observer_and_turns_the_force(seed: i
     rotation = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
     rotated = [signal @ rotation.T for signal in straight]
     velocity, rendered, grasp = (np.linalg.norm(signal, axis=1) for signal in straight)
-    # An entry of the matrix is off by some 8 u, a rotated component adds 3 products and 2 sums:
-    # together less than 32 u of the length of the vector. In a product of two vectors this counts
-    # twice, and their own 6 roundings are far below the rest up to 100 u.
+    # An entry of the matrix is off by about 8 u. A rotated component adds 3 products and 2 sums: together less than 32
+    # u of the length of the vector. In a product of two vectors this counts twice, and their own 6 roundings are far
+    # below the rest up to 100 u.
     vector, product = 32 * U, 100 * U
     moving = 0.157 * velocity**2
     power = DT * np.cumsum(grasp * velocity)
-    # Sums of n terms add n roundings of the sum, the window's up to two windows more.
+    # Sums of n terms add n roundings of the sum; the window's sums add up to two windows more.
     sums = (product + U * (2 * TICKS + 60)) * power + product * moving
     bounds = [
         product * velocity * rendered / 0.6,
@@ -170,14 +170,14 @@ def test_a_rotation_of_the_frame_changes_no_observer_and_turns_the_force(seed: i
         assert np.array_equal(left.tripped[clear], right.tripped[clear])
         slack = vector * (rendered + 5.0 * velocity)
         error = abs(left.safety_force @ rotation.T - right.safety_force).max(axis=1)
-        # Rotated inputs, and the rotation of the result.
+        # One slack is for the rotated inputs, one for the rotation of the result.
         assert np.all((error <= 2 * slack)[clear])
 
 
 @given(seed=seeds, axes=st.sampled_from((1, 3)), power=st.integers(-6, 2))
 def test_energy_scales_with_the_square(seed: int, axes: int, power: int) -> None:
-    # A power of two rounds nothing, so scaled signals give scaled results bit for bit. Larger ones
-    # would be taken for absurd.
+    # A power of two rounds nothing, so scaled signals give scaled results bit for bit. Larger powers would exceed the
+    # plausible range.
     s = 2.0**power
     device = DeviceModel(mass_kg=0.157, axes=axes)
     unscaled = signals(axes, seed)
@@ -208,8 +208,8 @@ def test_a_rest_before_the_signals_only_shifts_the_window(seed: int, quiet: int,
         *(np.concatenate([rest, signal]) for signal in (velocity, rendered, grasp))
     )
     assert not later[:quiet].any()
-    # The running sum is renewed at other ticks then: it errs by u for each of the additions and
-    # subtractions of up to two windows, of sums no larger than all that passed.
+    # The running sum is then renewed at other ticks. It errs by u for each addition and subtraction of up to two
+    # windows, of sums no larger than all that passed.
     passed = np.convolve(abs(grasp * velocity), np.ones(2 * window))[:TICKS]
     bound = DT * U * (8 * window + 8) * passed + 4 * U * abs(first)
     assert np.all(abs(later[quiet:] - first) <= bound)
@@ -219,7 +219,7 @@ OPEN = {"max_force_n": 1e3, "max_slew_n_per_s": 1e9, "max_power_w": 1e6, "ramp_i
 
 
 def forces(axes: int, seed: int) -> tuple[Array, Array]:
-    """A force that is requested, in steps and drifts, and V."""
+    """Return a requested force, in steps and drifts, and V."""
     random = np.random.default_rng(seed)
     steps = np.repeat(random.normal(size=(TICKS // 10, axes)), 10, axis=0) * 8.0
     return steps + random.normal(size=(TICKS, axes)), random.normal(size=(TICKS, axes)) * 0.6
@@ -240,14 +240,14 @@ def test_the_limiter_holds_cap_power_and_growth(axes: int, seed: int) -> None:
 
     last = np.vstack([np.zeros(axes), force[:-1]])
     assert np.all(sizes <= np.linalg.norm(last, axis=1) + growth + rounding * cap)
-    # The nearest point between the last force and zero: what is beyond it is growth.
+    # The reference is the nearest point between the last force and zero: force beyond it is growth.
     squared = (last * last).sum(axis=1)
     share = np.clip((last * force).sum(axis=1) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
     grown = np.linalg.norm(force - share[:, None] * last, axis=1)
     free = acted & 4 == 0
     assert np.all(grown[free] <= growth + rounding * cap)
 
-    # Each bit says that its bound was at work, and without any the force passes as it is.
+    # Each bit says that its bound acted; without any bit the force passes unchanged.
     assert set(acted[:ramp] & 8) == {8}
     assert not (acted[ramp:] & 8).any()
     assert not force[0].any(), "a force rises from zero"
@@ -277,7 +277,7 @@ def test_the_limiter_bounds_one_thing_at_a_time() -> None:
         ("ramp_in_s", 0.004, still, [0.0, 2.5, 5.0, 7.5], 8),
     ]:
         force, acted = Limiter(LimiterSettings(**OPEN | {key: value})).run(requested, velocity)
-        # A handful of roundings of values up to 10 N.
+        # A few roundings of values up to 10 N.
         assert np.all(abs(force - expected) <= 8 * U * 10.0), key
         assert np.array_equal(acted != 0, force != requested), key
         assert set(acted.tolist()) <= {0, bit}, key

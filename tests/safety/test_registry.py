@@ -132,14 +132,14 @@ fn it_has_a_name_a_bit_and_a_column_and_it_intervenes() {
 @pytest.mark.alone
 @pytest.mark.timeout(600)
 def test_a_controller_is_a_file_and_its_line(tmp_path: Path) -> None:
-    """As CONTRIBUTING.md, "A new controller, observer or estimator", says it."""
+    """Follow CONTRIBUTING.md, "A new controller, observer or estimator"."""
     guide = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     for step in ("`safety/src/controller/speed.rs`", "`mod speed;`", "`Speed: speed::SpeedController;`"):
         assert step in guide
     for name in ("Cargo.toml", "Cargo.lock", "rustfmt.toml", "clippy.toml"):
         shutil.copy(ROOT / name, tmp_path)
     shutil.copytree(ROOT / "safety", tmp_path / "safety", ignore=shutil.ignore_patterns("__pycache__"))
-    # The crate alone, without what its other tests need.
+    # Build the crate alone, without the dependencies of its other tests.
     change(tmp_path / "Cargo.toml", r"(?m)^(default-)?members = \[.*\]$", r'\1members = ["safety"]')
     change(tmp_path / "safety" / "Cargo.toml", r"(?s)\[dev-dependencies\].*", "")
     shutil.rmtree(tmp_path / "safety" / "tests")

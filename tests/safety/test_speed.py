@@ -24,5 +24,5 @@ def test_a_million_samples(capsys: pytest.CaptureFixture[str]) -> None:
         assert len(interventions.fault) == SAMPLES
     with capsys.disabled():
         print(f"\n1e6 samples, HSC and WSC: {min(taken):.3f} s (required {REQUIRED_S} s)")
-    # Machines that test are loaded; five times the figure still tells an array call from a loop.
+    # Test machines are loaded; five times the figure still tells an array call from a loop.
     assert min(taken) < 5 * REQUIRED_S

@@ -1,4 +1,4 @@
-"""Scenes whose numbers are, one at a time, as small or as large as their ranges allow."""
+"""Scenes in which one number at a time is at an end of its range."""
 
 import copy
 from collections.abc import Iterator
@@ -151,14 +151,14 @@ BASES: dict[str, Raw] = {
         **FAR | {"environment": LINEAR, "slave": ARM | {"control": "pd", "stiffness": 1000.0, "damping": 50.0}},
     ),
 }
-"""Scenes in which nearly every number of every table is given."""
+"""Scenes that give nearly every number of every table."""
 
 TINY = (5e-324, 1e-300, 1e-160, 1e-30, 1e-12, 1e-9)
 LARGE = (1e3, 1e6)
 
 
 def numbers(raw: Any, path: Path = ()) -> Iterator[Path]:  # noqa: ANN401  # tables as TOML has them
-    """Where the numbers of plain tables stand."""
+    """Yield the paths of the numbers in plain tables."""
     if isinstance(raw, dict):
         for key, value in raw.items():
             yield from numbers(value, (*path, key))
@@ -170,7 +170,7 @@ def numbers(raw: Any, path: Path = ()) -> Iterator[Path]:  # noqa: ANN401  # tab
 
 
 def extremes(path: Path) -> list[float]:
-    """What a number may be at the ends of its range, next to them, and far from one inside."""
+    """Return test values of a number: the ends of its range, values next to them, and values far inside."""
     found: set[float] = set()
     for kind in types_at(path):
         if isinstance(kind, inspect.IntType):
@@ -182,7 +182,7 @@ def extremes(path: Path) -> list[float]:
 
 
 def changed(raw: Raw, path: Path, value: float) -> Raw:
-    """The tables with another number at a place."""
+    """Return the tables with another number at one path."""
     raw = copy.deepcopy(raw)
     at: Any = raw
     for step in path[:-1]:

@@ -41,7 +41,7 @@ def conjugate(of: Vector) -> Vector:
 
 
 def product(left: Vector, right: Vector) -> Vector:
-    """Of two quaternions w, x, y, z: first the turn of the right one."""
+    """Return the product of two quaternions w, x, y, z: the turn of the right one comes first."""
     (a, b, c, d), (w, x, y, z) = left, right
     return [
         a * w - b * x - c * y - d * z,
@@ -59,7 +59,7 @@ def orientations(draw: st.DrawFn) -> Vector:
 
 @st.composite
 def inertias(draw: st.DrawFn, low: float, high: float) -> Any:  # noqa: ANN401  # a number or one per axis
-    """Of a rigid body: of three lengths squared, each moment has two; and now and then of what is none."""
+    """Draw an inertia, sometimes of no rigid body; a rigid one has sums of two of three squared lengths."""
     match draw(st.sampled_from(["even", "body", "body", "body", "any"])):
         case "even":
             return draw(real(low, high))
@@ -71,7 +71,7 @@ def inertias(draw: st.DrawFn, low: float, high: float) -> Any:  # noqa: ANN401  
 
 
 def is_rigid(inertia: Any) -> bool:  # noqa: ANN401
-    """Whether a body can have these moments."""
+    """Return true if a body can have these moments."""
     return not isinstance(inertia, list) or 2.0 * max(inertia) <= sum(inertia)
 
 
@@ -225,10 +225,10 @@ def worlds(draw: st.DrawFn) -> Raw:
 
 
 def alignments(coupling: Raw) -> st.SearchStrategy[Raw]:
-    """Within the bound on the angular speed; most of them fast enough to end within a scene."""
+    """Draw an alignment within the bound on the angular speed; most are fast enough to end within a scene."""
     bound = coupling.get("command_angular_speed", 2.5)
     fastest = 30.0 if isinstance(bound, str) else min(bound, 30.0)
-    # A press waits 5 s, and the slowest link takes one of them.
+    # A press waits 5 s, of which the slowest link takes 1 s.
     speeds = real(0.3 * fastest, fastest)
     return speeds.flatmap(
         lambda speed: table({"speed": st.just(speed), "max_angle": real(1e-2, min(3.1, 3.9 * speed))})
@@ -236,7 +236,7 @@ def alignments(coupling: Raw) -> st.SearchStrategy[Raw]:
 
 
 def aligned(coupling: Raw, alignment: Raw) -> Raw:
-    """The same that turns to its master: with a scale of rotation other than 1 it would not last."""
+    """Return the coupling with an alignment but no rotation scales: alignment persists only with a scale of 1."""
     kept = {key: value for key, value in coupling.items() if key != "rotation_scale"}
     changes = [
         {key: value for key, value in change.items() if key != "rotation_scale"} for change in coupling["changes"]
@@ -289,7 +289,7 @@ def safeties_of_rotation() -> st.SearchStrategy[Raw]:
 
 @st.composite
 def with_gripper(draw: st.DrawFn, scene: Raw) -> Raw:
-    """The same scene with a gripper, whose trigger the finger may feel."""
+    """Return the scene with a gripper, whose trigger the finger may feel."""
     gripper = scene["slave"]["gripper"] = draw(grippers())
     operator, duration_s = scene.get("operator"), scene["run"]["duration_s"]
     if operator is not None:
@@ -309,7 +309,7 @@ def with_gripper(draw: st.DrawFn, scene: Raw) -> Raw:
 
 @st.composite
 def near_the_hand(draw: st.DrawFn, scene: Raw) -> Vector:
-    """An orientation of the tool from which it is turned to the hand within the scene."""
+    """Return an orientation of the tool from which it can align with the hand within the scene."""
     coupling, duration_s = scene["coupling"], scene["run"]["duration_s"]
     speed, max_angle = coupling["alignment"]["speed"], coupling["alignment"]["max_angle"]
     half = 0.5 * draw(real(0.0, min(0.2 * duration_s * speed, max_angle)))
@@ -321,7 +321,7 @@ def near_the_hand(draw: st.DrawFn, scene: Raw) -> Vector:
 
 @st.composite
 def raw_poses(draw: st.DrawFn) -> Raw:
-    """Tables of a scene of kind "pose", valid but where a body is none that can be."""
+    """Draw tables of a scene of kind "pose", valid except for bodies that are not rigid."""
     period_s = draw(st.sampled_from([5e-4, 1e-3, 2e-3, 5e-3]))
     duration_s = draw(real(0.05, 0.5))
     master = draw(masters(AXES)) | {"kind": "pose"}
@@ -351,7 +351,7 @@ def raw_poses(draw: st.DrawFn) -> Raw:
     if draw(st.integers(0, 3)) == 0:
         bits = draw(st.lists(st.integers(0, 31), min_size=2, max_size=2, unique=True))
         buttons = {draw(st.sampled_from(["clutch", "engage"])): bits[0]}
-        # Where a button works the gripper no finger leads it, and a trigger that is felt is refused.
+        # If a button works the gripper, no finger leads it, and a felt trigger is refused.
         is_free = "gripper" in scene["slave"] and "gripper" not in master
         master["buttons"] = buttons | ({"gripper": bits[1]} if is_free else {})
     if draw(st.integers(0, 4)) > 0:

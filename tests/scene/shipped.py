@@ -1,4 +1,4 @@
-"""Runs of shipped scenes that several tests look at, and none changes."""
+"""Runs of shipped scenes that several tests share; they are read-only."""
 
 from functools import lru_cache
 
@@ -7,7 +7,7 @@ from haptether.bridge import Run, simulate
 
 @lru_cache(maxsize=16)
 def shipped(name: str, *overrides: str) -> Run:
-    """The run of a shipped scene, simulated once in a process."""
+    """Return the run of a shipped scene, simulated once per process."""
     run = simulate(name, overrides=list(overrides))
     for values in run.signals.values():
         values.setflags(write=False)

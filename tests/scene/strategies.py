@@ -1,4 +1,4 @@
-"""Strategies for Hypothesis: valid scenes with any combination of their parts, short and small enough to be run."""
+"""Strategies for Hypothesis: valid scenes with any combination of their parts, small and short enough to run."""
 
 import math
 from typing import Any
@@ -22,7 +22,7 @@ def maybe(strategy: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
 
 
 def table(required: Raw | None = None, /, **optional: st.SearchStrategy[Any]) -> st.SearchStrategy[Raw]:
-    """A table whose optional keys may be left out."""
+    """Return a table whose optional keys may be missing."""
     return st.fixed_dictionaries(required or {}, optional=optional)
 
 
@@ -276,11 +276,11 @@ def safeties(draw: st.DrawFn, period_s: float, has_arm: bool) -> Raw:
 
 @st.composite
 def raw_scenes(draw: st.DrawFn, *, arm: bool | None = None) -> Raw:
-    """Tables of a valid scene.
+    """Draw tables of a valid scene.
 
     Args:
         draw: Given by Hypothesis.
-        arm: Whether there is an arm; any by default.
+        arm: True with an arm, False without; by default either.
     """
     axes = draw(st.sampled_from([1, 3]))
     period_s = draw(st.sampled_from([5e-4, 1e-3, 2e-3, 5e-3]))
@@ -323,7 +323,7 @@ def raw_scenes(draw: st.DrawFn, *, arm: bool | None = None) -> Raw:
 
 
 def is_linear(thing: Raw) -> bool:
-    """Whether an object is a resting plane or spring of Kelvin and Voigt without friction."""
+    """Return true for a resting plane or Kelvin-Voigt spring without friction."""
     contact = thing["contact"]
     return (
         thing["shape"]["kind"] in {"plane", "spring"}

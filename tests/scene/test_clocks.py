@@ -1,4 +1,4 @@
-"""Endpoints whose clocks are not right: what a run shows of it, and what it must not."""
+"""Endpoints with wrong clocks: the visible effects in a run, and the forbidden ones."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ CLOCKS = ("link.master_clock", "link.slave_clock")
 
 
 def ladder_changes(run: Run, side: str) -> list[tuple[float, str]]:
-    """When the ladder of a side went where."""
+    """Return the times and states of the ladder changes of a side."""
     states = {"engaged", "hold", "stop", "fault"}
     events = [event for event in run.events if event.detail.startswith(f"{side}: ")]
     return [(event.time_s, event.kind) for event in events if event.kind in states]
@@ -40,13 +40,13 @@ def test_drift_shows_in_the_period_and_not_in_the_coupling(side: str, drift_ppm:
     assert [kind for _, kind in ladder_changes(run, "master")] == ["engaged"]
     assert [kind for _, kind in ladder_changes(run, "slave")] == ["engaged"]
 
-    # Times are true ones: a fast clock ticks after 1 ms / (1 + drift), to the ns.
+    # Recorded times are true ones: a fast clock ticks after 1 ms / (1 + drift), to the ns.
     times = run.signals["time_s" if side == "master" else "slave_time_s"]
     expected = np.arange(len(times)) * 1e-3 / (1.0 + drift_ppm * 1e-6)
     np.testing.assert_allclose(times, expected, rtol=0.0, atol=1.1e-9)
     assert times[-1] == pytest.approx(100.0, abs=1.1e-3)
 
-    # 50 ms on the way, seen at a tick: up to a tick later, however far the clocks are apart by then.
+    # The delay is 50 ms, and a tick samples it: up to a tick later, for any difference of the clocks.
     age = run.signals["age_s"][200:]
     assert age.min() >= 0.0
     assert age.max() <= 2e-3 + 1e-6
@@ -57,8 +57,8 @@ def test_drift_shows_in_the_period_and_not_in_the_coupling(side: str, drift_ppm:
     [
         (0.015, [], False),
         (0.1, ["hold", "engaged"], False),
-        # More than the ladder's 200 ms pass in one tick: what was HOLD before the tick is STOP after it.
-        # The simulated person then releases the clutch and presses it.
+        # More than the ladder's 200 ms pass in one tick: HOLD before the tick is STOP after it. The simulated person
+        # then releases the clutch and presses it.
         (1.0, ["stop", "engaged"], True),
     ],
 )

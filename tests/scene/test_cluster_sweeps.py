@@ -1,4 +1,4 @@
-"""Rows computed by a Dask cluster of real processes, one of which is killed at work, are those of this process."""
+"""Rows from a Dask cluster of real processes, one of which is killed at work, equal the rows of this process."""
 
 import os
 import signal
@@ -24,7 +24,7 @@ SHORT = ["run.duration_s=0.3"]
 
 @pytest.fixture
 def local(tmp_path: Path) -> bytes:
-    """The file without a cluster."""
+    """Return the file written without a cluster."""
     path = tmp_path / "local.csv"
     sweep_to_file("remote_push", path, GRID, SAMPLES, overrides=SHORT, threads=1)
     return path.read_bytes()
@@ -69,13 +69,13 @@ class Idle:
     """A controller in Python that never intervenes."""
 
     def step(self, tick: object) -> None:
-        """Nothing."""
+        """Do nothing."""
 
 
-def test_a_batch_says_what_its_controllers_took_and_no_more() -> None:
+def test_a_batch_reports_the_time_of_its_own_controllers_only() -> None:
     register_controller("idle-here", Idle)
     base = loaded("paper_wall", ["run.duration_s=0.2", "safety.research.controller=idle-here"])
-    # Earlier work of the same process.
+    # Count earlier work of the same process.
     count_controller_time(1_000_000, 1e3)
     columns = {"run.seed": np.array([1.0, 2.0])}
     first, metrics, taken = cluster._batch(base, 4, columns, SweepSettings(threads=1))
@@ -127,5 +127,5 @@ def test_a_scheduler_that_does_not_answer_is_an_error(tmp_path: Path, monkeypatc
 @pytest.mark.parametrize(("engine", "address"), [("ray", None), ("local", "tcp://127.0.0.1:1")])
 def test_an_engine_that_there_is_not_is_refused(engine: str, address: str | None, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=f"engine = '{engine}'"):
-        # What mypy refuses, a caller without it may pass.
+        # mypy refuses these arguments; a caller without it may pass them.
         sweep_to_file("remote_push", tmp_path / "a.csv", GRID, SAMPLES, engine=engine, address=address)  # type: ignore[arg-type]

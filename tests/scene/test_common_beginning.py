@@ -1,4 +1,4 @@
-"""Rows that differ in their controllers alone are run together as long as none intervenes: no number may show it."""
+"""Rows that differ only in their controllers run together until one intervenes: the numbers stay the same."""
 
 from typing import Any
 
@@ -31,7 +31,7 @@ def test_a_sweep_of_controllers_is_its_simulations(scene: str) -> None:
     for name in METRICS:
         one_by_one = np.array([np.nan if (value := getattr(one, name)) is None else value for one in alone])
         np.testing.assert_array_equal(found[name], one_by_one, err_msg=name)
-    # Something is compared: controllers intervene, each in its way.
+    # Controllers intervene in different ways, so that the comparison has content.
     different = {tuple(found[name][row] for name in METRICS) for row in range(len(found))}
     assert len(different) >= 2 * len(seeds) or scene == "torque_release"
 
@@ -60,11 +60,11 @@ def test_progress_grows_to_the_rows_at_most() -> None:
         # Three choices of 20 samples are 60 rows.
         ({"link.forward.delay_s": [0.1, 0.2, 0.3], "safety.controllers": [[], ["wsc"], ["hsc"]]}, 20, 0, 64, 120),
         ({"link.forward.delay_s": [0.1, 0.2, 0.3], "safety.controllers": [[], ["wsc"], ["hsc"]]}, 20, 120, 64, 180),
-        # Too many to keep together.
+        # These are too many to keep together.
         ({"link.forward.delay_s": [0.1, 0.2], "safety.controllers": [[], ["wsc"], ["hsc"]]}, 100, 0, 64, 64),
-        # All of them may.
+        # All of them may run together.
         ({"safety.window": [50, 60], "link.forward.delay_s": [0.1, 0.2]}, 50, 0, 64, 200),
-        # None may.
+        # None may run together.
         ({"link.forward.delay_s": [0.1, 0.2]}, 100, 0, 64, 64),
     ],
 )

@@ -1,4 +1,4 @@
-"""Scene files that are wrong in every way: only `SceneError` comes out, in one line that says what and where.
+"""Scene files that are wrong in every way: the only exception is `SceneError`, in one line with problem and place.
 
 `fuzz/corpus/toml/` is replayed; hypothesis mutates those files and the shipped ones. `make fuzz` does so at length.
 """
@@ -25,7 +25,7 @@ WORDS = [
 
 
 def check(path: Path) -> None:
-    """Load a file; what it refuses, it refuses in one line that names the file."""
+    """Load a file; assert that a refusal is one line that names the file."""
     try:
         load_scene(path)
     except SceneError as error:
@@ -46,7 +46,7 @@ def test_a_file_of_the_corpus_is_read_or_refused(path: Path) -> None:
 
 @st.composite
 def mutated(draw: st.DrawFn) -> bytes:
-    """A scene file with some of its bytes replaced, taken out, doubled or exchanged for what confuses parsers."""
+    """Draw a scene file with bytes replaced, removed, doubled or exchanged for sequences that confuse parsers."""
     contents = draw(st.sampled_from(GOOD + FILES)).read_bytes()
     for _ in range(draw(st.integers(1, 6))):
         start = draw(st.integers(0, len(contents)))
@@ -59,7 +59,7 @@ def mutated(draw: st.DrawFn) -> bytes:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("scenes")
-    # What the shipped scenes name lies beside them.
+    # The recordings of the shipped scenes lie beside them.
     for recording in (ROOT / "bridge" / "scenes").glob("*.csv"):
         (place / recording.name).write_bytes(recording.read_bytes())
     return place

@@ -1,4 +1,4 @@
-"""What is changed while both sides run: scales, axes and times of the ladder; live in `test_live.py`."""
+"""Changes while both sides run: scales, axes and times of the ladder; live in `test_live.py`."""
 
 from typing import Any
 
@@ -11,13 +11,13 @@ HALF = 0.5**0.5
 
 
 def stroke(*overrides: str) -> Run:
-    """A hand that moves in free space along x, then y and z, on a perfect link."""
+    """Run a hand that moves in free space along x, then y and z, on a perfect link."""
     free = ["environment.objects=[]", "link.forward.delay_s=0", "link.backward.delay_s=0", "run.duration_s=2.9"]
     return simulate("three_axis_box", overrides=[*free, *overrides])
 
 
 def displacements(run: Run) -> tuple[Any, Any]:
-    """How far master and slave went, at the end."""
+    """Return the final displacements of master and slave."""
     return tuple(run.signals[name][-1] - run.signals[name][0] for name in ("position", "slave_position"))
 
 
@@ -45,14 +45,14 @@ def test_changes_come_at_their_time_and_move_nothing_by_themselves() -> None:
     baseline, run = stroke(), stroke(f"coupling.changes={changes}")
     at = {time_s: int(np.searchsorted(run.signals["slave_time_s"], time_s - 1e-9)) for time_s in (1.2, 1.5, 2.0)}
     command, before = run.signals["slave_command"], baseline.signals["slave_command"]
-    # The tick of the change commands what it would without.
+    # The tick of the change still has the old command.
     assert np.array_equal(command[: at[1.2] + 1], before[: at[1.2] + 1])
     steps, baseline_steps = np.diff(command, axis=0), np.diff(before, axis=0)
     fade = 200
     share = np.clip(np.arange(1, 300) / fade, 0.0, 1.0)[:, None]
     fading = slice(at[1.2], at[1.2] + 299)
     assert steps[fading] == pytest.approx((1.0 + 2.0 * share) * baseline_steps[fading], abs=1e-6)
-    # A map fades out and in, within twice the time, and its axes never leap.
+    # A map fades out and in within twice the time, and its axes never leap.
     locked = slice(at[1.5] + 2 * fade + 1, at[2.0] - 1)
     assert not steps[locked, 2].any()
     assert steps[locked, :2] == pytest.approx(3.0 * baseline_steps[locked, :2], abs=1e-6)
@@ -64,7 +64,7 @@ def test_changes_come_at_their_time_and_move_nothing_by_themselves() -> None:
 
 
 def test_a_force_scale_that_changes_is_felt_and_measured() -> None:
-    # Half as much again stays below the 7.9 N of the device.
+    # A scale of 1.5 stays below the 7.9 N of the device.
     for scale in (0.5, 1.5):
         run = simulate(
             "remote_push",

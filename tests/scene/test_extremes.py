@@ -1,4 +1,4 @@
-"""Every number of a scene at the ends of its range: a run that ends, or a refusal in one line."""
+"""Every number of a scene at the ends of its range: the run ends, or the refusal is one line."""
 
 import multiprocessing
 import re
@@ -15,14 +15,14 @@ from haptether.bridge.scene.load import checked
 pytestmark = pytest.mark.slow
 
 LONGEST_S = 20.0
-"""Of processor time for 20 ticks, on a busy machine; what loops or steps without end takes for ever."""
+"""Longest processor time in s of 20 ticks, on a busy machine; an endless loop takes for ever."""
 MAX_BYTES = 3 << 30
 MAX_TICKS = 1000
-"""A scene that is long on purpose is only built."""
+"""Largest number of ticks that are run; longer scenes are only built."""
 
 
 def wrong(base: str) -> list[str]:
-    """What went otherwise than it may."""
+    """Return the violations of a scene's numbers."""
     resource.setrlimit(resource.RLIMIT_AS, (MAX_BYTES, MAX_BYTES))
     found = []
     for path in numbers(BASES[base]):
@@ -36,7 +36,7 @@ def wrong(base: str) -> list[str]:
                     continue
                 simulate(scene)
             except SceneError as error:
-                # In one line, with the place and a number that can be read.
+                # The refusal is one line, with the place and a readable number.
                 if "\n" in str(error) or re.search(r"\d{40}", str(error)) or not re.match(r"\[?[a-z]", str(error)):
                     found.append(f"{what}: {error}")
             except Exception as error:
@@ -49,7 +49,7 @@ def wrong(base: str) -> list[str]:
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("base", BASES)
 def test_a_number_at_the_end_of_its_range_is_run_or_refused_in_one_line(base: str) -> None:
-    # In a process of its own: a loop without end in the extension is none that Python could interrupt.
+    # The test uses a process of its own: Python cannot interrupt an endless loop in the extension.
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         assert pool.apply_async(wrong, (base,)).get(timeout=600.0) == []
 

@@ -1,4 +1,4 @@
-"""Scene files: names, overrides, recordings, and what a run makes of them."""
+"""Scene files: names, overrides, recordings, and their effect on a run."""
 
 import json
 import pickle
@@ -292,7 +292,7 @@ def test_a_bad_npz_is_refused(arrays: dict[str, Any], said: str, tmp_path: Path)
 
 
 class FakeRun:
-    """What the extension gives."""
+    """A result of the extension."""
 
     def __init__(self, ticks: int) -> None:
         self.signals = {"time_s": np.arange(ticks) * 1e-3, "position": np.zeros((ticks, 3))}
@@ -303,7 +303,7 @@ class FakeRun:
 
 @pytest.fixture
 def scenes_run(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
-    """The scenes that were given to the extension."""
+    """Return the scenes passed to the extension."""
     given: list[bytes] = []
 
     def simulate_scene(scene: bytes, record: object = None, _research: object = None) -> FakeRun:
@@ -440,7 +440,7 @@ LONG = ".".join(["a"] * 20_000)
     ids=["key", "header", "inline", "quoted", "lists", "tables", "size", "word"],
 )
 def test_a_file_that_would_take_all_memory_is_refused_for_little(tmp_path: Path, text: str, said: str) -> None:
-    # Of 40 kB of one dotted key TOML's reader makes 1.6 GB.
+    # TOML's reader would need 1.6 GB for 40 kB of one dotted key.
     (tmp_path / "bomb.toml").write_text(text, encoding="utf-8")
     ended = run_python(
         "import resource, sys\n"
@@ -463,7 +463,7 @@ def test_an_override_with_a_key_without_end_is_refused() -> None:
 
 
 def run_python(code: str, *arguments: str) -> str:
-    """What a Python of its own prints."""
+    """Return the output of a separate Python process."""
     return subprocess.run(
         [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True, timeout=60
     ).stdout

@@ -1,4 +1,4 @@
-"""The gripper of a scene follows the operator's trigger, and keeps its grip whatever the link does."""
+"""The gripper of a scene follows the operator's trigger, and keeps its grip through every fault of the link."""
 
 from pathlib import Path
 
@@ -52,8 +52,9 @@ def test_it_closes_on_what_is_between_and_lets_go(scene: Scene) -> None:
     begun_s = engaged_s(run)
     (grip_s, first), (drop_s, last) = events(run, "grip", "drop")
     assert (first, last) == ("grip", "drop")
-    # The trigger passes 0.6 at 0.8 s, as fast as the jaws move; it opens from 2.0 s on, faster than these: from the
-    # whole way of the last command, 0.4 at 2 / s. A tick each for the frame, the command and the measurement.
+    # The trigger passes 0.6 at 0.8 s, at the speed of the jaws. It opens from 2.0 s on, faster than the jaws: these
+    # start from the full stroke of the last command, 0.4 at 2 / s. Add a tick each for the frame, the command and the
+    # measurement.
     assert begun_s + 0.8 <= grip_s <= begun_s + 0.8 + 0.004
     assert begun_s + 2.2 <= drop_s <= begun_s + 2.2 + 0.004
     position, force, holds = (run.signals[name] for name in ("gripper", "gripper_force", "holds_object"))
@@ -74,7 +75,7 @@ def test_it_closes_on_what_is_between_and_lets_go(scene: Scene) -> None:
     ids=["the master falls silent", "the slave falls silent", "the clutch is let go"],
 )
 def test_a_grip_is_kept_while_the_sides_are_apart_and_when_they_engage_anew(scene: Scene, changes: list[str]) -> None:
-    """When they come together again the trigger is open: a gripper that jumped to it would let fall what it holds."""
+    """The trigger is open at the new engagement: a gripper that jumped to it would drop the object."""
     run = simulate(override_scene(scene, changes))
     assert [kind for _, kind in events(run, "grip", "drop")] == ["grip"]
     assert run.signals["gripper"][-1] == 0.6
@@ -129,7 +130,7 @@ def test_a_run_ends_early_only_when_the_trigger_has_come_to_rest(scene: Scene) -
 
 FEELS = ["master.gripper={travel_m = 0.03, mass_kg = 0.05}"]
 FINGER_N, STIFFNESS, TRAVEL_M, MASS_KG = 0.05 * 40.0, 300.0, 0.03, 0.05
-"""What 40 N of the jaws are at the finger by default, and the finger and trigger of `FEELS`."""
+"""Force of the jaws' default 40 N at the finger, and finger and trigger of `FEELS`."""
 LETS_GO = "operator.finger={release = {at_s = 1.8, decay_s = 0.0, kind = 'gain'}}"
 FINGER_SIGNALS = {
     "trigger_velocity", "finger_force", "trigger_rendered_force", "trigger_safety_force", "trigger_device_force",
@@ -150,8 +151,8 @@ def test_a_finger_feels_what_the_jaws_hold_and_nothing_else(felt: Scene) -> None
     assert not force[(time_s < grip_s) | (time_s > drop_s + 0.002)].any()
     assert force.max() == 0.0
     assert np.diff(force).min() >= -10.0 * felt.run.period_s * (1.0 + 1e-9)
-    # At rest for 0.8 s and more: K_f (travel - x) = F_finger = lambda F_jaws. The poles of K_f, B_f = 3 and m are at
-    # -30 ± 71 j: e^-24 is left.
+    # After 0.8 s at rest or more: K_f (travel - x) = F_finger = lambda F_jaws. The poles of K_f, B_f = 3 and m are at
+    # -30 ± 71 j: e^-24 remains.
     rests = np.searchsorted(time_s, engaged_s(run) + 1.99)
     assert force[rests] == pytest.approx(-FINGER_N, rel=1e-12)
     assert run.signals["finger_force"][rests] == pytest.approx(FINGER_N, abs=1e-9)
@@ -160,7 +161,7 @@ def test_a_finger_feels_what_the_jaws_hold_and_nothing_else(felt: Scene) -> None
 
 @pytest.mark.parametrize(("slew", "drops"), [(10.0, 1), (250.0, 3)])
 def test_a_force_that_grows_slowly_does_not_throw_the_trigger_back(felt: Scene, slew: float, drops: int) -> None:
-    """The finger closes with 60 mm/s: up to K_f V = 18 N/s it goes on; far above, the jaws open before they hold."""
+    """The finger closes at 60 mm/s: up to K_f V = 18 N/s it continues; far above, the jaws open before they hold."""
     run = simulate(override_scene(felt, [f"master.gripper.max_slew_n_per_s={slew}"]))
     assert len(events(run, "drop")) == drops
 
@@ -174,11 +175,11 @@ def test_a_trigger_that_is_not_felt_goes_where_its_course_says(scene: Scene) -> 
 
 
 def test_a_trigger_that_is_let_go_is_as_fast_as_the_closed_form(felt: Scene) -> None:
-    """`v² = 2 F x / m`: the jaws, slower than that, press until the trigger has gone all its way."""
+    """`v² = 2 F x / m`: the jaws are slower, and press until the trigger has travelled its full way."""
     run = simulate(override_scene(felt, [LETS_GO]))
     way_m = TRAVEL_M - FINGER_N / STIFFNESS
     expected = np.sqrt(2.0 * FINGER_N * way_m / MASS_KG)
-    # Seen once a tick, and gone at the stop: one tick of F / m below it at most.
+    # The signal is sampled once a tick and ends at the stop: at most one tick of F / m is missing.
     fastest = -run.signals["trigger_velocity"].min()
     assert expected - FINGER_N / MASS_KG * felt.run.period_s <= fastest <= expected * (1.0 + 1e-9)
 
@@ -211,15 +212,15 @@ def test_nothing_is_felt_while_the_sides_are_apart_nor_before_the_jaws_follow_ag
     is_coupled = np.isin(run.signals["state"], [2, 3])
     parted = 1 + int(np.flatnonzero(is_coupled[:-1] & ~is_coupled[1:])[0])
     assert force[parted - 1] < -1.9
-    # It fades as the force of the hand does, within 75 ms; the tick of the hold is the first.
+    # The force fades like the force of the hand, within 75 ms; the tick of the hold is the first.
     assert np.diff(force[parted - 1 :]).min() >= 0.0
     assert not force[time_s > time_s[parted] + 0.075].any()
-    # They have come together again meanwhile, with the trigger open and the grip kept.
+    # Both sides have engaged again meanwhile, with the trigger open and the grip kept.
     assert is_coupled[np.searchsorted(time_s, 2.95)]
 
 
 def test_what_the_ladder_does_to_the_hand_it_does_to_the_finger(felt: Scene) -> None:
-    """The share of its force that each keeps in a hold is the same at each tick."""
+    """At each tick of a hold, the forces of the hand and of the finger keep the same share."""
     run = simulate(
         override_scene(
             felt,

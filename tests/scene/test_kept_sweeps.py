@@ -1,4 +1,4 @@
-"""Kept rows of a sweep: damaged batches are computed again, and a file is replaced on request only."""
+"""Stored rows of a sweep: damaged batches are computed again, and a file is replaced on request only."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +16,7 @@ SHORT = ["run.duration_s=0.2"]
 
 
 def kept(path: Path, *, rows: int, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    """The batches of a sweep that was interrupted."""
+    """Return the batches of an interrupted sweep."""
     monkeypatch.setattr(store, "SMALLEST_BATCH", 2)
     monkeypatch.setattr(store, "LARGEST_BATCH", 2)
 
@@ -49,7 +49,7 @@ def test_a_damaged_batch_is_computed_again_before_the_rest(
     batches[which].write_bytes(DAMAGE[damage](batches[which].read_bytes()))
     seen: list[int] = []
     stored = sweep_to_file("remote_push", path, GRID, overrides=SHORT, threads=1, resume=True, progress=seen.append)
-    # Known from the first moment, and not when all else is done.
+    # The progress includes stored rows from the first call on.
     assert seen[0] == stored.resumed == 2 * (len(batches) - 1)
     assert path.read_bytes() == reference.read_bytes()
 

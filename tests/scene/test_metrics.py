@@ -1,4 +1,4 @@
-"""A sweep measures the columns that it is asked for, with the numbers that they have beside all others."""
+"""A sweep measures the requested columns only, with the same numbers as beside all others."""
 
 import json
 from pathlib import Path
@@ -23,7 +23,7 @@ CASES = {
     "torque_release": ("torque_release", ()),
 }
 QUIET = {"time_to_trip_s", "false_trips", "intervention_s", "intervention_ticks"}
-"""What may be 0 or not measured in all rows of a case: nothing intervenes there."""
+"""Metrics that may be 0 or missing in all rows of a case in which nothing intervenes."""
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -41,7 +41,7 @@ def test_a_column_alone_has_the_numbers_that_it_has_beside_all_others(case: str)
                 np.testing.assert_array_equal(alone[column], whole[column], err_msg=f"{metric}: {column}")
             else:
                 assert np.isnan(alone[column]).all(), column
-    # Something is compared.
+    # The compared columns have content.
     for metric in set(whole.columns) & set(MEASURED) - QUIET:
         if np.isnan(whole[metric]).all():
             assert load_scene(name).slave is None, metric
@@ -50,7 +50,7 @@ def test_a_column_alone_has_the_numbers_that_it_has_beside_all_others(case: str)
 
 
 def test_which_columns_there_are_and_in_which_order() -> None:
-    def columns(metrics: Any) -> list[str]:  # noqa: ANN401  # also what is none
+    def columns(metrics: Any) -> list[str]:  # noqa: ANN401  # also invalid ones
         return list(sweep("paper_wall", {"run.seed": [1]}, metrics=metrics).columns)[1:]
 
     forces = ["outcome", "max_ejection_velocity", "peak_device_force", "diverged", "ticks", "reason"]
@@ -119,7 +119,7 @@ def test_a_sweep_of_other_columns_is_no_resume(tmp_path: Path) -> None:
     for others in (None, ["peak_device_force"]):
         with pytest.raises(ValueError, match="metrics"):
             run(others, resume=True)
-    # How they are named makes no other columns.
+    # The `outcome` is a column in any case.
     assert run(["false_trips"], resume=True) == 40
 
 

@@ -1,4 +1,4 @@
-"""Files that overrides name are relative to the working folder; those of a scene's file to its folder."""
+"""File names in overrides are relative to the working folder; those in a scene's file to the folder of that file."""
 
 from pathlib import Path
 
@@ -85,5 +85,5 @@ def test_a_sweep_reads_files_of_the_working_folder(tmp_path: Path, monkeypatch: 
 
     near, far = delays(0.02, 0.2)
     assert far > near
-    # The same names again: the files are read again.
+    # The names are the same, and the files are read again.
     assert delays(0.2, 0.02) == [far, near]

@@ -30,11 +30,11 @@ from haptether.cli import main
 ROOT = Path(__file__).resolve().parents[2]
 MANY = 20_000
 ERRORS = 5.0
-"""Standard errors within which a mean has to lie: a right one misses them once in two million draws."""
+"""Permitted distance of a mean in standard errors: a right mean exceeds it once in two million draws."""
 
 
 def moments(law: SampleLaw) -> tuple[float, float]:
-    """Mean and standard deviation of a law, by the closed form of each."""
+    """Return mean and standard deviation of a law in closed form."""
     numbers = law.numbers
     if law.name in {"normal", "lognormal"}:
         return numbers[0], numbers[1]
@@ -47,7 +47,7 @@ def moments(law: SampleLaw) -> tuple[float, float]:
         return mean, float(np.sqrt((most**2 - least**2) / (2.0 * over) - mean**2))
     if law.name == "uniform":
         numbers = (0.0, numbers[0], 1.0, numbers[1])
-    # A mixture of even laws, by the shares of the parts.
+    # The law is a mixture of uniform laws, weighted by the shares of the parts.
     shares, values = np.array(numbers[::2]), np.array(numbers[1::2])
     share = np.diff(shares) / (shares[-1] - shares[0])
     low, high = values[:-1], values[1:]
@@ -56,7 +56,7 @@ def moments(law: SampleLaw) -> tuple[float, float]:
 
 
 def assert_moments(drawn: np.ndarray, mean: float, deviation: float) -> None:
-    """Both moments within their standard errors; that of the deviation from the fourth moment of what was drawn."""
+    """Assert both moments within their standard errors; the deviation's error comes from the drawn fourth moment."""
     count = len(drawn)
     assert abs(drawn.mean() - mean) <= ERRORS * deviation / np.sqrt(count) + 1e-12 * abs(mean)
     fourth = float(np.mean((drawn - mean) ** 4))
@@ -77,7 +77,7 @@ def test_a_law_has_its_mean_and_its_deviation(text: str) -> None:
     assert_moments(drawn, *moments(law))
     low, high = law.support
     assert ((low <= drawn) & (drawn <= high)).all()
-    # The same law by inversion, at the middles of even parts.
+    # Draw the same law by inversion, at the middles of equal parts.
     assert_moments(law.quantile((np.arange(MANY) + 0.5) / MANY), *moments(law))
 
 
@@ -96,7 +96,7 @@ def test_measurements_are_drawn_by_their_quantiles(tmp_path: Path) -> None:
     path.write_text("person,K\n" + "".join(f"p{place},{value!r}\n" for place, value in enumerate(measured.tolist())))
     law = law_of(f"measured:{path}:K")
     shares = np.linspace(0.0, 1.0, 1001)
-    # NumPy's default is the same definition.
+    # NumPy's default has the same definition.
     np.testing.assert_allclose(law.quantile(shares), np.quantile(measured, shares), rtol=1e-12)
     assert law.support == (measured.min(), measured.max())
 
@@ -151,7 +151,7 @@ POSITIVE = st.floats(min_value=1.0, max_value=1e4)
 @settings(max_examples=50, deadline=None)
 @given(grasp=POSITIVE, arm=POSITIVE, b1=st.floats(0.0, 50.0), b2=st.floats(0.0, 50.0), mass=st.floats(0.01, 2.0))
 def test_a_grasp_and_an_arm_are_felt_in_series(grasp: float, arm: float, b1: float, b2: float, mass: float) -> None:
-    """Stiffness and damping are those of the whole impedance at a frequency far below its resonance."""
+    """Stiffness and damping are those of the total impedance at a frequency far below its resonance."""
     figures = {"grasp_stiffness": grasp, "grasp_damping": b1, "arm_stiffness": arm, "arm_damping": b2}
     fields = HAND_MODELS["grasp-and-arm"].fields({name: np.array([value]) for name, value in figures.items()})
     # At s = j w, |terms of second order| / K is below (w / w_0)^2: 1e-8 at a ten-thousandth of the slowest pole.
@@ -162,7 +162,7 @@ def test_a_grasp_and_an_arm_are_felt_in_series(grasp: float, arm: float, b1: flo
     whole = (grasp + b1 * s) * moved / (grasp + b1 * s + moved)
     stiffness, damping = fields["operator.stiffness"][0], fields["operator.damping"][0]
     assert abs(whole.real / stiffness - 1.0) < 1e-6
-    # The share of damping in |whole| is at most 1e-4 there, and is had to 1e-7 of |whole|.
+    # The share of damping in |whole| is at most 1e-4 here, with an error of 1e-7 of |whole|.
     assert abs(whole.imag - damping * abs(s)) < 1e-9 * stiffness + 1e-6 * damping * abs(s)
 
 
@@ -173,21 +173,21 @@ def test_a_shipped_population_draws_its_published_figures(name: str) -> None:
     weights = np.array([hand.weight for hand in population.hands])
     for trait in population.traits:
         assert_moments(drawn[trait.field], *moments(trait.law))
-    # Which hand a row is of: those alike in name have a figure that tells them apart.
+    # Figures identify the hand of each row, even for hands with similar names.
     for hand in population.hands:
         alone = Population(title="one", hands=(hand,)).draws(MANY, 1)
         if hand.model == "spring-damper":
             assert_moments(alone["operator.stiffness"], *moments(hand.figures["stiffness"]))
             assert_moments(alone["operator.damping"], *moments(hand.figures["damping"]))
         shared = np.isin(drawn["operator.stiffness"], alone["operator.stiffness"])
-        # A hand's rows are those that it has alone, stiffness and damping together.
+        # A hand's rows are those of the hand alone, with the same pairs of stiffness and damping.
         assert (drawn["operator.damping"][shared] == alone["operator.damping"][shared]).all()
         part = hand.weight / weights.sum()
         assert abs(shared.mean() - part) < ERRORS * np.sqrt(part * (1.0 - part) / MANY)
 
 
 def test_the_figures_that_all_models_share_are_consistent() -> None:
-    """What is slow feels the grasp and the arm in series: less than the grasp alone."""
+    """Slow motion feels the grasp and the arm in series: less than the grasp alone."""
     slow, fast = load_population("stylus-arm"), load_population("stylus-grasp")
     for below, above in zip(slow.hands, fast.hands, strict=True):
         assert below.name == above.name
@@ -245,7 +245,7 @@ def test_a_sweep_over_a_population_is_the_same_whatever_the_threads(tmp_path: Pa
         population="stylus-grasp", seed=9, overrides=SHORT, collect=True,
     )  # fmt: skip
     assert stored.whole is not None
-    # The same hands in each combination.
+    # Each combination has the same hands.
     np.testing.assert_array_equal(stored.whole["operator.stiffness"], np.tile(drawn["operator.stiffness"], 2))
     command = ["sweep", "remote_push", "--samples", "7", "--population", "stylus-grasp", "--seed", "9", "--set", *SHORT]
     assert main([*command, "--out", str(tmp_path / "command.csv")]) == 0
@@ -402,7 +402,7 @@ def test_two_hands_of_one_name_are_refused(tmp_path: Path) -> None:
 
 
 def law_cell(law: SampleLaw) -> str:
-    """A law as the page has it."""
+    """Return a law in the page's format."""
     if law.name == "constant":
         return f"{law.numbers[0]:g}"
     if law.name == "quantiles":
@@ -412,7 +412,7 @@ def law_cell(law: SampleLaw) -> str:
 
 
 def published_table() -> str:
-    """What the page says of each population, made of its file."""
+    """Return the page's section on each population, made from its file."""
     lines: list[str] = []
     sources: dict[str, dict[str, None]] = {}
     for name in population_names():
@@ -438,7 +438,7 @@ def published_table() -> str:
 def test_the_page_has_the_figures_of_the_files() -> None:
     page = (ROOT / "docs" / "populations.md").read_text(encoding="utf-8")
     written = page[page.index("### `") : page.index("## A population of one's own")]
-    # The page breaks its lines, the table has each row in one.
+    # The page breaks its lines; the table has each row in one line.
     assert " ".join(written.split()) == " ".join(published_table().split())
 
 

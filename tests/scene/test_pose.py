@@ -1,4 +1,4 @@
-"""Scenes of kind "pose": each held to what it shows, with other networks, seeds and frames; and what is refused."""
+"""Scenes of kind "pose": results of each scene, with other networks, seeds and frames; and refusals."""
 
 from math import asin, cos, hypot, pi, sin
 
@@ -14,14 +14,14 @@ from haptether.view.figures.run import frame_of
 Array = npt.NDArray[np.float64]
 
 INERTIA_KG_M2, COULOMB_N_M, TORQUE_N_M = 4e-4, 2e-3, 0.1
-"""Of torque_release."""
+"""Parameters of torque_release."""
 WITHOUT = "safety.controllers=[]"
 GROWTH = (TORQUE_N_M - COULOMB_N_M) / INERTIA_KG_M2
-"""In rad/s² of a handle that nobody holds."""
+"""Angular acceleration in rad/s² of a handle that nobody holds."""
 
 
 def angle(quat_wxyz: Array) -> Array:
-    """Of rotations from none, in rad."""
+    """Return the angles of rotations in rad."""
     turned: Array = 2.0 * np.arctan2(np.linalg.norm(quat_wxyz[..., 1:], axis=-1), np.abs(quat_wxyz[..., 0]))
     return turned
 
@@ -40,20 +40,20 @@ def kinds(run: Run) -> list[str]:
 @pytest.mark.parametrize("delay_s", [0.0, 0.005, 0.02])
 def test_at_once_without_a_grip_the_handle_is_as_fast_as_the_closed_form(delay_s: float) -> None:
     run = simulate("torque_release", overrides=[WITHOUT, *both_ways(delay_s), "operator.rotation.release.decay_s=0.0"])
-    # The torque ends 0.1 s after the release, and is felt to end later by the way back; a tick either way.
+    # The torque ends 0.1 s after the release; on the hand it ends later by the backward delay, plus or minus a tick.
     expected = GROWTH * (0.1 + delay_s)
     assert run.metrics.max_ejection_rate == pytest.approx(expected, abs=2.0 * GROWTH * 1e-3)
 
 
 def test_a_grip_that_opens_takes_what_its_own_equation_says() -> None:
-    """I w' = tau - c - s (k phi + b w), s from 1 to 0 within 20 ms, from where friction held the handle."""
+    """I w' = tau - c - s (k phi + b w), s from 1 to 0 within 20 ms; it begins where friction held the handle."""
     run = simulate("torque_release", overrides=[WITHOUT])
     release_s = next(event.time_s for event in run.events if event.kind == "engaged") + 1.2
     before = run.signals["hand_torque"][np.searchsorted(run.signals["time_s"], release_s) - 1, 2]
     phi, rate, step = -before / 3.0, 0.0, 1e-6
     for share in np.arange(1.0, 0.0, -step / 0.02):
         push = TORQUE_N_M - share * (3.0 * phi + 0.03 * rate) - COULOMB_N_M
-        # At rest friction holds the handle; it only turns the way that it is pushed.
+        # At rest friction holds the handle; it only turns in the direction of the push.
         rate = max(rate + push / INERTIA_KG_M2 * step, 0.0)
         phi += rate * step
     assert rate < 0.5 * GROWTH * 0.02
@@ -89,7 +89,7 @@ def test_a_sweep_of_poses_is_its_runs() -> None:
 # --------------------------------------------------------------------------------------------------- peg in hole
 
 RADIUS, CLEARANCE, LENGTH, STIFFNESS = 0.01, 2e-4, 0.018, 1e5
-"""Of the peg in m, on the diameter, of what guides it; of the walls in N/m."""
+"""Radius, diametral clearance and guided length of the peg in m; stiffness of the walls in N/m."""
 
 
 def tilted(azimuth: float) -> str:
@@ -117,12 +117,12 @@ def test_a_tilted_peg_goes_to_the_bottom_of_the_hole(overrides: list[str]) -> No
     run = shipped("peg_in_hole", *overrides)
     tilt = angle(run.signals["slave_orientation"])
     assert tilt[0] == pytest.approx(np.radians(5.0), abs=1e-12)
-    # It lies on the bottom, which yields by what presses it: up to 10 N on one of its points.
+    # It lies on the bottom, which yields under the press: up to 10 N on one of its points.
     assert 0.02 <= run.signals["hole_depth"][-1] <= 0.02 + 10.0 / STIFFNESS
     assert tilt[-1] < asin(CLEARANCE / LENGTH)
     assert np.linalg.norm(run.signals["environment_force"], axis=1).max() < 10.0
     assert run.metrics.false_trips == 0
-    # It is the hand that has turned, most of the way.
+    # The hand has turned most of the way.
     assert angle(run.signals["orientation"])[-1] > np.radians(5.0) / 2.0
 
 
@@ -146,7 +146,7 @@ def test_a_valve_is_turned_by_90_degrees_and_its_friction_is_felt(delay_s: float
     run = simulate("valve", overrides=[*both_ways(delay_s), f"environment.handles.0.coulomb={coulomb}"])
     signals = run.signals
     turned = signals["handle_angle"]
-    # What friction keeps of the springs of hand, servo and hold in series.
+    # Friction holds this angle in the springs of hand, servo and hold in series.
     assert turned[-1] == pytest.approx(pi / 2.0, abs=coulomb * (0.5 / 3.0 + 1.0 / 5.0 + 1.0 / 50.0))
     rate = np.gradient(turned, signals["slave_time_s"])
     acceleration = np.gradient(rate, signals["slave_time_s"])
@@ -170,7 +170,7 @@ def test_a_valve_is_turned_by_90_degrees_and_its_friction_is_felt(delay_s: float
 def test_a_box_is_carried_and_turned(overrides: list[str]) -> None:
     run = shipped("pick_and_place", *overrides)
     place, turn = run.signals["body_position"], run.signals["body_orientation"]
-    # Lifted by 80 mm, less what its weight of 4.9 N takes of the servo, 1 kN/m, and a fifth of it of the hand, 300 N/m.
+    # Lifted by 80 mm, minus the sag of the servo, 1 kN/m, under 4.9 N, and of the hand, 300 N/m, under a fifth of it.
     assert place[:, 2].max() == pytest.approx(0.1 - 4.905 / 1000.0 - 0.2 * 4.905 / 300.0, abs=1e-3)
     assert place[-1] == pytest.approx([0.2, 0.0, 0.02], abs=2e-3)
     assert turn[-1] == pytest.approx([cos(pi / 4.0), 0.0, 0.0, sin(pi / 4.0)], abs=np.radians(1.0) / 2.0)
@@ -181,12 +181,12 @@ def test_a_box_is_carried_and_turned(overrides: list[str]) -> None:
 
 
 @pytest.mark.slow
-def test_what_the_jaws_cannot_hold_slips_out_and_stays() -> None:
+def test_body_too_heavy_for_the_jaws_slips_out_and_stays() -> None:
     """2 * 0.5 * 4 N is less than its weight of 4.9 N."""
     run = simulate("pick_and_place", overrides=["slave.gripper.force_n=4.0"])
     assert run.signals["body_position"][-1] == pytest.approx([0.0, 0.0, 0.02], abs=1e-3)
     dropped_s = next(event.time_s for event in run.events if event.kind == "drop")
-    # The jaws leave it on the way up, not when the trigger opens them at 8.8 s.
+    # It slips out of the jaws on the way up, before the trigger opens them at 8.8 s.
     assert 2.5 < dropped_s < 4.2
     assert run.signals["holds_object"][-4000:].max() == 0.0
 
@@ -195,8 +195,8 @@ def test_what_the_jaws_cannot_hold_slips_out_and_stays() -> None:
 
 
 @pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.6, 0.0, 0.8)])
-def test_a_frame_between_the_two_sides_turns_what_is_commanded_and_what_is_felt(axis: tuple[float, ...]) -> None:
-    """C by 90 degrees about an axis: what the remote end does about z the hand feels about C' z, and turns about it."""
+def test_a_frame_between_the_two_sides_turns_commands_and_torques(axis: tuple[float, ...]) -> None:
+    """C turns by 90 degrees about an axis: a remote turn about z is felt about C' z, and moves the hand about it."""
     half = sqrt_half = cos(pi / 4.0)
     quat = [half, *(sqrt_half * part for part in axis)]
     run = simulate(
@@ -209,7 +209,7 @@ def test_a_frame_between_the_two_sides_turns_what_is_commanded_and_what_is_felt(
     assert torque[1000] == pytest.approx(TORQUE_N_M * felt, abs=1e-9)
     fastest = rate[np.argmax(np.linalg.norm(rate, axis=1))]
     assert fastest / np.linalg.norm(fastest) == pytest.approx(felt, abs=1e-3)
-    # Its command has turned about z, the same angle.
+    # The command has turned about z, by the same angle.
     command, hand = run.signals["slave_command_orientation"][1150], run.signals["orientation"][1150]
     assert angle(command) == pytest.approx(angle(hand), abs=1e-6)
     assert command[1:3] == pytest.approx([0.0, 0.0], abs=1e-6)
@@ -240,7 +240,7 @@ def product(left: Array, right: Array) -> Array:
 
 
 def aligned(start: float, most: float, *more: str) -> Run:
-    """A hand and a tool that begin `start` rad apart, at 0.5 rad/s, through 20 ms each way."""
+    """Run a hand and a tool that begin `start` rad apart, at 0.5 rad/s, with 20 ms each way."""
     half = 0.5 * start
     return simulate(
         "torque_release",
@@ -259,17 +259,17 @@ def test_a_tool_is_turned_to_the_hand_before_the_two_engage() -> None:
     command = signals["slave_command_orientation"]
     left = angle(product(signals["orientation"], conjugate(command)))
     engaged_s = next(event.time_s for event in run.events if event.kind == "engaged")
-    # Until both hear one another, and the turn of 0.8 rad at 0.5 rad/s.
+    # This is the time until both hear one another, plus the turn of 0.8 rad at 0.5 rad/s.
     assert engaged_s == pytest.approx(2 * 0.02 + 1.6, abs=3e-3)
     turning = (time_s > 0.045) & (time_s < 1.63)
     steps = angle(product(command[1:], conjugate(command[:-1])))[turning[1:]]
     assert steps == pytest.approx(0.5e-3, abs=1e-6)
-    # The news of it takes 20 ms to the hand.
+    # The news reaches the hand after 20 ms.
     before = time_s < engaged_s + 0.015
     assert not signals["device_torque"][before].any()
     assert not signals["device_force"][before].any()
     assert np.ptp(signals["slave_command"][before], axis=0) == pytest.approx(0.0, abs=1e-12)
-    # Until the hand lets go they are turned alike from then on, but for the delay.
+    # From then until the release both have the same orientation, except for the delay.
     held = (time_s >= engaged_s) & (time_s < engaged_s + 1.0)
     rate = np.linalg.norm(signals["angular_velocity"], axis=1)[held].max()
     assert 1e-3 < rate < 1.0
@@ -283,17 +283,17 @@ def test_the_shipped_alignment_turns_is_silent_engages_without_a_jump_and_follow
     command, torque = signals["slave_command_orientation"], signals["device_torque"]
     apart = angle(product(signals["orientation"], conjugate(command)))
     slave_s, master_s = sorted(event.time_s for event in run.events if event.kind == "engaged")
-    # There and back, and 0.8 rad at 0.5 rad/s; the news takes 20 ms more.
+    # There and back, plus 0.8 rad at 0.5 rad/s; the news takes 20 ms more.
     assert slave_s == pytest.approx(0.04 + 1.6, abs=2 * dt)
     assert master_s == pytest.approx(slave_s + 0.02, abs=2 * dt)
     steps = angle(product(command[1:], conjugate(command[:-1])))
     assert steps[time_s[1:] < slave_s - dt].max() == pytest.approx(0.5 * dt, rel=1e-6)
     assert not torque[time_s < master_s].any()
     assert steps[np.abs(time_s[1:] - slave_s) < 5 * dt].max() <= 0.5 * dt * (1.0 + 1e-6)
-    # What turns the tool is felt in full once the force has faded in, at most 200 ms later.
+    # The tool's torque is felt in full once the force has faded in, at most 200 ms later.
     felt = (time_s > master_s + 0.201) & (time_s < time_s[-1])
     assert torque[felt, 2] == pytest.approx(0.05, abs=1e-9)
-    # The hand turns by 0.6 rad, and with it the tool: apart only by how fast it turns through 20 ms and a tick.
+    # The hand turns by 0.6 rad, and the tool follows: they differ only by the turn within 20 ms and a tick.
     fastest = np.linalg.norm(signals["angular_velocity"], axis=1).max()
     assert 0.3 < fastest < 1.875 * 0.6 / 1.2 + 0.05
     assert apart[time_s > slave_s].max() == pytest.approx(0.021 * fastest, rel=0.05)
@@ -306,7 +306,7 @@ def test_the_shipped_alignment_beside_none_and_beyond_its_bound(change: str, eng
     apart = angle(product(run.signals["orientation"], conjugate(run.signals["slave_command_orientation"])))
     assert ("engaged" in kinds(run)) == engages
     assert apart[np.isfinite(apart)][0] == pytest.approx(0.8, abs=0.02)
-    # Nobody turns it: the tool keeps its start, or turns by what the hand turns.
+    # Nobody turns it: the tool keeps its start, or follows the turn of the hand.
     assert np.ptp(run.signals["slave_command_orientation"][np.isfinite(apart)], axis=0).any() == engages
     assert run.signals["device_torque"].any() == engages
 
@@ -317,12 +317,12 @@ def test_a_tool_that_is_coupled_at_its_tip_turns_about_it() -> None:
     place, turned = run.signals["slave_position"], run.signals["slave_orientation"]
     known = np.isfinite(turned).all(axis=1)
     place, turned = place[known], turned[known]
-    # The hand turns and goes nowhere; the servo holds the tip against the mass that circles about it.
+    # The hand turns in place; the servo holds the tip against the mass that circles about it.
     assert np.linalg.norm(place - tip, axis=1).max() < 0.05 * np.linalg.norm(tip)
     as_rows = np.broadcast_to([0.0, *tip], turned.shape)
     tool = place - product(product(turned, as_rows), conjugate(turned))[:, 1:]
     angle_about_z = 2.0 * np.arctan2(turned[:, 3], turned[:, 0])
-    # A chord of the circle of radius |r|.
+    # The chord of a circle of radius |r|.
     chord = 2.0 * np.linalg.norm(tip) * np.abs(np.sin(0.5 * angle_about_z))
     assert chord.max() > 0.15
     assert np.linalg.norm(tool, axis=1) == pytest.approx(chord, abs=0.005)
@@ -350,7 +350,8 @@ def test_where_there_is_nothing_to_turn_the_two_engage_at_once() -> None:
         [event.time_s for event in simulate("torque_release", overrides=change).events if event.kind == "engaged"]
         for change in ([], ["coupling.alignment={}"])
     )
-    # The slave first, and the master by that: the same tick, and at most the 5 ms of the way back later.
+    # The slave engages first, and the master after it: in the same tick, or at most the 5 ms of the backward link
+    # later.
     assert with_it[0] == plain[0]
     assert 0.0 <= with_it[1] - plain[1] <= 0.006
 
@@ -363,7 +364,7 @@ REFUSED = [
     ("torque_release", "slave.kind=joints", 'must be "pose", that of the master: there is no map from pose to joints'),
     ("torque_release", "master.kind=linear", "is for what turns"),
     ("peg_in_hole", "master.kind=linear", "is for what turns"),
-    # What poses need and cannot have.
+    # Options that poses need or exclude.
     ("torque_release", "run.stop_early=true", "[run] stop_early"),
     ("torque_release", "slave.control=position", 'must be "pd" with kind = "pose"'),
     ("torque_release", "slave.force_sensor={noise_n = 0.1}", "[slave] force_sensor: is exact"),
@@ -400,7 +401,7 @@ REFUSED = [
     ("valve", "coupling={alignment = {}, rotation_axis = [0.0, 0.0, 1.0]}", "or rotation_axis"),
     ("torque_release", "slave.tool.quat_wxyz=[1.0, 1.0, 0.0, 0.0]", "[slave.tool] quat_wxyz"),
     ("torque_release", "coupling.quat_wxyz=[2.0, 0.0, 0.0, 0.0]", "[coupling] quat_wxyz"),
-    # Bodies that cannot be.
+    # Bodies that are not rigid.
     (
         "torque_release",
         "master.rotation.inertia_kg_m2=[1e-4, 3e-4, 1e-4]",
@@ -423,7 +424,7 @@ REFUSED = [
         "[coupling] reference_point = [0, 11, 0]: must be within 10 m",
     ),
     ("remote_push", "coupling.reference_point=[0.0, 0.1, 0.0]", 'is for what turns: give [master] kind = "pose"'),
-    # Its world.
+    # The world of the tool.
     (
         "torque_release",
         "environment.objects=[{contact = {stiffness = 100.0}, body = {mass_kg = 1.0}}]",
@@ -436,7 +437,7 @@ REFUSED = [
     ("valve", "environment.handles.0.stops_rad=[1.0, 1.0]", "the lower stop below the upper"),
     ("pick_and_place", "environment.bodies.0.quat_wxyz=[0.5, 0.0, 0.0, 0.0]", "of norm 1, not 0.5"),
     ("pick_and_place", "environment.bodies.0.half_extents=[0.02, 0.0, 0.02]", "half_extents"),
-    # Its hand.
+    # The hand.
     ("torque_release", "operator.rotation.start_wxyz=[0.0, 0.0, 0.0, 0.0]", "of norm 1, not 0"),
     ("valve", "operator.rotation.legs=[{duration_s = 1.0}]", "needs turn or end_wxyz, one of the two"),
     (
@@ -447,7 +448,7 @@ REFUSED = [
     ("valve", "operator.rotation.legs=[{duration_s = 1.0, turn = [0.0, 0.0, 3.2]}]", "shorter than pi"),
     ("valve", "operator.rotation.legs=[{duration_s = 1.0, end_wxyz = [1.0, 1.0, 0.0, 0.0]}]", "of norm 1"),
     ("torque_release", "operator.rotation.release.kind=strength", "give strength_n_m"),
-    # Its safety.
+    # The safety settings.
     ("torque_release", "safety.rotation.lever_m=0.0", "lever_m = 0"),
     ("torque_release", "safety.rotation.grasp_threshold=1.0", "grasp_threshold = 1"),
     ("torque_release", "safety.rotation.energy_threshold_j=0.0", "energy_threshold_j = 0"),
@@ -493,7 +494,7 @@ def test_quaternions_of_the_signals_are_rotations() -> None:
 
 @pytest.mark.parametrize("quat_wxyz", [[1.0, 0.0, 0.0, 0.0], [0.6, 0.0, 0.8, 0.0], [0.5, 0.5, -0.5, 0.5]])
 def test_the_angle_that_a_picture_of_an_alignment_shows_falls_to_0_in_any_frame(quat_wxyz: list[float]) -> None:
-    """`|log(R_s (C R_m C')')|`: at first that of the tool, as the hand stands as its base frame does."""
+    """`|log(R_s (C R_m C')')|`: at first that of the tool, because the hand is aligned with its base frame."""
     override = f"coupling.quat_wxyz={quat_wxyz!r}"
     run = simulate("alignment", overrides=[override])
     frame = frame_of(run.settings)

@@ -1,4 +1,4 @@
-"""Any valid scene runs, gives numbers, and gives the same ones again: alone, in threads and in lanes."""
+"""Any valid scene runs, gives finite results, and gives the same ones again: alone, in threads and in lanes."""
 
 import math
 from typing import Any
@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 pytestmark = pytest.mark.slow
 
 EXAMPLES, POSES, SWEEPS = (400, 100, 20) if settings().max_examples < 1000 else (4000, 2000, 200)
-"""Of the profiles `fast` and `slow`."""
+"""Number of examples of the profiles `fast` and `slow`."""
 SEED = 20260
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much])
 
@@ -30,15 +30,15 @@ OBSERVED_BY = {"velocity_force": "vfc", "grasp": "hsc", "windowed_energy_j": "ws
 
 
 def bad_numbers(run: Run, scene: Scene) -> list[str]:
-    """Signals and metrics that are no numbers where they must be."""
+    """Return the signals and metrics that are not finite where they must be."""
     bad = []
     for name, signal in run.signals.items():
         finite = np.isfinite(signal)
         if name == "age_s":
-            # Before the first frame there is none.
+            # There is no age before the first frame.
             finite |= np.isnan(signal) & (np.cumsum(finite) == 0)
         elif name == "gripper_command":
-            # Before the first command.
+            # There is no command before the first one.
             finite |= np.isnan(signal) & (np.cumsum(finite) == 0)
         elif name in OBSERVED_BY and OBSERVED_BY[name] not in scene.safety.controllers:
             finite |= np.isnan(signal)
@@ -49,7 +49,7 @@ def bad_numbers(run: Run, scene: Scene) -> list[str]:
 
 
 def check(run: Run, scene: Scene) -> None:
-    """What holds of every run."""
+    """Assert the properties of every run."""
     assert bad_numbers(run, scene) == []
     ends = [event for event in run.events if event.kind == "diverged"]
     assert run.metrics.diverged == bool(ends)
@@ -64,7 +64,7 @@ def check(run: Run, scene: Scene) -> None:
 
 
 def fingerprint(run: Run) -> tuple[dict[str, bytes], tuple[object, ...], dict[str, Any]]:
-    """All of a run but how long it took."""
+    """Return the whole run except its duration."""
     metrics = msgspec.to_builtins(run.metrics)
     del metrics["wall_time_s"]
     return {name: signal.tobytes() for name, signal in run.signals.items()}, run.events, metrics
@@ -77,7 +77,7 @@ def scene_of(**tables: Any) -> Raw:  # noqa: ANN401  # tables as TOML has them
 @seed(SEED)
 @settings(SLOW, max_examples=EXAMPLES, derandomize=False, database=None)
 @given(raw=raw_scenes())
-# A release that ends a rounding before a tick, where less was left of the tick than the clock can tell.
+# A release that ends within rounding before a tick: the rest of the tick was below the resolution of the clock.
 @example(
     raw=scene_of(
         run={"duration_s": 0.1, "period_s": 5e-3},
@@ -89,13 +89,13 @@ def scene_of(**tables: Any) -> Raw:  # noqa: ANN401  # tables as TOML has them
         },
     )
 )
-# A speed whose square is 0: friction along it had no direction.
+# The square of this speed underflows to 0: friction had no direction.
 @example(
     raw=scene_of(
         run={"duration_s": 0.05, "period_s": 5e-3}, master={"device": "phantom-omni", "axes": 3, "velocity": 1e-256}
     )
 )
-# Friction whose direction turned faster than its series said.
+# Friction whose direction turned faster than its series predicted.
 @example(
     raw=scene_of(
         run={"duration_s": 0.4, "period_s": 2e-3},
@@ -127,7 +127,7 @@ LONGEST_FADE_S = 0.1
 
 
 def turns(signal: Array, by: int = 1) -> Array:
-    """Angles in rad between orientations `by` ticks apart."""
+    """Return the angles in rad between orientations `by` ticks apart."""
     products = np.abs(np.sum(signal[by:] * signal[:-by], axis=1))
     turned: Array = 2.0 * np.arccos(np.minimum(products, 1.0))
     return turned
@@ -138,7 +138,7 @@ def number(bound: float | str) -> float:
 
 
 def check_hand(run: Run, scene: Scene) -> None:
-    """No force and no torque on a hand that is coupled with nobody, and never more than the bounds."""
+    """Assert zero force and torque on an uncoupled hand, and bounded ones otherwise."""
     signals = run.signals
     coupled = np.isin(signals["state"], [ENGAGED, STALE])
     ticks = np.arange(len(coupled))
@@ -154,7 +154,7 @@ def check_hand(run: Run, scene: Scene) -> None:
 
 
 def check_finger(run: Run, scene: Scene) -> None:
-    """A trigger that is felt only opens, by its scale of what the jaws press with at most, within its bounds."""
+    """Assert that a felt trigger only opens, at most by its scale of the jaw force, and within its bounds."""
     assert ("trigger_device_force" in run.signals) == (scene.master.gripper is not None)
     trigger = scene.master.gripper
     if trigger is None or "gripper_force" not in run.signals:
@@ -164,17 +164,17 @@ def check_finger(run: Run, scene: Scene) -> None:
     assert rendered.max(initial=0.0) <= 0.0
     assert rendered.min(initial=0.0) >= -trigger.force_scale * strongest * (1.0 + ROUNDING)
     assert np.abs(force).max(initial=0.0) <= trigger.max_force_n * (1.0 + ROUNDING)
-    # Its growth is beyond its bound only by what the bound on the power takes, and unloading is free.
+    # Only the bound on the power may speed its growth up beyond its own bound; unloading is free.
     grows = np.abs(rendered[1:]) - np.abs(rendered[:-1])
     assert grows.max(initial=0.0) <= trigger.max_slew_n_per_s * scene.run.period_s * (1.0 + 1e-6) + ROUNDING
 
 
 def check_alignment(run: Run, coupling: CouplingTable) -> None:
-    """Before the two engage the arm is turned no faster than the alignment says, about a point that stays."""
+    """Assert that before engagement the arm turns at most at the alignment's speed, about a fixed point."""
     signals = run.signals
     aligning = signals["slave_state"] == ALIGNING
     command, tool = signals["slave_command_orientation"], signals["slave_orientation"]
-    # Before the first command it is where the tool is.
+    # Before the first command it equals the tool's orientation.
     commanded = (command != tool).any(axis=1)
     turning = aligning[1:] & aligning[:-1] & commanded[:-1]
     if coupling.alignment is None:
@@ -187,10 +187,10 @@ def check_alignment(run: Run, coupling: CouplingTable) -> None:
 
 
 def check_arm(run: Run, scene: Scene) -> None:
-    """What is commanded are orientations, no faster and no further than the bounds, and nothing while nobody leads."""
+    """Assert that commands are orientations within the bounds of speed and turn, and constant while nobody leads."""
     signals = run.signals
     if "slave_state" not in signals:
-        # It diverged at its very first tick.
+        # The run diverged at its first tick.
         return
     assert scene.slave is not None
     coupling = scene.coupling or CouplingTable()
@@ -198,9 +198,9 @@ def check_arm(run: Run, scene: Scene) -> None:
     speed, turn = number(coupling.command_angular_speed), number(coupling.command_turn)
     state, command = signals["slave_state"], signals["slave_command_orientation"]
     coupled = np.isin(state, [ENGAGED, STALE])
-    # A record is of one tick or of several, as many as there are at the master.
+    # A record has one tick or several, as many as the master's ticks.
     elapsed_s = np.diff(signals["slave_time_s"])
-    # Before the first command it is where the tool is.
+    # Before the first command it equals the tool's orientation.
     began = np.cumsum(coupled) > 0
     led = began[:-1] & coupled[1:]
     assert (turns(command) <= speed * elapsed_s * (1.0 + 1e-6) + ANGLE)[led].all()
@@ -208,7 +208,7 @@ def check_arm(run: Run, scene: Scene) -> None:
     assert (command[1:] == command[:-1])[stays].all()
     check_alignment(run, coupling)
     if turn < math.pi and speed < math.inf:
-        # A stop comes to rest where it is set to be by then, at most a period further.
+        # A stop comes to rest at its current set point, at most one period further.
         first = np.broadcast_to(signals["slave_orientation"][0], command.shape)
         out = turns(np.stack([first, command], axis=1).reshape(-1, 4))[::2]
         assert out[began].max(initial=0.0) <= turn + speed * period_s + ANGLE
@@ -222,12 +222,12 @@ def check_arm(run: Run, scene: Scene) -> None:
 
 
 def orientations(run: Run) -> list[str]:
-    """Signals of orientations."""
+    """Return the names of the orientation signals."""
     return [name for name in run.signals if name.endswith("orientation")]
 
 
 def simulated(raw: Raw) -> Run | None:
-    """A run of what can be, and none of what is refused by its place."""
+    """Run a valid scene; return None if the expected field is refused."""
     try:
         return simulate(msgspec.convert(raw, Scene))
     except SceneError as error:
@@ -267,7 +267,7 @@ def test_the_same_scene_of_poses_gives_the_same_bytes(raw: Raw) -> None:
 
 @st.composite
 def grids(draw: st.DrawFn, scene: Scene) -> dict[str, list[float]]:
-    """Values for two or three numbers that the scene has."""
+    """Draw values for two or three numbers of the scene."""
     ranges = {
         "master.mass_kg": (0.05, 2.0),
         "safety.velocity_threshold": (0.01, 2.0),
@@ -294,7 +294,7 @@ def test_a_sweep_is_its_rows_whatever_carries_them(arm: bool, data: st.DataObjec
     try:
         alone = sweep(scene, grid, threads=1, lanes=False)
     except SceneError:
-        # Numbers that do not go together, such as a mass that is a list.
+        # The numbers contradict each other, for example a mass that is a list.
         assume(False)
     for threads, lanes in ((2, False), (1, True), (2, True)):
         other = sweep(scene, grid, threads=threads, lanes=lanes)

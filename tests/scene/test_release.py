@@ -1,4 +1,4 @@
-"""After a trip the force comes back to a hand only: with nobody there, and with a hand that is back."""
+"""After a trip the force returns to a hand only: with nobody there, and with a hand that is back."""
 
 from typing import Any
 
@@ -12,12 +12,12 @@ from haptether.cli.shared.ejection import release_law, release_line
 
 RELEASE_S, DURATION_S = 1.0, 8.0
 HELD = 16
-"""Bit of `tripped` that is no trip but its remainder."""
+"""Bit of `tripped` that marks the rest of an earlier trip."""
 PUSH_N = 3.0
 
 
 def released(*, remote: bool, operator: dict[str, Any], device: str = "phantom-desktop", **safety: Any) -> Run:  # noqa: ANN401
-    """A push that lasts, and a hand that lets go of it at 1 s."""
+    """Run a lasting push with a hand that lets go at 1 s."""
     release = {"at_s": RELEASE_S, "decay_s": 0.02, "kind": "gain"}
     tables: dict[str, Any] = {
         "schema": 1,
@@ -36,7 +36,7 @@ def released(*, remote: bool, operator: dict[str, Any], device: str = "phantom-d
 
 
 def force_after(run: Run, time_s: float) -> npt.NDArray[np.float64]:
-    """Device force in N from then on."""
+    """Return the device force in N from a time on."""
     assert run.signals is not None
     time = np.asarray(run.signals["time_s"])
     force = np.asarray(run.signals["device_force"]).reshape(len(time), -1)
@@ -48,13 +48,13 @@ def force_after(run: Run, time_s: float) -> npt.NDArray[np.float64]:
 def test_without_a_hand_there_is_one_trip_and_no_force_after_it(clutch: str | None) -> None:
     run = released(remote=clutch is not None, operator={"clutch": clutch} if clutch else {})
     assert [event.detail for event in run.events if event.kind == "trip"] == ["wsc"]
-    # Damping and the probe, but nothing of the push.
+    # Damping and the probe remain, but nothing of the push.
     assert np.abs(force_after(run, RELEASE_S + 0.3)).max() < 1.2
     assert np.abs(force_after(run, 6.5 if clutch == "once" else DURATION_S - 0.1)).max() < 1e-2
     holds = [event for event in run.events if event.kind == "hold" and event.detail.startswith("master")]
     if clutch:
         assert holds[0].detail == "master: no hand was felt on the device after a push"
-        # The fifth probe of a second each.
+        # It is the fifth probe, of a second each.
         assert 4.0 < holds[0].time_s - RELEASE_S < 5.0
 
 
@@ -62,13 +62,13 @@ def test_without_a_hand_there_is_one_trip_and_no_force_after_it(clutch: str | No
 def test_a_hand_that_takes_hold_again_has_its_force(*, remote: bool) -> None:
     run = released(remote=remote, operator={"regrasp": {"reaction_s": 0.3, "rise_s": 0.05}})
     assert not [event for event in run.events if event.kind == "hold"]
-    # A hand that is back between two tries waits for the next one.
+    # A hand that returns between two tries waits for the next one.
     back = force_after(run, RELEASE_S + 0.3 + 1.5)
     assert back.min() > 0.9 * PUSH_N
 
 
 UNIONS = ("vfc", "hsc", "wsc", "hsc+wsc", "vfc+hsc+wsc", "hsc+pc", "vfc+hsc+wsc+pc")
-"""Who trips in `released` and in `remote_push`."""
+"""Controllers that trip in `released` and in `remote_push`."""
 
 
 @pytest.mark.parametrize("controllers", UNIONS)
@@ -108,7 +108,7 @@ def test_a_probe_that_decides_nothing_is_refused(safety: dict[str, Any], said: s
 
 
 def table(master: dict[str, Any], **safety: Any) -> dict[str, Any]:  # noqa: ANN401  # any setting
-    """What `[safety]` is once it is resolved."""
+    """Return the resolved table `[safety]`."""
     scene = {"schema": 1, "master": master, "safety": {"controllers": ["wsc"], **safety}}
     resolved: dict[str, Any] = msgspec.json.decode(scene_json(msgspec.convert(scene, Scene)))["safety"]
     return resolved
@@ -127,7 +127,7 @@ def table(master: dict[str, Any], **safety: Any) -> dict[str, Any]:  # noqa: ANN
         ({"device": "touch"}, {}, 0.0, 5),
         ({"mass_kg": 0.2, "coulomb": 0.06}, {}, 0.6, 5),
         ({"mass_kg": 0.2, "coulomb": 0.061}, {}, 0.0, 5),
-        # A device that exerts less than the probe takes.
+        # The device exerts less than the probe needs.
         ({"mass_kg": 0.2, "max_force_n": 0.6}, {}, 0.6, 5),
         ({"mass_kg": 0.2, "max_force_n": 0.59}, {}, 0.0, 5),
         ({"mass_kg": 0.2}, {"limiter": {"max_force_n": 0.5}}, 0.0, 5),
@@ -208,7 +208,7 @@ def test_where_friction_hides_a_hand_nothing_comes_back_to_nobody(tries: int, cl
     assert [event.detail for event in holds] == (
         ["master: no hand was felt on the device after a push"] if clutch else []
     )
-    # The hold-off, and a second a try.
+    # The hold-off, plus a second for each try.
     assert all(tries < hold.time_s - trips[0] < tries + 1.3 for hold in holds)
 
 
@@ -224,7 +224,7 @@ def test_where_friction_hides_a_hand_one_that_moves_has_its_force_again() -> Non
 
 
 def test_a_press_of_the_clutch_is_a_hand_where_friction_hides_it() -> None:
-    # Nobody is there until a person presses again; and then a hand that rests has its force.
+    # Nobody holds until a person presses again; then a resting hand has its force.
     run = released(
         remote=True,
         operator={"clutch": "auto", "regrasp": {"reaction_s": 1.4, "rise_s": 0.05}},
@@ -236,7 +236,7 @@ def test_a_press_of_the_clutch_is_a_hand_where_friction_hides_it() -> None:
 
 
 def test_a_hand_that_is_there_keeps_its_force_however_often_it_trips() -> None:
-    # Trips that lie further apart than a second are no tries of one intervention.
+    # Trips more than a second apart are not tries of one intervention.
     tables = {
         "schema": 1,
         "run": {"duration_s": 9.0},
@@ -276,9 +276,9 @@ def test_a_torque_that_friction_hides_comes_back_to_nobody_for_ever(*, shares: b
 @pytest.mark.parametrize(
     ("master", "rotation", "least", "most"),
     [
-        # 0.096 m/s at a lever of 0.05 m, less friction and what a tenth of a second leaves.
+        # 0.096 m/s at a lever of 0.05 m, minus friction and the remaining ramp of a tenth of a second.
         ({"inertia_kg_m2": 4e-4}, {}, 1.4, 1.92),
-        # mu at most I / 5 dT, and a probe as much weaker.
+        # mu is at most I / 5 dT, and the probe is weaker by the same factor.
         ({"inertia_kg_m2": 2e-5}, {}, 1.4, 1.92),
         ({"inertia_kg_m2": 4e-4}, {"damping": 6e-3}, 0.9, 1.92),
     ],

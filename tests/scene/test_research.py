@@ -1,4 +1,4 @@
-"""Controllers in Python: they act as those in Rust do, what they do wrong is said, and nothing live has any."""
+"""Controllers in Python: they act like those in Rust, their errors are reported, and live sides take none."""
 
 import importlib.util
 import secrets
@@ -32,7 +32,7 @@ from haptether.studies import evaluate, evaluation_html
 
 Force = npt.NDArray[np.float64] | None
 PRINTED = ["safety.hold_off_s=0", "safety.release_ramp_s=0", "safety.probe_force_n=0", "safety.release_tries=0"]
-"""No hold-off, ramp nor probe: the law of a controller alone decides."""
+"""No hold-off, ramp or probe: only the law of a controller decides."""
 OURS = [*PRINTED, "safety.controllers=[]", 'safety.research.controller="by-hand"']
 
 
@@ -59,7 +59,7 @@ def by_hand() -> Iterator[None]:
 
 @pytest.mark.parametrize("scene", ["paper_wall", "remote_push", "three_axis_box"])
 def test_the_law_of_vfc_acts_as_vfc_does(scene: str) -> None:
-    """Three axes sum their products in another order: then only the first bits agree."""
+    """Compare with VFC. Three axes sum their products in another order: only the leading bits agree."""
     thresholds = ["safety.velocity_threshold=0.2", "safety.vfc_force_threshold_n=0.5", "safety.vfc_form=product"]
     recorded = ["record.every=1", *thresholds]
     options = ["safety.research.options={velocity_threshold=0.2, force_threshold_n=0.5}"]
@@ -125,7 +125,7 @@ def test_a_row_that_ends_early_has_no_step_after_its_end() -> None:
 
 
 def test_others_run_beside_it() -> None:
-    """As the one that waits for Ctrl-C does; also where no step is called any more."""
+    """Run another thread beside it, like the one that waits for Ctrl-C, also after the last call of `step`."""
 
     class Stopped:
         def step(self, _: ResearchObservation) -> Force:
@@ -228,7 +228,7 @@ def test_it_sees_what_is_recorded_at_each_tick() -> None:
 
 
 class Wrong:
-    """Does one thing wrong."""
+    """A controller with one defect."""
 
     def __init__(self, what: str) -> None:
         self.what = what
@@ -267,7 +267,7 @@ def test_what_it_does_wrong_ends_the_run_with_its_cause(scene: str, what: str, s
     assert isinstance(raised.value.__cause__, (TypeError, ValueError))
     with pytest.raises(RuntimeError, match="wrong failed at"):
         sweep(scene, {"run.seed": [1, 2]}, overrides=asked)
-    # Nothing of it stays.
+    # Nothing of it persists.
     assert simulate(scene, overrides=["run.duration_s=0.2"]).metrics.ticks == 200
 
 

@@ -1,4 +1,4 @@
-"""The same numbers however a scene is run: alone or in a sweep, over threads, in lanes, in any order."""
+"""A scene gives the same numbers alone or in a sweep, over threads, in lanes, and in any order."""
 
 import os
 import signal
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 SHORT = ["run.duration_s=1.9", "operator.release.at_s=1.4"]
 ROWS = 21
-"""Not a multiple of the lanes."""
+"""Number of rows: not a multiple of the lanes."""
 
 STIFFNESS = "environment.objects.0.contact.stiffness"
 
@@ -103,14 +103,14 @@ def test_a_run_that_ends_early_says_so_and_measures_the_same() -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
-        # Hours of rows, and one run of a minute and more.
+        # Hours of rows, and one run of more than a minute.
         ["sweep", "remote_push", "--vary", "run.seed=0:999999:1000000"],
         ["sweep", "paper_wall", "--vary", "operator.damping=1:9:1000000"],
         ["simulate", "three_axis_box", "--set", "run.duration_s=20000", "record.every=1000000"],
     ],
 )
 def test_a_signal_ends_a_run_promptly(arguments: list[str]) -> None:
-    # Who is started in the background by a shell inherits that SIGINT is ignored.
+    # A background process of a shell inherits an ignored SIGINT.
     program = (
         "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
         "from haptether.cli import main; print('ready', file=sys.stderr, flush=True); sys.exit(main(sys.argv[1:]))"
@@ -121,7 +121,7 @@ def test_a_signal_ends_a_run_promptly(arguments: list[str]) -> None:
     try:
         assert process.stderr is not None
         assert process.stderr.readline() == "ready\n"
-        # Until the rows have been checked and some are running.
+        # Wait until the rows are checked and some are running.
         time.sleep(4.0)
         assert process.poll() is None
         process.send_signal(signal.SIGINT)

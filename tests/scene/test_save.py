@@ -1,4 +1,4 @@
-"""A scene that is written reads as the same scene."""
+"""A written scene reads back as the same scene."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What each shipped scene shows, held on both sides, and its events."""
+"""Results and events of each shipped scene, against bounds on both sides."""
 
 from collections import Counter
 from pathlib import Path
@@ -28,7 +28,7 @@ def time_of(run: Run, kind: str, detail: str = "") -> float:
     return next(event.time_s for event in run.events if event.kind == kind and detail in event.detail)
 
 
-# Scene, overrides, largest ejection velocity in m/s, largest device force in N, time to trip in s (none: no trip),
+# Scene, overrides, largest ejection velocity in m/s, largest device force in N, time to trip in s (None: no trip),
 # interventions while the hand holds.
 SHOWN: list[Shown] = [
     # The paper's own numbers: `haptether paper` runs the same with other code and gives the same digits.
@@ -36,7 +36,7 @@ SHOWN: list[Shown] = [
     ("paper_wall", [WITHOUT], (1.323, 1.324), (7.75, 7.85), None, 0),
     ("active_force", [], (0.1842, 0.1843), (0.99, 1.01), (0.078, 0.080), 0),
     ("active_force", [WITHOUT], (2.18, 2.20), (0.99, 1.01), None, 0),
-    # README: thrown at 2.8 m/s; WSC trips at V_w = 0.29 m/s, and the estimate of V is late by some ms.
+    # README: thrown at 2.8 m/s; WSC trips at V_w = 0.29 m/s, and the estimate of V is some ms late.
     ("remote_push", [], (0.29, 0.33), (6.0, 6.4), (0.04, 0.06), 0),
     ("remote_push", ["safety.controllers=[hsc]"], (0.18, 0.25), (6.0, 6.4), (0.03, 0.055), 0),
     ("remote_push", [WITHOUT], (2.7, 2.9), (6.0, 6.4), None, 0),
@@ -49,26 +49,26 @@ SHOWN: list[Shown] = [
     ("sliding_mass", ["environment.objects.0.contact.stiffness=400"], (0.01, 0.3), (1.0, 2.0), None, 0),
     # 20 mm of target behind the resting depth of 150 and 300 N/m in series: 25 mm * 100 N/m = 2.5 N.
     ("three_axis_box", [], (0.29, 0.33), (2.4, 2.6), (0.06, 0.09), 0),
-    # The same of 25 mm into the table and 20 mm into the wall: 2.5 N and 2.0 N, 3.2 N together.
+    # The same, 25 mm into the table and 20 mm into the wall: 2.5 N and 2.0 N, 3.2 N together.
     ("ur_peg", [], (0.29, 0.33), (3.1, 3.3), (0.05, 0.08), 0),
     # Nobody lets go: the hand moves at up to 1.875 L / T, 0.1016 and 0.1875 m/s.
     ("driving_network", [], (0.09, 0.11), (2.5, 2.9), None, 0),
     ("attack_replay", [], (0.17, 0.2), (2.1, 2.4), None, 0),
     # 0.03 m in 1 s: at most 1.875 L / T = 0.05625 m/s.
     ("gripper", [], (0.0560, 0.0565), (0.0, 0.0), None, 0),
-    # What turns in these is held in test_pose.py. The middle of the handle stays where it is.
+    # Rotations are tested in test_pose.py. The middle of the handle stays in place.
     ("torque_release", [WITHOUT], (0.0, 0.0), (0.0, 0.0), None, 0),
     ("torque_release", [], (0.025, 0.035), (0.5, 0.6), (0.025, 0.045), 0),
     ("torque_release", ["safety.controllers=[hsc]"], (0.025, 0.035), (0.5, 0.6), (0.005, 0.02), 0),
-    # 0.1 m in 2.2 s and 0.06 m in 0.8 s: 1.875 L / T = 0.085 and 0.141 m/s, less what the hand trails.
+    # 0.1 m in 2.2 s and 0.06 m in 0.8 s: 1.875 L / T = 0.085 and 0.141 m/s, minus the lag of the hand.
     ("ur_pick", [], (0.130, 0.141), (0.0, 0.0), None, 0),
     ("alignment", [], (0.0, 0.0), (0.0, 0.0), None, 0),
-    # The hand holds still; its finger is held in test_gripper.py.
+    # The hand holds still; its finger is tested in test_gripper.py.
     ("felt_trigger", [], (0.0, 0.0), (0.0, 0.0), None, 0),
     ("valve", [], (0.0, 0.0), (0.0, 0.0), None, 0),
-    # Along the force: 40 mm in 3 s and 80 mm in 1.5 s, 1.875 L / T = 0.025 and 0.1 m/s, less what friction takes.
+    # Along the force: 40 mm in 3 s and 80 mm in 1.5 s, 1.875 L / T = 0.025 and 0.1 m/s, minus the loss by friction.
     ("peg_in_hole", [], (0.023, 0.0255), (1.6, 3.0), None, 0),
-    # A fifth of 4.9 N, and of what lifts it.
+    # A fifth of 4.9 N, and of the lifting force.
     ("pick_and_place", [], (0.095, 0.105), (0.98, 1.1), None, 0),
 ]
 
@@ -89,7 +89,7 @@ def test_a_shipped_scene_shows_what_it_says(shown: Shown) -> None:
 
 
 def test_every_shipped_scene_is_held() -> None:
-    """Here, or with the attacks."""
+    """Every scene is in this table or among the attacks."""
     assert {name for name, *_ in SHOWN} | {attack.scene for attack in RAVEN_ATTACKS} == set(scene_names(attacks=True))
 
 
@@ -99,9 +99,9 @@ def test_a_push_is_no_contact(name: str) -> None:
 
 
 def test_a_moving_car_leads_to_holds_and_one_at_rest_to_fewer() -> None:
-    """90 standstills a minute on the way there and 24 back, of 45.5 ms each: 114 exp(-20 / 45.5) = 73 above 20 ms.
+    """90 standstills a minute forward and 24 backward, of 45.5 ms each: 114 exp(-20 / 45.5) = 73 above 20 ms.
 
-    In 32 s that is 39 with a standard deviation of 6, of which each makes both sides hold.
+    In 32 s that is 39 with a standard deviation of 6; each of them makes both sides hold.
     """
     at_rest = ["link.forward.preset=lte-static", "link.backward.preset=lte-static"]
 
@@ -116,12 +116,12 @@ def test_a_moving_car_leads_to_holds_and_one_at_rest_to_fewer() -> None:
 
 
 def test_the_gripper_keeps_its_grip_while_the_way_to_it_is_dead() -> None:
-    """It drops what it holds 0.4 / 1.8 s after the trigger opens at 3.8 s; without an outage also at 1.9 s."""
+    """The gripper drops the object 0.4 / 1.8 s after the trigger opens at 3.8 s; without an outage also at 1.9 s."""
     run, bare = simulate("gripper"), simulate("gripper", overrides=["link.forward.outages=[]"])
     assert [kind for kind in (event.kind for event in run.events) if kind in {"grip", "stop", "drop"}] == [
         "grip", "stop", "stop", "drop",
     ]  # fmt: skip
-    # 0.1 s until the two engage, 0.05 s of delay.
+    # Engagement takes 0.1 s, and the delay is 0.05 s.
     assert time_of(run, "drop") == pytest.approx(0.1 + 3.8 + 0.05 + 0.4 / 1.8, abs=0.01)
     assert time_of(bare, "drop") == pytest.approx(0.1 + 1.9 + 0.05 + 0.4 / 1.8, abs=0.01)
 
@@ -153,20 +153,20 @@ def test_contact_with_a_wall_is_where_the_device_is_inside(overrides: list[str])
     inside = run.signals["position"] < 0.0
     changes = np.flatnonzero(np.diff(inside.astype(int)))
     reported_s = [event.time_s for event in run.events if event.kind in {"contact", "free"}]
-    # Reported at the first tick inside, or at the instant itself between that tick and the one before.
+    # The event is at the first tick inside, or at the instant between that tick and the previous one.
     assert len(reported_s) == len(changes) >= 2
     assert np.all(abs(np.array(reported_s) - run.signals["time_s"][changes + 1]) <= 1.001e-3)
 
 
 def test_the_moving_wall_comes_to_the_hand() -> None:
     run = simulate("moving_wall")
-    # 25 mm at 50 mm/s from 0.5 s on.
+    # The wall moves 25 mm at 50 mm/s from 0.5 s on.
     assert time_of(run, "contact") == pytest.approx(1.0, abs=2e-3)
     assert time_of(run, "trip") > time_of(run, "release") == 2.0
-    # Wall and hand in series carry 15 mm: 300 N/m each, less friction.
+    # Wall and hand in series carry 15 mm: 300 N/m each, minus friction.
     held = run.signals["device_force"][1900]
     assert 2.1 <= held <= 2.3
-    # The hand is pushed back by its share, half of it.
+    # The hand is pushed back by its half.
     assert 0.031 <= run.signals["position"][1900] <= 0.034
 
 
@@ -194,7 +194,7 @@ def test_the_box_is_stroked_smoothly() -> None:
 
 
 def test_a_run_that_diverges_says_why() -> None:
-    """A sampled undamped spring far beyond m / dT²: 0.157 kg at 1 ms stands less than 4 * 157 kN/m."""
+    """A sampled undamped spring far above m / dT²: 0.157 kg at 1 ms is stable below 4 * 157 kN/m."""
     run = simulate(
         "paper_wall",
         overrides=[
@@ -214,10 +214,10 @@ def test_a_run_that_diverges_says_why() -> None:
 @pytest.mark.sampled(8)
 @pytest.mark.parametrize("name", scene_names(attacks=True))
 def test_a_shipped_scene_is_drawn(name: str, tmp_path: Path) -> None:
-    """Also where hand and arm have periods of their own, and so as many samples."""
+    """Hand and arm may have different periods and numbers of samples."""
     changed = [] if load_scene(name).record is not None else ["--set", "record.every=1"]
     if name == "pick_and_place":
-        # It is gripped and lifted by then.
+        # The body is gripped and lifted by then.
         changed += ["--set", "run.duration_s=4.0"]
     status = main(["simulate", name, "--plot", str(tmp_path), *changed])
     assert status in {0, 1}  # 1: it diverges, which is drawn too

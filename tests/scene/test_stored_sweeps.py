@@ -1,4 +1,4 @@
-"""Sweeps that are kept while they run: killed at any instant, resumed, and the same bytes as without a break."""
+"""Sweeps stored while they run: killed at any instant and resumed, they give the bytes of an unbroken run."""
 
 import json
 import signal
@@ -25,13 +25,13 @@ TIES = {"link.backward.delay_s": "link.forward.delay_s"}
 SUFFIXES = (".csv", ".parquet", ".npz")
 
 
-def stored(path: Path, **how: Any) -> StoredSweep:  # noqa: ANN401  # of sweep_to_file
+def stored(path: Path, **how: Any) -> StoredSweep:  # noqa: ANN401  # arguments of sweep_to_file
     return sweep_to_file("remote_push", path, GRID, SEEDS, ties=TIES, overrides=BRIEF, **how)
 
 
 @pytest.fixture
 def small_batches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Batches of five rows, whatever begins alike, and row groups of seven: neither divides the other, nor the rows."""
+    """Use batches of five rows regardless of a common beginning, and row groups of seven: neither divides the other."""
     monkeypatch.setattr("haptether.bridge.scene.sweeps.design.MOST_SPANNED", 0)
     monkeypatch.setattr(store, "SMALLEST_BATCH", 5)
     monkeypatch.setattr(store, "LARGEST_BATCH", 5)
@@ -57,7 +57,7 @@ def test_a_design_is_every_combination_with_all_samples(lengths: list[int], samp
 def test_a_file_has_the_rows_of_a_sweep_in_memory(tmp_path: Path) -> None:
     design = design_of(GRID, SEEDS, TIES)
     whole = sweep("remote_push", samples=design.columns(0, design.rows), overrides=BRIEF)
-    # The scene refuses no delay for some controllers: rows that cannot be built are in it.
+    # The jitter of the scene needs a delay above 0: the sweep contains refused rows.
     assert 0 < (whole["outcome"] == "refused").sum() < len(whole)
     seen: list[int] = []
     for suffix in (".csv", ".npz"):
@@ -80,7 +80,7 @@ def test_parquet_has_types_nulls_and_where_it_is_from(tmp_path: Path) -> None:
     kept = stored(path, collect=True)
     assert kept.whole is not None
     kept.whole.save(tmp_path / "whole.parquet")
-    # The same rows; where they are from a table in memory does not know.
+    # The rows are equal; a table in memory has no metadata of their origin.
     whole = parquet.read_table(tmp_path / "whole.parquet")
     assert whole.equals(parquet.read_table(path).replace_schema_metadata())
     assert not whole.schema.metadata
@@ -122,7 +122,7 @@ def test_an_interrupted_sweep_goes_on(suffix: str, tmp_path: Path) -> None:
     assert path.read_bytes() == reference.read_bytes()
     with pytest.raises(ValueError, match="nothing is left to resume"):
         stored(path, resume=True)
-    # One that was never begun is begun.
+    # Resuming a sweep that never began starts it.
     assert stored(tmp_path / f"b{suffix}", resume=True).resumed == 0
 
 
@@ -170,8 +170,8 @@ def test_a_table_without_a_row_that_can_be_built_is_refused(tmp_path: Path) -> N
         sweep_to_file("remote_push", tmp_path / "link.csv", {"safety.window": [1.0]})
 
 
-# A child ends, without any cleaning up, at the n-th of its calls that open, rename, make or remove a file; then the
-# sweep is resumed. The rows are played, as it is not they that are at stake.
+# A child exits without cleanup at its n-th call that opens, renames, creates or removes a file; then the sweep resumes.
+# The rows are stand-ins, as this test is not about their content.
 KILLED_ANYWHERE = """
 import os, sys
 from pathlib import Path
@@ -269,6 +269,6 @@ def test_a_process_that_is_ended_keeps_its_rows(tmp_path: Path) -> None:
 
 
 def _kept(journal: Path) -> int:
-    """Rows in the files of a journal, by their names."""
+    """Count the rows in the files of a journal by their names."""
     ranges = (file.stem.split("-")[1:] for file in journal.glob("rows-*.npz"))
     return sum(int(end) - int(first) for first, end in ranges)

@@ -1,4 +1,4 @@
-"""Sweeps of what is no number, of tied fields and of samples: each row is the run of its own scene."""
+"""Sweeps of values other than numbers, of tied fields and of samples: each row is the run of its own scene."""
 
 import csv
 import json
@@ -71,11 +71,11 @@ def test_choices_are_strings_tables_and_booleans(path: str, values: list[Any], l
     assert found[path].tolist() == labels
     assert set(found["outcome"].tolist()) == {"complete"}
     assert len(set(found["max_ejection_velocity"].tolist())) == 2
-    assert label(True) == "true"  # what a column says of it
+    assert label(True) == "true"  # the column's text for it
 
 
-def test_what_a_scene_leaves_to_a_preset_is_not_taken_from_another_scene() -> None:
-    """Both resolve to the same: of the second, another preset changes no mass."""
+def test_preset_values_are_not_taken_from_another_scene() -> None:
+    """Both scenes resolve to the same values; in the second, another preset changes no mass."""
     presets = {"master.device": ["phantom-omni"]}
     given = ["master.device=phantom-desktop", "run.duration_s=0.4"]
     written = [*given, "master.mass_kg=0.157"]
@@ -103,7 +103,7 @@ def test_progress_counts_rows_of_all_choices() -> None:
     assert seen == sorted(seen)
     assert seen[-1] == 6
     seen.clear()
-    # One row, and one that is refused.
+    # One row is valid, and one is refused.
     sweep("remote_push", {"safety.window": [0, 1]}, overrides=["run.duration_s=0.1"], progress=seen.append)
     assert seen[-1] == 2
     assert seen.count(2) == 1
@@ -146,19 +146,19 @@ def test_choices_are_drawn_as_lines_or_points() -> None:
 @pytest.mark.parametrize(
     ("law", "mean", "within"),
     [
-        # Integrals of smooth functions over 256 scrambled points err by some 1e-4 of the range.
+        # Integrals of smooth functions over 256 scrambled points have errors of about 1e-4 of the range.
         (SampleLaw("uniform", (2.0, 4.0)), 3.0, 1e-3),
         (SampleLaw("normal", (9.0, 1.0)), 9.0, 0.02),
         (SampleLaw("lognormal", (9.0, 1.0)), 9.0, 0.02),
         (SampleLaw("loguniform", (1.0, np.e)), np.e - 1.0, 2e-3),
-        # Half of it even between 0 and 1, half between 1 and 5.
+        # Half of it is uniform between 0 and 1, half between 1 and 5.
         (SampleLaw("quantiles", (0.0, 0.0, 0.5, 1.0, 1.0, 5.0)), 1.75, 5e-3),
     ],
 )
 def test_a_sobol_sequence_fills_its_law_evenly(law: SampleLaw, mean: float, within: float) -> None:
     points = sobol_points(["a", "b"], 256, 1)
     assert abs(law.quantile(points["a"]).mean() - mean) < within
-    # Each of 256 equal parts has one.
+    # Each of 256 equal parts has one point.
     assert np.unique((points["b"] * 256).astype(int)).size == 256
     again = sobol_points(["a", "b"], 256, 1)
     assert all((points[name] == again[name]).all() for name in points)
@@ -222,7 +222,7 @@ def test_scenes_are_compared_on_the_command_line_and_resumed(
     whole = out.read_bytes()
     assert whole.count(str(file).encode()) == 3
     out.unlink()
-    # What an interrupted sweep has kept is not that of a scene that was changed meanwhile.
+    # The kept rows of an interrupted sweep do not fit a scene that was changed meanwhile.
     monkeypatch.setattr("haptether.bridge.scene.sweeps.store._written", interrupted)
     assert main(command) == 130
     monkeypatch.undo()
@@ -274,7 +274,7 @@ def interrupted(*_: object, **__: object) -> None:
 
 
 def test_each_reason_is_shown_once_with_a_row_that_has_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """30 rows come first that are fine, and are all that the table shows."""
+    """The 30 valid rows come first and fill the table."""
     command = ["sweep", "remote_push", "--vary", "link.forward.delay_s=0.05,0.06,0.001", "--vary", "run.seed=1:30:30",
                "--set", "run.duration_s=0.1"]  # fmt: skip
     for more in ([], ["--out", str(tmp_path / "rows.csv")]):

@@ -1,4 +1,4 @@
-"""`sweep`: what its arguments become and which are refused, what its rows hold, and how it is kept."""
+"""`sweep`: its arguments and refusals, the contents of its rows, and its files."""
 
 import json
 import re
@@ -41,14 +41,14 @@ def columns(varied: dict[str, Any], name: str = "remote_push") -> dict[str, list
             {"environment.objects.0.contact.stiffness": [100]},
             {"environment.objects.0.contact.stiffness": [100]},
         ),
-        # what follows from a number varies with it
+        # values derived from a number vary with it
         (
             {"master.encoder_quantum": [1e-5, 2e-5]},
             {"master.encoder_quantum": [1e-5, 2e-5], "safety.estimator.quantum_m": [1e-5, 2e-5]},
         ),
         ({"run.period_s": [1e-3, 5e-4]}, {"run.period_s": [1e-3, 5e-4], "slave.period_s": [1e-3, 5e-4]}),
         ({"slave.position": [0.02]}, {"slave.position.0": [0.02]}),
-        # together allowed, each alone not
+        # valid together, but not alone
         (
             {"link.forward.delay_s": [0.005], "link.forward.jitter_s": [0.001]},
             {"link.forward.delay_s": [0.005], "link.forward.jitter_s": [0.001]},
@@ -143,7 +143,7 @@ def test_a_row_that_cannot_be_is_refused_and_the_others_are_run(
     assert {refused[name] for name in measured} == {None}
     assert [other["outcome"] for other in rows] == ["not-released"] * len(rows)
     assert all(other["peak_device_force"] is not None and other["reason"] is None for other in rows)
-    # The other rows are what they are without it.
+    # The other rows are the same without it.
     ((path, values),) = varied.items()
     alone = sweep("remote_push", {path: [value for index, value in enumerate(values) if index != row]},
                   overrides=["run.duration_s=0.1"])  # fmt: skip
@@ -166,7 +166,7 @@ def test_a_row_that_never_engages_has_no_metrics(threads: int, tmp_path: Path) -
     coupled, late, apart = result.rows()
     assert coupled["outcome"] == "complete"
     assert coupled["max_ejection_velocity"] > 0.1
-    # The run ended before the hand let go: what it would have done then is not known.
+    # The run ended before the hand let go: its further motion is unknown.
     assert (late["outcome"], late["max_ejection_velocity"], late["time_to_trip_s"]) == ("not-released", None, None)
     assert late["position_rmse_m"] > 0.0
     assert apart["outcome"] == "never-engaged"
@@ -197,7 +197,7 @@ def test_a_sweep_goes_to_polars_with_nulls() -> None:
 
 @pytest.fixture
 def sweeps_run(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    """What was given to the extension to sweep."""
+    """Return the arguments of the extension's sweep."""
     given: list[dict[str, Any]] = []
 
     def sweep_scenes(
@@ -343,7 +343,7 @@ def test_values_of_numpy_are_those_of_python(path: str, numpy_values: object, va
 
 
 def levels_or_refusal(path: str, values: "list[Any] | npt.NDArray[Any]") -> tuple[str, list[Any]]:
-    """What a sweep of these values is over, or why it is none."""
+    """Return type and values of a sweep over these values, or the reason of a refusal."""
     try:
         levels = design_of({path: values}).factors[path]
     except SceneError as refused:
@@ -382,7 +382,7 @@ def test_outcomes_are_the_names_that_runs_end_with() -> None:
     endings, states = names("Ending", "scene/measures.rs"), names("LadderState", "ladder/table.rs")
     assert len(endings) == 5
     assert states == set(LADDER_STATES)
-    # Of the states those in which the two are coupled are no end.
+    # Coupled states are not endings.
     assert set(OUTCOMES) == endings | states - {"engaged", "stale"} | {"refused"}
 
 

@@ -1,4 +1,4 @@
-"""Tables of a scene: what is refused and in which words, presets, and that the JSON is what the Rust side reads."""
+"""Tables of a scene: refusals and their words, presets, and JSON that matches the Rust side."""
 
 # ruff: noqa: ANN401, E501  # tables of anything, one bad scene a line
 
@@ -63,7 +63,7 @@ def written(scene: Mapping[str, Any], folder: Path) -> Path:
 
 
 def full_scene() -> dict[str, Any]:
-    """A scene with every table."""
+    """Return a scene with every table."""
     return {
         "schema": 1,
         "title": "everything",
@@ -109,7 +109,7 @@ def full_scene() -> dict[str, Any]:
 
 
 def busy_links() -> dict[str, Any]:
-    """Links with every table between the two."""
+    """Return links with every table in the two directions."""
     return {
         "forward": {
             "mtu": 1400,
@@ -147,7 +147,7 @@ def busy_links() -> dict[str, Any]:
 
 
 def local_scene() -> dict[str, Any]:
-    """A scene without an arm."""
+    """Return a scene without an arm."""
     return {
         "schema": 1,
         "master": {"device": "phantom-desktop"},
@@ -261,12 +261,12 @@ BAD_ARM_SCENES: list[tuple[dict[str, Any], str]] = [
     ({"master.stops": [1.0]}, "[master] stops = [1]: must be [lower, upper] or a list of 1 such pairs"),
     ({"master.stops": [[0.0, 1.0, 2.0]]}, "[master] stops.0 = [0, 1, 2]: must be"),
     ({"environment.pushers.1.recorded.values": [[0.0, 0.0], [1.0, 1.0]]}, "[environment.pushers.1.recorded] values.0 = [0, 0]"),
-    # what does not go together
+    # contradictions
     ({"operator.release": ABSENT}, "[operator] regrasp: needs [operator.release]"),
     ({"operator.grip_strength_n": ABSENT}, "[operator.release] kind: a strength without bound does not decay"),
     ({"operator.stiffness": 0.0, "operator.damping": 0.0}, "[operator] release: needs a hand"),
     ({"operator.recorded": {"time_s": [0.0], "values": [0.0]}}, "[operator] recorded: stands instead of legs"),
-    # what earlier versions had
+    # removed fields of earlier versions
     ({"run.integrator": "rk4"}, '[run] integrator = "rk4": must be "exact": the stepped integrators were removed, leave the'),
     ({"run.step_s": 1e-4}, "[run] step_s: was removed with the stepped integrators, leave it out"),
     ({"master.friction_speed": 1e-3}, "[master] friction_speed: was removed with the stepped integrators, leave it out"),
@@ -274,7 +274,7 @@ BAD_ARM_SCENES: list[tuple[dict[str, Any], str]] = [
     ({"run.duration_s": 20001.0}, "[run] duration_s = 20001: must be at most 2e7 ticks, 20000 s at period_s = 0.001"),
     ({"run.duration_s": 1e-4}, "[run] duration_s = 0.0001: must be at least one period of 0.001 s"),
     ({"run.period_s": 0.025}, "[run] period_s = 0.025: must be 1e-05 to 0.02"),
-    # what netsim refuses
+    # refusals of netsim
     ({"link.forward.jiter_s": 0.06}, "[link.forward] has no key jiter_s: did you mean jitter_s?"),
     ({"link.forward.jitter_s": 0.06}, "[link.forward] jitter_s"),
     ({"link.forward.mean_burst": 0.5}, "[link.forward] mean_burst = 0.5: must be 1 to 1e9"),
@@ -381,7 +381,7 @@ LEFT_OUT = {table.__name__: fields for table, fields in PYTHON_ONLY.items()} | {
 
 
 def alternatives(schema: Schema, types: Schema, seen: set[str] | None = None) -> Iterator[Schema]:
-    """What a value may be, beside null; references are followed, and noted as seen."""
+    """Yield the alternatives of a value except null; references are followed, and recorded in `seen`."""
     if "$ref" in schema:
         name = schema["$ref"].removeprefix("#/$defs/")
         if seen is not None:
@@ -398,7 +398,7 @@ def alternatives(schema: Schema, types: Schema, seen: set[str] | None = None) ->
 
 
 def names(schema: Schema) -> set[str]:
-    """The strings that a value may be, where it is one of some."""
+    """Return the strings that a value may be, if it is an enumeration."""
     return {name for name in schema.get("enum", [schema.get("const")]) if isinstance(name, str)}
 
 
@@ -406,7 +406,7 @@ TAGS = {"kind", "type"}
 
 
 def tables_of(kinds: list[Schema]) -> dict[frozenset[str], Schema]:
-    """The tables of a union by their tags; a table alone has none."""
+    """Return the tables of a union by their tags; a single table has none."""
     tables = [one for one in kinds if "properties" in one]
     if len(tables) < 2:
         return dict.fromkeys([frozenset[str]()], tables[0]) if tables else {}
@@ -419,7 +419,7 @@ def item(array: Schema) -> Schema:
 
 
 def faults(value: Any, schema: Schema, path: str = "scene") -> list[str]:
-    """Where a value is not what serde reads as a Rust type."""
+    """Return the places where a value does not match the Rust type that serde reads."""
     types = RUST["$defs"]
     if value is None:
         nullable = "null" in schema.get("type", ()) or {"type": "null"} in schema.get("anyOf", ())
@@ -454,7 +454,7 @@ def fits(value: Any, kind: Schema) -> bool:
 
 
 def differences(python: Schema, rust: Schema, path: str, seen: set[str]) -> list[str]:
-    """Where a table of Python and a type of Rust have other fields, kinds or names."""
+    """Return the places where a Python table and a Rust type differ in fields, kinds or names."""
     mine, theirs = list(alternatives(python, TABLES)), list(alternatives(rust, RUST["$defs"], seen))
     found = []
     said = [set().union(*map(names, kinds)) - {"unbounded"} for kinds in (mine, theirs)]
@@ -496,7 +496,7 @@ def resolved_fields(table: Schema) -> Schema:
 def test_both_sides_have_the_same_fields_and_names() -> None:
     seen: set[str] = set()
     assert differences(PYTHON, RUST, "scene", seen) == []
-    # A fault of the comparison itself would be that it looks at nothing.
+    # A broken comparison could skip everything.
     assert seen >= set(RUST["$defs"])
     assert {"ArmSettings", "LadderSettings", "LinkSettings", "EstimatorKind", "Leg"} <= set(RUST["$defs"])
 
@@ -557,7 +557,7 @@ def test_a_scene_with_every_table_is_what_the_rust_side_reads(tmp_path: Path) ->
 
 
 def test_a_link_has_the_defaults_of_the_rust_side() -> None:
-    """What Python fills in for what is left out is what Rust takes, field by field."""
+    """Python fills missing fields with the defaults of Rust, field by field."""
     fields = RUST["$defs"]["LinkSettings"]["properties"]
     assert link_spec(LinkSettings(), "forward") == {name: field["default"] for name, field in fields.items()}
 
@@ -658,7 +658,7 @@ def test_the_times_of_the_ladder_follow_one_another() -> None:
         "stale_after_s": 0.005, "hold_after_s": 0.02, "stop_after_s": 0.2,
         "extrapolate_s": pytest.approx(0.015, abs=1e-12), "fade_out_s": 0.075, "fade_in_s": 0.2,
     }  # fmt: skip
-    # Who takes a longer ramp-in has it at each engagement, and whose HOLD comes early stands by then.
+    # A longer ramp-in applies to each engagement; prediction ends before an early HOLD.
     safety = SafetyTable(limiter=LimiterTable(ramp_in_s=0.5), ladder=LadderTable(hold_after_s=0.008))
     ladder = spec(safety=safety, **tables)["safety"]["ladder"]
     assert (ladder["fade_in_s"], ladder["extrapolate_s"]) == (0.5, pytest.approx(0.003, abs=1e-12))
@@ -749,6 +749,6 @@ def test_a_valid_scene_survives_the_way_to_the_rust_side(
     assert faults(filled, RUST) == []
     axes = scene["master"]["axes"]
     assert {len(filled["master"][key]) for key in ("mass_kg", "viscous", "coulomb", "position", "velocity")} == {axes}
-    # Once filled in and written, nothing is left to chance.
+    # Once filled in and written, the scene is fully determined.
     again = msgspec.convert(msgspec.to_builtins(loaded), Scene)
     assert scene_json(again) == specification

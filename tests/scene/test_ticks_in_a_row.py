@@ -1,4 +1,4 @@
-"""Runs without signals let each side do some ticks in a row, and end as those with signals, whose sides take turns."""
+"""Runs without signals, whose sides do some ticks in a row, end like runs with signals, whose sides take turns."""
 
 import msgspec
 import pytest
@@ -11,7 +11,7 @@ MAX_S = 3.0
 
 
 def remote() -> list[tuple[str, list[str]]]:
-    """Every scene with an arm that is shipped, and two with more."""
+    """Return every shipped scene with an arm, and two with more parts."""
     found: list[tuple[str, list[str]]] = [
         (name, []) for name in scene_names(attacks=True) if load_scene(name).slave is not None
     ]
@@ -24,7 +24,7 @@ def without_signals(scene: Scene) -> Scene:
 
 
 def counted(report: object) -> object:
-    """What a report says, and what the reports in it say."""
+    """Return the values of a report, recursively."""
     if not type(report).__module__.startswith("haptether"):
         return report
     return {name: counted(getattr(report, name)) for name in dir(report) if not name.startswith("_")}

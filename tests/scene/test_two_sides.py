@@ -37,7 +37,7 @@ START, TARGET = 0.02, -0.03
 HAND_STIFFNESS = 600.0
 WALL_STIFFNESS = 200.0
 OPEN = {"limiter": {"max_force_n": 100.0, "max_slew_n_per_s": 1e6, "max_power_w": 1e4}}
-"""Bounds that nothing reaches in a sound run."""
+"""Bounds that a sound run never reaches."""
 
 PERFECT = LinkSettings()
 # 50 ms +- 10 ms.
@@ -61,7 +61,7 @@ def press(
     wall_stiffness: float = WALL_STIFFNESS,
     hand_damping: float = 20.0,
 ) -> Run:
-    """A hand goes from before a remote wall to a target inside it within 1 s, and stays."""
+    """Run a hand that goes from before a remote wall to a target inside it within 1 s, and stays."""
     hand = {"stiffness": HAND_STIFFNESS, "damping": hand_damping, "grip_strength_n": 500.0, "start": START}
     scene = two_sides(
         run={"duration_s": duration_s, "seed": seed},
@@ -75,12 +75,12 @@ def press(
 
 
 def contact_stiffness() -> float:
-    """What the master feels of the wall behind the arm, of 4 kg and 15 Hz: two springs in series."""
+    """Return the stiffness that the master feels: the wall and the arm, of 4 kg and 15 Hz, as springs in series."""
     return 1.0 / (1.0 / (4.0 * (30.0 * math.pi) ** 2) + 1.0 / WALL_STIFFNESS)
 
 
 def series_force() -> float:
-    """Hand, arm and wall in series, stretched over the way from the surface to the target."""
+    """Return the force of hand, arm and wall in series, stretched from the surface to the target."""
     return -TARGET / (1.0 / HAND_STIFFNESS + 1.0 / contact_stiffness())
 
 
@@ -113,7 +113,7 @@ def test_a_perfect_network_needs_no_seed() -> None:
 def test_contact_settles_where_the_springs_in_series_do() -> None:
     run = press(duration_s=4.0)
     signals, force = run.signals, series_force()
-    # 3 s after the path ended the slowest mode, above 20 /s, is down to e^-60; rounding remains.
+    # 3 s after the end of the path the slowest mode, above 20 /s, has decayed to e^-60; rounding remains.
     tolerance = 1e-12 * HAND_STIFFNESS
     assert abs(signals.rendered_force[-1] - force) <= tolerance
     assert abs(signals.environment_force[-1] - force) <= tolerance
@@ -142,7 +142,7 @@ def test_the_slave_follows_from_where_it_stands() -> None:
         coupling={"position_scale": 0.4},
     )  # fmt: skip
     signals = simulate(scene).signals
-    # x_s = x_s0 + lambda_p (x_m - x_m0), with both taken when the sides engaged; no jump before.
+    # x_s = x_s0 + lambda_p (x_m - x_m0), with both taken at engagement; the command does not jump before.
     assert np.all(signals.slave_command[:2] == -3.0)
     expected = -3.0 + 0.4 * (signals.position[1:] - 0.1)
     assert np.all(abs(signals.slave_command[1:] - expected) <= 1e-14)
@@ -173,7 +173,7 @@ def test_the_force_is_scaled_and_fades_in() -> None:
 def test_without_frames_the_sides_never_engage(forward: LinkSettings, backward: LinkSettings) -> None:
     run = press(forward=forward, backward=backward, duration_s=1.0)
     signals = run.signals
-    # Pressed and never answered; the slave aligns where it hears the press.
+    # The press is never answered; the slave aligns once it receives the press.
     assert {ladder_state_name(int(code)) for code in signals.state} == {"aligning"}
     expected = {"disengaged"} if forward == DEAD else {"aligning"}
     assert {ladder_state_name(int(code)) for code in signals.slave_state} == expected
@@ -185,7 +185,7 @@ def test_without_frames_the_sides_never_engage(forward: LinkSettings, backward: 
         assert report.engaged_s == np.inf
         assert report.holds == 0
         assert report.link.sent == 1000
-        # Nobody hears an echo while one direction is dead.
+        # Nobody receives an echo while one direction is dead.
         assert report.link.least_round_trip_s == 0.0
     if backward == DEAD:
         assert np.all(np.isnan(signals.age_s))
@@ -194,20 +194,20 @@ def test_without_frames_the_sides_never_engage(forward: LinkSettings, backward: 
 def test_a_gentle_wall_stays_bounded_under_delay_jitter_and_loss() -> None:
     run = press(forward=ROUGH, duration_s=6.0, seed=11)
     signals = run.signals
-    # The hand (damping ratio 20 / (2 sqrt(600 m)) = 1.03) and the arm in contact (0.997, overshoot
-    # below 1e-17) answer no input with more than its static gain, and delay, jitter, loss and hold
-    # pass on nothing larger than what was sent. So sup F <= K (d + sup F / K_h), K < K_h.
+    # The hand has a damping ratio of 20 / (2 sqrt(600 m)) = 1.03, the arm in contact 0.997 (overshoot below 1e-17).
+    # Neither amplifies an input beyond its static gain. Delay, jitter, loss and hold pass on nothing larger than what
+    # was sent. So sup F <= K (d + sup F / K_h), K < K_h.
     stiffness = contact_stiffness()
     bound = stiffness * -TARGET / (1.0 - stiffness / HAND_STIFFNESS)
     assert signals.rendered_force.max() <= bound
     assert abs(signals.position).max() <= -TARGET + bound / HAND_STIFFNESS
-    # A round trip and the settling in it, below 0.2 s, leave K/K_h = 1/3 of what was wrong: 4 s after
-    # the path ended 3e-10 of some 9 N, after 5 s 1e-12.
+    # A round trip with settling takes below 0.2 s and leaves K/K_h = 1/3 of the error. Of about 9 N, 3e-10 remain 4 s
+    # after the end of the path, 1e-12 after 5 s.
     assert abs(signals.rendered_force[-1] - series_force()) <= 1e-10
     assert np.ptp(signals.position[-1000:]) <= 3e-9 / HAND_STIFFNESS
     assert np.ptp(signals.slave_position[-1000:]) <= 3e-9 / HAND_STIFFNESS
     assert [report.holds for report in reports(run)] == [0, 0]
-    # Both must hear that they are heard: one delay in each direction, and a few ticks where frames were lost.
+    # Engagement needs an echo: one delay in each direction, plus a few ticks for lost frames.
     for report in reports(run):
         assert 0.08 <= report.engaged_s <= 0.13
         assert 0.08 <= report.link.least_round_trip_s <= report.link.round_trip_s <= 0.121
@@ -215,7 +215,7 @@ def test_a_gentle_wall_stays_bounded_under_delay_jitter_and_loss() -> None:
 
 
 def test_a_stiff_wall_under_the_same_network_does_not() -> None:
-    # The bound above is no matter of course: 15 times the stiffness and a loose hand swing up.
+    # The bound is not trivial: with 15 times the stiffness and a loose hand the motion grows.
     signals = press(forward=ROUGH, duration_s=6.0, seed=11, wall_stiffness=3000.0, hand_damping=5.0).signals
     assert len(signals.time_s) == 6000
     assert signals.rendered_force[-1000:].max() > 5 * series_force()
@@ -225,7 +225,7 @@ def test_a_stiff_wall_under_the_same_network_does_not() -> None:
 def received(
     settings: LinkSettings, direction: Literal["forward", "backward"], seed: int, ticks: int
 ) -> npt.NDArray[np.int64]:
-    """Sequence numbers in the order in which they arrive, by netsim's verdicts alone."""
+    """Return the sequence numbers in their order of arrival, by netsim's verdicts alone."""
     due = judge(settings, np.arange(ticks, dtype=np.int64) * TICK_NS, direction=direction, seed=seed)
     order = np.argsort(due, kind="stable")
     order = order[(due[order] >= 0) & (due[order] <= (ticks - 1) * TICK_NS)]
@@ -260,7 +260,7 @@ def test_the_counts_are_those_of_the_verdicts(forward: LinkSettings, backward: L
         assert (link.duplicate, link.refused) == (0, 0)
         newest = np.maximum.accumulate(arrived)
         assert link.fresh == len(np.unique(newest))
-        # From the first that arrived to the newest; what arrived before the first is not counted.
+        # The count spans the first arrival to the newest; frames before the first are not counted.
         if len(arrived):
             span = newest[-1] - arrived[0] + 1
             assert link.missing == span - np.count_nonzero(arrived >= arrived[0])
@@ -335,7 +335,7 @@ def test_the_names_of_the_ladder() -> None:
 
 
 def test_the_report_says_what_the_link_did() -> None:
-    """A second over 5 ms each way: the same frames as the link counts, and a clock that is ours."""
+    """One second at 5 ms each way: the same frames as the link counts, and our own clock."""
     forward = LinkSettings(delay_s=0.005, loss=0.1, mean_burst=3.0)
     master, slave = reports(press(forward=forward, backward=LinkSettings(delay_s=0.005), seed=2, duration_s=1.0))
     there, back = slave.path, master.path
@@ -351,19 +351,19 @@ def test_the_report_says_what_the_link_did() -> None:
         assert path.offset_s is not None
         assert path.offset_bound_s is not None
         assert abs(path.offset_s) <= path.offset_bound_s <= 0.006
-        # Both directions and the wait for a tick; the expected age lies above the median by the jitter.
+        # The age has both directions and the wait for a tick; the expected age lies above the median by the jitter.
         assert path.usual_age_s is not None
         assert 0.010 <= path.usual_age_s <= 0.020
 
 
 def counts(forward: LinkSettings) -> tuple[LinkStatistics, LinkStatistics]:
-    """What the master and the slave counted in a second of this network."""
+    """Return the counts of master and slave in a second of this network."""
     master, slave = reports(press(forward=forward, backward=LinkSettings(delay_s=0.005), seed=2, duration_s=1.0))
     return master.link, slave.link
 
 
 def expected(forward: LinkSettings, cause: str) -> int:
-    """How often something happens that has an effect within the second."""
+    """Return how often a cause takes effect within the second."""
     sent = np.arange(1000, dtype=np.int64) * TICK_NS
     verdicts = judge_all(forward, sent, seed=2, sizes=124)
     return int(np.count_nonzero(verdicts.causes_of(cause) & (verdicts.t_out_ns <= 999 * TICK_NS)))
@@ -372,7 +372,7 @@ def expected(forward: LinkSettings, cause: str) -> int:
 def test_a_copy_is_a_frame_that_had_arrived_before() -> None:
     forward = LinkSettings(delay_s=0.005, duplicate=0.1, duplicate_gap_s=0.002)
     _, slave = counts(forward)
-    # 1000 packets, a tenth of them: 100 +- 4 * 9.5.
+    # A tenth of 1000 packets: 100 +- 4 * 9.5.
     assert slave.duplicate == expected(forward, "duplicate")
     assert 60 <= slave.duplicate <= 140
     assert (slave.refused, slave.late, slave.missing) == (0, 0, 0)
@@ -401,7 +401,7 @@ def test_what_is_sent_back_reaches_its_sender_who_refuses_it() -> None:
 
 
 def test_a_replay_seconds_later_is_held_back_until_then() -> None:
-    """More frames are under way than the delay alone would explain."""
+    """More frames are in transit than the delay alone explains."""
     forward = LinkSettings(attacks=(Attack(action=Replay(after_s=0.5)),))
     _, slave = counts(forward)
     assert slave.duplicate == expected(forward, "replay") == 500

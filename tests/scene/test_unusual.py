@@ -1,4 +1,4 @@
-"""Numbers whose unit has slipped, and all others."""
+"""Numbers with a likely error of unit, and all others."""
 
 import pytest
 

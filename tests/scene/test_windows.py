@@ -1,4 +1,4 @@
-"""Windows in time of a scene: they begin with their first ns and end before their last, whatever rounding says."""
+"""Time windows of a scene: they include their first ns and end before their last, despite rounding."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ ENGINES: dict[str, dict[str, Any]] = {
     "arm at 2 ms": {"slave": {"period_s": 2e-3}},
 }
 WINDOWS_MS = [(100, 200), (100, 700), (200, 100), (300, 300), (70, 20), (1, 1), (10, 290), (600, 138)]
-"""Begin and length. 0.1 s + 0.2 s is above 0.3 s in binary, 0.1 s + 0.7 s below 0.8 s."""
+"""Begin and length in ms. In binary, 0.1 s + 0.2 s is above 0.3 s, and 0.1 s + 0.7 s below 0.8 s."""
 
 
 def pushed(engine: str, *pushers: dict[str, Any], duration_s: float = 0.9) -> Run:
@@ -36,7 +36,7 @@ def pushed(engine: str, *pushers: dict[str, Any], duration_s: float = 0.9) -> Ru
 
 
 def ticks_ms(run: Run) -> list[int]:
-    """Times in ms of the ticks at which the push acts, since the pushers' time began."""
+    """Return the times in ms of the ticks at which the push acts, from the start of the pushers' time."""
     if "environment_force" not in run.signals:
         return [round(t) for t in run.signals.time_s[np.ravel(run.signals.rendered_force) != 0.0] * 1e3]
     engaged_s = next(event.time_s for event in run.events if event.kind == "engaged" and "slave" in event.detail)
@@ -55,18 +55,18 @@ def test_a_push_lasts_as_many_ticks_as_it_says(engine: str) -> None:
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_pushes_that_follow_one_another_are_one(engine: str) -> None:
-    """No tick is in both, and none in neither."""
+    """Each tick belongs to exactly one of two consecutive pushes."""
     parts = [{"at_s": k / 10, "duration_s": 0.1, "force_n": 0.25} for k in range(1, 8)]
     whole, split = pushed(engine, {"at_s": 0.1, "duration_s": 0.7, "force_n": 0.25}), pushed(engine, *parts)
     name = "environment_force" if "environment_force" in whole.signals else "rendered_force"
     assert np.array_equal(whole.signals[name], split.signals[name])
-    # Steps of the solver that end where a part ends: rounding of some 1000 steps.
+    # The solver's steps end where a part ends: the difference is the rounding of some 1000 steps.
     assert np.abs(whole.signals.position - split.signals.position).max() < 1e-12
 
 
 @pytest.mark.parametrize("at_s", [0.1, 0.3, 0.6, 0.7])
 def test_a_hand_that_grips_at_once_does_so_at_its_tick(at_s: float) -> None:
-    """0.1 s + 0.2 s + 0.3 s of release, fall and reaction end at a tick, as 0.6 s does."""
+    """Release, fall and reaction of 0.1 s + 0.2 s + 0.3 s end at the same tick as 0.6 s."""
     raw = {
         "schema": 1,
         "run": {"duration_s": 1.5},

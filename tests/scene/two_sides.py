@@ -1,4 +1,4 @@
-"""The scene of two sides that tests change: a hand that presses a soft wall through an arm."""
+"""The scene of two sides that tests modify: a hand presses a soft wall through an arm."""
 
 from typing import Any
 
@@ -23,8 +23,8 @@ PRESS: dict[str, Any] = {
 }
 
 
-def two_sides(**changed: Any) -> Scene:  # noqa: ANN401  # tables as TOML has them
-    """The scene with some keys of its tables changed; none leaves a table out."""
+def two_sides(**changed: Any) -> Scene:  # noqa: ANN401  # tables as in TOML
+    """Return the scene with some keys of its tables changed; None leaves a table out."""
     tables = {**PRESS}
     for table, fields in changed.items():
         tables[table] = fields and {**tables.get(table, {}), **fields}
@@ -32,6 +32,6 @@ def two_sides(**changed: Any) -> Scene:  # noqa: ANN401  # tables as TOML has th
 
 
 def reports(run: Run) -> tuple[LoopReport, LoopReport]:
-    """How the loops of master and slave went."""
+    """Return the loop reports of master and slave."""
     assert run.reports is not None
     return run.reports

@@ -1,7 +1,7 @@
-"""`make soak`: master, network and slave for ten minutes; their memory must stay as it is.
+"""`make soak`: master, network and slave for ten minutes; their memory must stay constant.
 
-Prints a line a second, at the end a table, and writes JSON. Exit status 1: memory that is not flat, or a process that
-ended by itself.
+Prints a line per second and a table at the end, and writes JSON. Exit status 1: memory that is not flat, or a process
+that ended by itself.
 """
 
 import argparse
@@ -23,31 +23,31 @@ from haptether.bridge import write_key
 
 SAMPLE_S = 1.0
 MIN_S = 160.0
-"""Shortest soak that is judged: a loop's ring of 65536 records has each of its pages touched only after 66 s, and what
-is judged is the second half."""
+"""Shortest duration in s that is judged. A loop touches each page of its ring of 65536 records only after 66 s, and the
+judgement uses the second half."""
 END_S = 30.0
 LOOPS = ("slave", "master")
-"""Processes with a control loop, in the order in which they start."""
+"""Processes with a control loop, in their starting order."""
 
 
 class Running:
-    """A command, and what was seen of it each second."""
+    """A command with its measurements of each second."""
 
     def __init__(self, command: list[str]) -> None:
         self.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
                                         stderr=subprocess.PIPE, text=True)  # fmt: skip
         assert self.process.stderr is not None
-        # It opens its socket before it says so.
+        # It opens its socket before it prints this line.
         self.headline = self.process.stderr.readline()
         self.bytes: list[int] = []
         self.late: list[int] = []
         self._slept: tuple[float, int] | None = None
 
     def address(self) -> str:
-        """Where it listens.
+        """Address at which it listens.
 
         Raises:
-            RuntimeError: It did not say.
+            RuntimeError: The first line has no address.
         """
         found = re.search(r"(?:listens on|proxy on|master on) (\S+:\d+)", self.headline)
         if found is None:
@@ -55,7 +55,7 @@ class Running:
         return found[1].rstrip(",")
 
     def sample(self, has_loop: bool) -> None:
-        """Take memory, and the cycles since the last sample that were late."""
+        """Take its memory, and its late cycles since the last sample."""
         self.bytes.append(anonymous_bytes(self.process.pid))
         if not has_loop:
             return
@@ -63,12 +63,12 @@ class Running:
         if self._slept is not None:
             then, before = self._slept
             due = round((now - then) / commands.PERIOD_S)
-            # A cycle more or less lies between the two clocks.
+            # The two clocks may differ by a cycle.
             self.late.append(max(due - (sleeps - before) - 1, 0))
         self._slept = (now, sleeps)
 
     def end(self) -> str:
-        """Ask it to end, and give what it said."""
+        """Ask it to end, and return its output."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
         try:
@@ -80,7 +80,7 @@ class Running:
 
 
 def soak(duration_s: float, log: Callable[[str], None]) -> dict[str, Any]:
-    """Run the three processes for `duration_s`, and give what became of each."""
+    """Run the three processes for `duration_s`, and return the result of each."""
     with tempfile.TemporaryDirectory() as folder:
         results = {name: Path(folder, f"{name}.json") for name in ("slave", "network", "master")}
         running: dict[str, Running] = {}
@@ -101,7 +101,7 @@ def soak(duration_s: float, log: Callable[[str], None]) -> dict[str, Any]:
 
 
 def watch(running: dict[str, Running], duration_s: float, log: Callable[[str], None]) -> list[str]:
-    """Samples until the time is over or a process has ended; gives those that have."""
+    """Sample until the time is over or a process has ended; return the ended ones."""
     begun = time.monotonic()
     for n in range(1, round(duration_s / SAMPLE_S) + 1):
         time.sleep(max(begun + n * SAMPLE_S - time.monotonic(), 0.0))
@@ -117,7 +117,7 @@ def watch(running: dict[str, Running], duration_s: float, log: Callable[[str], N
 
 
 def summary(one: Running, report: object) -> dict[str, Any]:
-    """What was seen of a process, and what it said of itself."""
+    """Return the measurements of a process with its own report."""
     enough = len(one.bytes) >= 4
     grown = growth(one.bytes, SAMPLE_S) if enough else Growth(first_bytes=0, last_bytes=0, allowed_bytes=0)
     return {
@@ -135,7 +135,7 @@ def summary(one: Running, report: object) -> dict[str, Any]:
 
 
 def table(result: dict[str, Any]) -> str:
-    """The processes for people."""
+    """Return the results as a table."""
     heads = ("KiB at half", "at the end", "grown", "allowed", "late cycles", "most/s")
     widths = (12, 11, 7, 8, 12, 7)
     lines = [" ".join([" " * 8, *(f"{head:>{width}}" for head, width in zip(heads, widths, strict=True))])]
@@ -152,7 +152,7 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> int:
-    """Run a soak as the command line asks for."""
+    """Run a soak as the command line requests."""
     parser = argparse.ArgumentParser(prog="python -m tests.soak", description=__doc__)
     parser.add_argument("--seconds", type=float, default=600.0, help=f"how long, {MIN_S:g} to 1e6; 600 by default")
     parser.add_argument("--json", type=Path, help="where the same goes for machines")

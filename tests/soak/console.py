@@ -1,6 +1,6 @@
-"""A page of the console that reads two loops at 1 kHz for minutes: browser, server and loops must not grow.
+"""A console page that reads two loops at 1 kHz for minutes: browser, server and loops must not grow.
 
-It fails unless the pair was coupled all the time, since a loop that rests proves little.
+It fails unless the pair was coupled all the time, because a resting loop proves little.
 
 python -m tests.soak.console --minutes 10
 """
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from playwright.sync_api import CDPSession
 
 WARM_UP_S = 60.0
-"""Until what is cached is there: fonts, charts, the first garbage collections."""
+"""Time in s until caches are filled: fonts, charts, the first garbage collections."""
 
 
 def children(pid: int) -> list[int]:
-    """A process and all that descend from it."""
+    """Return a process and all its descendants."""
     found = [pid]
     for task in Path(f"/proc/{pid}/task").glob("*/children"):
         for child in task.read_text().split():
@@ -32,7 +32,7 @@ def children(pid: int) -> list[int]:
 
 
 def proportional_mib(pids: list[int]) -> float:
-    """Memory in MiB, what is shared counted in parts."""
+    """Return the memory in MiB; shared memory is counted proportionally."""
     total = 0
     for pid in pids:
         for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
@@ -46,7 +46,7 @@ def command(pid: int) -> str:
 
 
 class Memory:
-    """What is measured of whom."""
+    """Memory of console, browser and sides."""
 
     def __init__(self, console: int, browser: list[int], session: "CDPSession") -> None:
         self.console = console
@@ -54,7 +54,7 @@ class Memory:
         self.session = session
 
     def now(self) -> dict[str, float]:
-        """In MiB."""
+        """Return the current memory in MiB."""
         self.session.send("HeapProfiler.collectGarbage")
         metrics = {one["name"]: one["value"] for one in self.session.send("Performance.getMetrics")["metrics"]}
         sides = {
@@ -76,13 +76,13 @@ COUPLED = """() => {
         if (watch.until === null && !sides.every(Boolean)) watch.until = performance.now();
     }, 50);
 }"""
-"""Looks at the page from now on: when one of the two was first not engaged."""
+"""Watches the page from now on, and notes when one of the two was first not engaged."""
 STATE = """() => ({ coupled_s: ((coupled.until ?? performance.now()) - coupled.begun) / 1e3,
     to_the_end: coupled.until === null })"""
 
 
 def main() -> int:
-    """Print the memory at begin and end, and how long the pair was coupled; 1 unless it was to the end."""
+    """Print the memory at begin and end, and how long the pair was coupled; return 1 unless it was to the end."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=10.0)
     minutes: float = parser.parse_args().minutes

@@ -1,4 +1,4 @@
-"""The soak in short, and that it can fail."""
+"""A short soak, and proof that a soak can fail."""
 
 import pytest
 from tests.soak.__main__ import soak, table
@@ -13,7 +13,7 @@ KIB = 1024
     ("name", "samples", "is_flat"),
     [
         ("constant", [40_000 * KIB] * 600, True),
-        # It grows for as long as it warms up.
+        # Memory grows only during the warm-up.
         ("warm-up", [min(n, 290) * 100 * KIB for n in range(600)], True),
         ("a step of an allocator", [1000 * KIB + (64 * KIB if n > 450 else 0) for n in range(600)], True),
         ("two of them", [1000 * KIB + (128 * KIB if n > 450 else 0) for n in range(600)], False),
@@ -35,7 +35,7 @@ def test_a_long_soak_allows_as_much_for_each_five_minutes() -> None:
 
 @pytest.mark.thorough
 def test_a_short_soak_samples_three_processes() -> None:
-    """Whether memory is flat shows after each page of the rings has been touched, which is later than this."""
+    """Flat memory shows only later, once each page of the rings has been touched."""
     lines: list[str] = []
     result = soak(12.0, lines.append)
     assert list(result["processes"]) == ["slave", "network", "master"]
@@ -44,10 +44,10 @@ def test_a_short_soak_samples_three_processes() -> None:
         assert "ended_early" not in one, shown
         assert name in shown
         assert len(one["sampled_bytes"]) == len(lines) == 12
-        # An interpreter with NumPy holds more than this, and less than that.
+        # An interpreter with NumPy is within these bounds.
         assert all(5e6 < held < 2e9 for held in one["sampled_bytes"])
     for name in ("slave", "master"):
         one = result["processes"][name]
         assert one["report"]["ticks"] + one["report"]["skipped_ticks"] > 9000
-        # Seen from outside: also a cycle that was late and not skipped.
+        # The outside count also includes cycles that were late but not skipped.
         assert one["late_cycles"] < one["report"]["ticks"]

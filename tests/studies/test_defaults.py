@@ -1,4 +1,4 @@
-"""The thresholds that `[safety]` takes by default, and what the shipped scenes are by the project's own checks."""
+"""Default thresholds of `[safety]`, and the project's own checks of the shipped scenes."""
 
 from math import sqrt
 
@@ -22,7 +22,7 @@ def thresholds(scene: Scene) -> dict[str, float | str]:
 
 
 def speed_of(scene: Scene) -> float:
-    """V_w in m/s: from which WSC trips of a free device."""
+    """Return V_w in m/s: the speed from which WSC trips for a free device."""
     safety, mass_kg = spec_of(scene)["safety"], min(spec_of(scene)["master"]["mass_kg"])
     return sqrt(2.0 * safety["energy_ratio"] * -safety["energy_threshold_j"] / mass_kg)
 
@@ -78,7 +78,7 @@ def test_a_sweep_has_the_thresholds_that_follow_from_each_row(path: str) -> None
 
 @pytest.mark.parametrize("name", scene_names())
 def test_no_shipped_scene_is_bad_by_design(name: str) -> None:
-    """Only the design is judged here. The links take a run of a minute each: docs/choosing.md has their table."""
+    """Check the design only. The links take a run of a minute each: docs/choosing.md has their table."""
     scene = load_scene(name)
     assert not [finding.text for finding in check_at_once(scene) if finding.state == "bad"]
     assert (scene.safety.preset == "paper") == (name in PAPER_SCENES)
@@ -89,12 +89,12 @@ def test_the_live_default_is_stable_and_bounded(controller: str) -> None:
     scene = baseline_scene(controller=controller)  # type: ignore[arg-type]
     found = {finding.name: finding for finding in check_scene(scene, remedies=False).findings}
     assert found["delay margin"].state in {"good", "note"}
-    # HSC does not see a push of less than F_t: its bound is that of the travel.
+    # HSC does not see a push of less than F_t: its bound comes from the travel.
     assert (found["ejection"].state == "good") == (controller == "wsc")
 
 
 def test_the_shipped_push_trips_no_hand_that_holds_and_throws_none() -> None:
-    """WSC of the paper trips 2 and 3 times here, at 0 and at 100 ms."""
+    """Compare: WSC with the paper's thresholds trips 2 and 3 times here, at 0 and at 100 ms."""
     steady = [network for network in EVALUATED_NETWORKS if network.name == "steady"]
     found = evaluate(
         ["remote_push"], controllers=["wsc"], round_trips_s=[0.0, 0.1], networks=steady, hands=2, releases=2

@@ -41,13 +41,13 @@ from haptether.studies.design.contact import scene_numbers, touched
 from haptether.studies.task import Task
 
 ONE_RAVEN = "raven_drop"
-"""Those scenes differ in their attacks alone."""
+"""One of the RAVEN scenes, which differ only in their attacks."""
 Array = npt.NDArray[np.float64]
 NODES = 40
 
 
 def rightmost_root(loop: ContactLoop, delay_s: float) -> float:
-    """Real part of the rightmost root of the loop's delay equation, by collocation at Chebyshev nodes.
+    """Return the real part of the rightmost root of the loop's delay equation, by collocation at Chebyshev nodes.
 
     Source: Breda, Maset and Vermiglio 2005, "Pseudospectral differencing methods for characteristic roots".
     """
@@ -162,7 +162,7 @@ def test_roots_of_the_sampled_loop_are_inside_below_it_and_outside_above(
     step = expm(motion * period_s)
 
     def radius(stiffness: float) -> float:
-        # x, V, the last x, then the forces under way, the newest first.
+        # State: x, V, the last x, then the forces in transit, the newest first.
         whole = np.zeros((3 + late, 3 + late))
         force = np.zeros(3 + late)
         force[0], force[2] = -stiffness - wall_damping / period_s, wall_damping / period_s
@@ -271,7 +271,7 @@ def of(findings: tuple[Finding, ...], name: str) -> Finding | None:
 
 
 def held_with(scene: Scene, finding: Finding, findings: tuple[Finding, ...]) -> Finding | None:
-    """The finding once its remedy is applied; fails if it is no better, or another is worse."""
+    """Return the finding once its remedy is applied; fail if it is no better, or another is worse."""
     again = check_scene(override_scene(scene, finding.changes), remedies=False).findings
     after = of(again, finding.name)
     assert after is None or ORDER[after.state] > ORDER[finding.state] or (
@@ -308,12 +308,12 @@ def test_every_shipped_scene_can_be_checked_and_what_its_remedies_change_mends_i
 @pytest.mark.parametrize(
     ("scene", "overrides", "name", "changed"),
     [
-        # Where the limiter is off and WSC watches, WSC is no remedy.
+        # If the limiter is off and WSC is on, WSC is no remedy.
         ("remote_push", ("safety.limiter={enabled=false}",), "ejection", "safety.limiter.enabled=true"),
         ("remote_push", ("safety.limiter={enabled=false}", "safety.controllers=[]"), "ejection", "controllers=[wsc]"),
         ("remote_push", ("safety.estimator={kind=adaptive-window}",), "ejection", "dual-kalman"),
         ("remote_push", ("safety.estimator={kind=kalman}",), "ejection", "safety.e"),
-        # F_w without stops is what takes the bound away.
+        # F_w without stops removes the bound.
         ("paper_wall", ("safety.wsc_force_threshold_n=0.1",), "ejection", "safety.wsc_force_threshold_n=0"),
         ("paper_wall", ("safety.controllers=[hsc]",), "ejection", "wsc"),
         ("remote_push", ("safety.preset=paper",), "ejection", "safety.preset=measured"),
@@ -321,7 +321,7 @@ def test_every_shipped_scene_can_be_checked_and_what_its_remedies_change_mends_i
         ("paper_wall", ("master.viscous=-0.05", "master.coulomb=0", "safety.damping=0"), "ejection", "damping=5"),
         ("remote_push", ("safety.limiter.max_force_n=40",), "ejection", "safety.limiter.max_force_n=7.9"),
         ("remote_push", ("safety.energy_threshold_j=-30",), "ejection", "safety.energy_threshold_j=-0.1"),
-        # A threshold that mends WSC would take the bound of the device away, which has no stops.
+        # A threshold that mends WSC would remove the bound of the device, which has no stops.
         ("remote_push", ("safety.preset=paper", "operator.legs.0.duration_s=0.2"), "wsc", None),
         ("free_motion", ("safety.preset=paper",), "wsc", "safety.wsc_force_threshold_n=0.1"),
         ("paper_wall", ("environment.objects.0.contact.stiffness=11000",), "wall", "stiffness=80"),
@@ -360,7 +360,7 @@ def test_the_scale_that_is_advised_is_the_largest_that_bears_it(delay_s: float) 
     # A body that jaws hold is not in the loop.
     assert after is not None
     assert after.state == "not judged"
-    # The scene has 0.2, and 0.19506 is the largest that bears any delay.
+    # The scene has 0.2; 0.19506 is the largest scale that is stable for any delay.
     assert 0.18 < scale < 0.19506
 
 
@@ -376,7 +376,7 @@ def test_a_changed_scale_is_lowered_with_the_first() -> None:
 
 
 def test_a_handle_that_is_said_to_ring_does_and_with_the_remedy_does_not() -> None:
-    """A hand moves a valve's tool by 1 cm, which the valve does not let: the force swings on, or dies away."""
+    """A hand moves a valve's tool by 1 cm, which the valve resists: the force oscillates, or dies away."""
     scene = load_scene(
         "valve", ["coupling.force_scale=1", "operator.legs=[{duration_s=1.0,end=[0.0,0.0,0.01]}]", "run.duration_s=2.5"]
     )
@@ -401,14 +401,14 @@ def test_a_handle_that_is_said_to_ring_does_and_with_the_remedy_does_not() -> No
         # Slope 1.5 F / d at F = 7.9 N of F = K d^1.5, with d = (7.9 / 1e5)^(2/3).
         ("paper_wall", ("environment.objects.0.contact={law=hunt-crossley,stiffness=1e5}",),
          1.5 * 7.9 / (7.9 / 1e5) ** (2 / 3), ""),
-        # Nothing bounds the force there.
+        # Without a limiter nothing bounds the force.
         ("paper_wall",
          ("environment.objects.0.contact={law=hunt-crossley,stiffness=1e5}", "safety.limiter={enabled=false}"),
          1.5 * 7.9 / (7.9 / 1e5) ** (2 / 3), ""),
         ("remote_push", ("environment.objects.0.shape={kind=spring}",), 100.0, ""),
     ],
 )  # fmt: skip
-def test_what_is_touched_is_the_same_for_the_loop_and_for_the_hands_of_a_task(
+def test_touched_stiffness_is_the_same_for_the_loop_and_for_the_hands_of_a_task(
     scene: str, overrides: tuple[str, ...], stiffness: float, beyond: str
 ) -> None:
     loaded = load_scene(scene, overrides)
@@ -451,7 +451,7 @@ def test_a_live_start_says_what_is_bad_and_names_the_command_for_the_rest() -> N
     )
     assert all("\n" not in line for line in lines)
     assert scene_json(scene) == before
-    # Options alone made it: no command has it.
+    # A scene from options alone has no command.
     assert list(design_lines(scene, None)) == lines[:-1]
     assert list(design_lines(load_scene("paper_wall"), "paper_wall")) == []
 
@@ -478,7 +478,7 @@ def test_more_than_three_axes_are_joints() -> None:
 
 
 def test_a_link_that_holds_is_reported_with_rate_and_reason() -> None:
-    """An outage of 0.5 s once in 10 s: one hold each."""
+    """An outage of 0.5 s once in 10 s causes one hold each."""
     outage = '[{ times = { kind = "periodic", at_s = 5.0, period_s = 10.0, duration_s = 0.5 } }]'
     found = check_scene(load_scene("remote_push", [f"link.forward.outages={outage}"])).findings
     (finding,) = (one for one in found if one.name == "link")
@@ -488,7 +488,7 @@ def test_a_link_that_holds_is_reported_with_rate_and_reason() -> None:
 
 
 def once(*times: tuple[float, float]) -> str:
-    """Outages of the way there, each when and for how long in s."""
+    """Return outages of the forward link, each as its time and duration in s."""
     listed = ", ".join(
         f'{{ times = {{ kind = "once", at_s = {at_s}, duration_s = {duration_s} }} }}' for at_s, duration_s in times
     )
@@ -536,7 +536,7 @@ def test_an_outage_that_is_longer_than_any_hold_after_has_advice_that_says_so() 
     ],
 )
 def test_an_outage_counts_with_jitter_and_loss_of_its_link(link: dict[str, float], state: str, said: str) -> None:
-    """20 ms of silence are borne for 20 ms of patience, but for jitter of 4 ms on top."""
+    """With 20 ms of patience an outage of 20 ms causes no hold, unless 4 ms of jitter add to it."""
     overrides = [once((2.0, 0.02)), *(f"link.forward.{key}={value}" for key, value in link.items())]
     outage = of(check_scene(load_scene("remote_push", overrides), remedies=False).findings, "outage")
     assert outage is not None
@@ -561,7 +561,7 @@ def test_what_begins_late_is_not_judged_and_what_ends_late_is_run_to_its_end() -
     assert later.state == "not judged"
     assert "an outage of 300 ms at 600 s: it begins after the 600 s" in later.text
     assert of(late, "outage") is None
-    # 80 ms are a hold, and no stop: it ends after 600 s.
+    # 80 ms cause a hold and no stop; the outage ends after 600 s.
     ending = of(check_scene(load_scene("remote_push", [once((599.95, 0.08))]), remedies=False).findings, "outage")
     assert ending is not None
     assert ending.state == "warning"
@@ -600,14 +600,14 @@ def test_changes_of_delay_and_of_a_clock_are_looked_at_once() -> None:
 
 
 class Brake:
-    """Of one's own: nothing is known of it."""
+    """A custom controller, about which nothing is known."""
 
     def step(self, tick: object) -> None:
         """Never intervenes."""
 
 
 @pytest.mark.parametrize("controllers", ["[]", "[wsc]", "[hsc,wsc]"])
-def test_of_a_controller_of_ones_own_no_bound_is_known_and_it_is_advised_to_measure(controllers: str) -> None:
+def test_custom_controller_has_no_bound_and_measuring_is_advised(controllers: str) -> None:
     register_controller("brake", Brake)
     scene = load_scene(
         "remote_push",
@@ -647,7 +647,7 @@ def test_losses_hold_as_often_as_a_chain_of_two_states_says() -> None:
     overrides = (*forward, "link.backward.loss=0", "safety.ladder.hold_after_s=0.02")
     (finding,) = (one for one in check_scene(load_scene("remote_push", overrides)).findings if one.name == "losses")
     assert finding.value is not None
-    # A Poisson count.
+    # The count has a Poisson law.
     assert finding.value * 1000.0 / 3600.0 == pytest.approx(runs, abs=4.0 * np.sqrt(runs))
     assert runs > 20
 
@@ -669,7 +669,7 @@ def test_the_command_says_bad_by_its_status(capsys: pytest.CaptureFixture[str]) 
 
 
 @pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf"])
-def test_a_speed_that_is_none_is_refused_with_its_meaning(speed: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_speed_is_refused_with_its_meaning(speed: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "remote_push", "--speed", speed]) == 2
     said = " ".join(capsys.readouterr().err.split())
     assert f"speed = {float(speed):g}: must be above 0 and finite" in said
@@ -677,7 +677,7 @@ def test_a_speed_that_is_none_is_refused_with_its_meaning(speed: str, capsys: py
 
 
 def test_a_remedy_that_mends_is_not_cut_down_to_one_that_does_not(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both changes together mend; one alone only makes it less bad."""
+    """Both changes together remove the finding; either alone only improves it."""
     both = ("run.duration_s=1", "run.seed=7")
     monkeypatch.setattr(remedy, "_candidates", lambda *_: iter([both]))
     bad = Finding(name="wall", state="bad", text="", value=10.0, limit=1.0)

@@ -1,4 +1,4 @@
-"""How much delay a coupling bears, against the closed forms and tables of docs and literature."""
+"""Largest delay of a coupling, against the closed forms and tables of docs and literature."""
 
 import math
 from types import SimpleNamespace
@@ -37,7 +37,7 @@ SLOW_ARM = Follower(mass_kg=2.0, damping=80.0, stiffness=800.0, follows_velocity
 def test_a_delayed_spring_oscillates_at_its_critical_stiffness(mass_kg: float, damping: float) -> None:
     for stiffness, delay_s in zip(DELAYED_SPRING[mass_kg, damping], DELAYS_S, strict=True):
         found_s = largest_delay_s(ContactLoop(mass_kg=mass_kg, damping=damping, environment_stiffness=stiffness))
-        # The table has four digits; K goes as 1/T or weaker, so T has them times at most two.
+        # The table has four digits; K goes as 1/T or weaker, so T is off by at most twice as much.
         assert found_s == pytest.approx(delay_s, rel=1e-3)
 
 
@@ -45,7 +45,7 @@ def test_a_delayed_spring_oscillates_at_its_critical_stiffness(mass_kg: float, d
 @pytest.mark.parametrize("damping", [0.05, 2.0, 40.0])
 def test_it_is_the_closed_form(stiffness: float, damping: float) -> None:
     mass_kg = 0.157
-    # w² of |m (jw)² + b jw| = K, and T = atan(b / (m w)) / w.
+    # w² from |m (jw)² + b jw| = K, and T = atan(b / (m w)) / w.
     ratio = damping**2 / (2.0 * mass_kg**2)
     frequency = math.sqrt(-ratio + math.hypot(ratio, stiffness / mass_kg))
     expected_s = math.atan2(damping, mass_kg * frequency) / frequency
@@ -66,7 +66,7 @@ def test_an_arm_that_follows_slowly_is_part_of_the_loop(force_scale: float, dela
     loop = ContactLoop(
         mass_kg=0.1, damping=5.0, environment_stiffness=1000.0, force_scale=force_scale, follower=SLOW_ARM
     )
-    # Scales of three digits, delays to which they are up to three times as sensitive.
+    # The scales have three digits; the delays are up to three times as sensitive to them.
     assert largest_delay_s(loop) == pytest.approx(delay_s, rel=0.01)
 
 
@@ -103,11 +103,11 @@ def test_the_arm_of_check_link_is_the_simulated_one() -> None:
 
 @pytest.mark.parametrize(("share", "grows"), [(0.7, False), (1.4, True)])
 def test_the_bridge_in_virtual_time_oscillates_beyond_it(share: float, grows: bool) -> None:
-    """The same loop, sampled, with a hand that holds: calm below what it bears, growing above."""
+    """Sample the same loop, with a hand that holds: calm below the largest delay, growing above."""
     stiffness = 400.0
     wall = {"objects": [{"contact": {"stiffness": stiffness}}]}
     (loop,) = scene_loops(two_sides(environment=wall))
-    # Both sides hold for half a period each, see `judge_link`, and wait for a tick for half a period on the mean.
+    # Each side adds half a period of hold, see `judge_link`, and waits for a tick for half a period on average.
     link = LinkSettings(delay_s=(share * largest_delay_s(loop) - 2e-3) / 2.0)
     scene = two_sides(
         run={"duration_s": 4.0},
@@ -126,8 +126,8 @@ def test_the_bridge_in_virtual_time_oscillates_beyond_it(share: float, grows: bo
         assert late < 1e-3 or late < 0.5 * early
 
 
-def linear_scene(**changed: Any) -> Scene:  # noqa: ANN401  # tables as TOML has them
-    """A loop without anything that is not linear: a hand nudges the device, whose arm hangs on a spring."""
+def linear_scene(**changed: Any) -> Scene:  # noqa: ANN401  # tables as in TOML
+    """Return a linear loop: a hand nudges the device, whose arm hangs on a spring."""
     raw: dict[str, Any] = {
         "schema": 1,
         "run": {"duration_s": 4.0, "diverged_position": 1e3, "diverged_speed": 1e3},
@@ -149,7 +149,7 @@ def linear_scene(**changed: Any) -> Scene:  # noqa: ANN401  # tables as TOML has
 
 
 def critical_scale(scene: Scene) -> float:
-    """lambda_f at which the simulated loop begins to swing up, by bisection in virtual time."""
+    """Find lambda_f at which the simulated loop starts to oscillate, by bisection in virtual time."""
 
     def grows(force_scale: float) -> bool:
         run = simulate(scene, overrides=[f"coupling.force_scale={force_scale}"])
@@ -173,10 +173,10 @@ def critical_scale(scene: Scene) -> float:
 def test_the_sampled_loop_is_later_than_its_round_trip_by_one_period(
     delay_s: float, period_s: float, slave_period_s: float
 ) -> None:
-    """Half a period of hold at each side.
+    """Each side adds half a period of hold.
 
-    The delays are whole periods, so that nothing waits for a tick and the round trip is twice the delay. Two sides of
-    different periods exchange news at the slower one's.
+    The delays are whole periods, so that no frame waits for a tick and the round trip is twice the delay. Two sides of
+    different periods exchange messages at the slower period.
     """
     link = {"delay_s": delay_s}
     scene = linear_scene(
@@ -185,7 +185,7 @@ def test_the_sampled_loop_is_later_than_its_round_trip_by_one_period(
     (loop,) = scene_loops(override_scene(scene, [f"coupling.force_scale={critical_scale(scene)}"]))
     longest_s = max(period_s, slave_period_s)
     assert scene_times(scene) == (longest_s, 0.02)
-    # A hold is a delay of half a period up to terms of (w dT)²; at w of 50 rad/s and 4 ms that is some percent.
+    # A hold is a delay of half a period up to terms of (w dT)²; at w of 50 rad/s and 4 ms that is a few percent.
     later_s = largest_delay_s(loop) - 2.0 * delay_s
     assert later_s == pytest.approx(longest_s, rel=0.06)
 
@@ -213,16 +213,16 @@ def test_a_link_is_borne_in_later_intervals_if_its_early_and_its_late_round_trip
 ) -> None:
     verdict = judge_link(summary_of(late_s, early_s), 0.03, 0.02, 1e-3, stable_delays_s=POCKETS)
     assert (verdict.good, verdict.is_between) == (good, between)
-    # The JSON of `check-link` has it.
+    # The JSON of `check-link` contains it.
     assert msgspec.to_builtins(verdict)["is_between"] == between
     if not good:
         assert "bearable is 30.0 ms, and 57.0 to 131.0 ms" in verdict.complaints[0]
-    # Without the intervals only the first counts.
+    # Without the intervals only the first bound counts.
     assert judge_link(summary_of(late_s, early_s), 0.03, 0.02, 1e-3).good == (late_s + 1e-3 < 0.03)
 
 
 def test_half_of_the_round_trips_below_a_later_interval_are_not_borne() -> None:
-    """Half at 50 ms, half at 120 ms: the median lies in 57 to 131 ms, as does what 1 % exceed."""
+    """Use round trips of 50 ms and 120 ms, half each: median and 99 % quantile are in 57 to 131 ms."""
     ticks = 1000
     fields: dict[str, Any] = {"round_trip_s": np.where(np.arange(ticks) % 2, 0.05, 0.12), "age_s": np.zeros(ticks)}
     fields |= {"time_s": 1e-3 * np.arange(ticks), "overshoot_s": np.zeros(ticks)}
@@ -294,7 +294,7 @@ def test_scenes_of_several_axes_count_each_that_is_felt() -> None:
     assert len(scene_loops(override_scene(scene, ["coupling.locked_axes=[1]"]))) == 2
     unequal = override_scene(scene, ["master.mass_kg=[0.05, 0.2, 0.3]"])
     assert [loop.mass_kg for loop in scene_loops(unequal)] == [0.05, 0.2, 0.3]
-    # Nothing is touched: nothing oscillates.
+    # Without a contact nothing oscillates.
     free = msgspec.structs.replace(scene, environment=None)
     assert all(largest_delay_s(loop) == math.inf for loop in scene_loops(free))
     assert all(loop.environment_stiffness == 250.0 for loop in scene_loops(free, 250.0))
@@ -315,11 +315,11 @@ def test_a_law_that_is_not_linear_counts_with_its_slope_at_the_largest_force() -
 
 
 def test_a_damped_contact_bears_its_own_delay() -> None:
-    """`m x'' + b x' + (K + B d/dt) x(t - T)`: at the edge `|K + jwB| = |m w² - jwb|`, with the phases pi apart."""
+    """`m x'' + b x' + (K + B d/dt) x(t - T)`: at the limit `|K + jwB| = |m w² - jwb|`, with phases pi apart."""
     mass_kg, damping, stiffness, contact = 0.2, 4.0, 900.0, 1.5
     loop = ContactLoop(mass_kg=mass_kg, damping=damping, environment_stiffness=stiffness, environment_damping=contact)
     delay_s = largest_delay_s(loop)
-    # w by bisection on the difference of the two sizes, which grows with w here.
+    # Find w by bisection on the difference of the two magnitudes, which grows with w here.
     low, high = 1.0, 1e4
     for _ in range(200):
         w = 0.5 * (low + high)

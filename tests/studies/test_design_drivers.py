@@ -1,4 +1,4 @@
-"""`haptether check` holds drivers against what `haptether master` and `slave` refuse at their start."""
+"""`haptether check` judges drivers like `haptether master` and `slave` do at their start."""
 
 import json
 import re
@@ -50,11 +50,11 @@ SLAVES: dict[str, tuple[str, list[str], str]] = {
 
 
 class Bench:
-    """A haptic device that is never open."""
+    """A haptic device that is never opened."""
 
     axes = 1
 
-    def __init__(self, **options: Any) -> None:  # noqa: ANN401  # of the case
+    def __init__(self, **options: Any) -> None:  # noqa: ANN401  # options of the case
         self.paces = "period_s" in options
         for name, value in options.items():
             setattr(self, name, tuple(value) if isinstance(value, list) else value)
@@ -70,25 +70,25 @@ class Bench:
         raise AssertionError(f"written: {force}")
 
     def close(self) -> None:
-        """Nothing."""
+        """Do nothing."""
 
 
 @pytest.fixture(autouse=True)
 def bench(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Declares `Bench` beside the drivers that are installed."""
+    """Declare `Bench` beside the installed drivers."""
     from importlib import metadata
 
     monkeypatch.setitem(sys.modules, __name__, sys.modules[__name__])
     own = EntryPoint("bench", f"{__name__}:Bench", "haptether.masters")
 
-    def found(**selection: Any) -> EntryPoints:  # noqa: ANN401  # as of entry_points
+    def found(**selection: Any) -> EntryPoints:  # noqa: ANN401  # as in entry_points
         return EntryPoints([*metadata.entry_points(**selection), *EntryPoints([own]).select(**selection)])
 
     monkeypatch.setattr("haptether.bridge.devices.find.entry_points", found)
 
 
 def leader(folder: Path) -> str:
-    """The scene that docs/dynamixel.md shows."""
+    """Write the scene of docs/dynamixel.md."""
     page = (ROOT / "docs/dynamixel.md").read_text(encoding="utf-8")
     (text,) = [one for one in re.findall(r"```toml\n(.*?)```", page, re.DOTALL) if one.startswith("schema = ")]
     (folder / "leader.toml").write_text(text, encoding="utf-8")
@@ -96,7 +96,7 @@ def leader(folder: Path) -> str:
 
 
 def checked(scene: str, changes: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any]]:
-    """Status and findings of `haptether check`."""
+    """Return status and findings of `haptether check`."""
     capsys.readouterr()
     status = main(["check", scene, *(word for change in changes for word in ("--set", change)), "--json", "-"])
     findings = json.loads(capsys.readouterr().out)["findings"]
@@ -126,7 +126,7 @@ def test_the_leader_of_the_page_passes_with_the_bound_that_master_announces(
 ) -> None:
     scene = leader(tmp_path)
     command = ["master", "--scene", scene, "--peer", "127.0.0.1:9", "--insecure", "--patience-s", "0.1"]
-    # Only its port is not there.
+    # Only the port is missing.
     assert main([*command, "--telemetry", "none", "--quiet", "--realtime", "off"]) == 1
     said = capsys.readouterr().err
     assert "port: is not there" in said

@@ -1,4 +1,4 @@
-"""Evaluation: what verdicts say of cells, what is measured against closed forms, worst release, page, command."""
+"""Evaluation: verdicts of cells, measured values against closed forms, worst release, page, command."""
 
 import json
 import re
@@ -117,11 +117,11 @@ def test_a_task_without_a_release_ends_what_is_safe_unless_nothing_can_be_felt_t
     assert evaluation({}, nothing).unthrown_up_to_s("wsc") is None
     assert evaluation({}, nothing | {"can_push": False}).safe_up_to_s("wsc") == 0.0
     assert evaluation(nothing | {"can_push": False}).safe_up_to_s("wsc") is None
-    # Nor does a HOLD stand for a release.
+    # A HOLD does not stand for a release.
     assert evaluation({}, nothing | {"holds": 1}).unthrown_up_to_s("wsc") is None
 
 
-def test_what_was_not_evaluated_is_refused() -> None:
+def test_unknown_controllers_tasks_and_empty_cells_are_refused() -> None:
     found = evaluation({})
     with pytest.raises(ValueError, match="controllers = 'hsc': was not evaluated; there is wsc"):
         found.safe_up_to_s("hsc")
@@ -131,18 +131,18 @@ def test_what_was_not_evaluated_is_refused() -> None:
         found.verdict(())
 
 
-def test_who_trips_falsely_throws_nobody() -> None:
+def test_false_trips_are_not_throws() -> None:
     cells = [{"round_trip_s": 0.0, "false_trips": 99}, {"round_trip_s": 0.1}, {"round_trip_s": 0.2, "thrown": 1}]
     found = evaluation(*cells)
     assert (found.safe_up_to_s("wsc"), found.unthrown_up_to_s("wsc")) == (None, 0.1)
 
 
 def test_false_trips_of_all_tasks_and_networks_count_together() -> None:
-    """One trip in a short cell is many an hour, and few among all."""
+    """One trip in a short cell is many per hour, but few among all."""
     quiet = [{"task": str(place)} for place in range(9)]
     assert evaluation({"false_trips": 7}, *quiet).safe_up_to_s("wsc") == 0.0
     assert evaluation({"false_trips": 61}, *quiet).safe_up_to_s("wsc") is None
-    # A task that is asked for by itself has its own rate.
+    # A single task has its own rate.
     assert evaluation({"false_trips": 7}, *quiet).safe_up_to_s("wsc", "push") is None
 
 
@@ -157,7 +157,7 @@ def test_false_trips_of_all_tasks_and_networks_count_together() -> None:
         ({"releases": 34, "hours": 1.0}, 34, 35),
         ({"releases": 35, "hours": 1.0}, 35, 35),
         ({"releases": 80, "hours": 1.0}, 40, 40),
-        # A rate that was seen, and is close to what is allowed.
+        # A rate that was observed close to the limit.
         ({"releases": 1000, "hours": 0.1, "false_trips": 5}, 1000, 23_700),
         ({"releases": 8, "hours": 0.1, "false_trips": 6}, 8, MOST_HANDS),
     ],
@@ -186,7 +186,7 @@ def test_confirmed_up_to_is_before_the_first_round_trip_that_is_not() -> None:
     found = evaluation(*cells)
     assert (found.confirmed_up_to_s("wsc"), found.safe_up_to_s("wsc")) == (0.0, 0.3)
     assert found.unconfirmed("wsc") == (0.1,)
-    # What is unsafe is neither confirmed nor hatched.
+    # An unsafe cell is neither confirmed nor hatched.
     assert evaluation({"thrown": 1}).unconfirmed("wsc") == ()
     assert not evaluation({"thrown": 1, **many}).is_confirmed(evaluation({"thrown": 1, **many}).cells)
 
@@ -246,14 +246,14 @@ def test_transmitted_impedance_is_that_of_a_spring_and_a_damper(stiffness: float
 
 
 def test_a_late_wall_is_felt_as_one_that_pushes_along(found: Evaluation) -> None:
-    """`K x(t - T) = K x - K T V` to first order: of 200 N/m a damping of -20 N s/m at 0.1 s."""
+    """`K x(t - T) = K x - K T V` to first order: 200 N/m at 0.1 s has a damping of -20 N s/m."""
     at_once, late = (found.of(task="paper_wall", controllers="none", round_trip_s=trip)[0] for trip in (0.0, 0.1))
     assert (at_once.stiffness, at_once.damping) == pytest.approx((200.0, 0.0), abs=0.5)
     assert late.stiffness == pytest.approx(200.0, rel=0.1)
     assert late.damping == pytest.approx(-20.0, rel=0.1)
 
 
-def test_nobody_who_watches_throws_and_a_controller_does_not(found: Evaluation) -> None:
+def test_releases_throw_without_a_controller_only(found: Evaluation) -> None:
     for round_trip_s in found.round_trips_s:
         alone = found.of(controllers="none", round_trip_s=round_trip_s)
         watched = found.of(controllers="hsc", round_trip_s=round_trip_s)
@@ -273,7 +273,7 @@ def test_a_torque_throws_at_the_lever_and_is_let_go() -> None:
     found = evaluate(["torque_release"], controllers=("none",), **arguments)  # type: ignore[arg-type]
     (cell,) = found.cells
     assert (cell.verdict(found.limits), cell.releases) == ("thrown", 2)
-    # (tau - c) / I t r, for the 0.5 s that are watched at most, and a grip that holds it back while it loosens.
+    # (tau - c) / I t r, for at most the 0.5 s that are watched, plus a grip that resists while it loosens.
     assert cell.max_speed is not None
     assert 0.5 < cell.max_speed < (0.1 - 0.002) / 4e-4 * 0.55 * 0.05
 
@@ -365,7 +365,7 @@ def test_a_network_with_a_delay_of_its_own_is_met_at_that_alone(tmp_path: Path) 
     assert [(cell.network, cell.round_trip_s) for cell in found.of(task="remote_push")] == [
         ("steady", 0.0), ("measured", 0.08), ("lte-driving", lte.round_trip_s)
     ]  # fmt: skip
-    # What renders without an arm is late by the same times.
+    # A wall without an arm has the same round trips.
     assert [cell.round_trip_s for cell in found.of(task="paper_wall")] == [0.0, *own_s]
     (worst,) = found.worst
     assert simulate(worst.scene).metrics.max_ejection_velocity == worst.speed

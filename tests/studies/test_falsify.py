@@ -1,4 +1,4 @@
-"""The search for the worst release: within bounds, the same again, made simple, written as a scene that reproduces."""
+"""The search for the worst release: bounded, repeatable, simplified, and written as a scene that reproduces it."""
 
 import json
 from math import inf
@@ -21,7 +21,7 @@ FEW = ReleaseBounds(steps=3, longest_s=0.02)
 
 @pytest.fixture(scope="module")
 def wall() -> Scene:
-    """V is measured: the bound is nearly reached by whoever pushes at the cap."""
+    """Return a scene with measured V: a push at the cap nearly reaches the bound."""
     return load_scene("paper_wall")
 
 
@@ -48,8 +48,8 @@ def test_the_same_seed_finds_the_same(wall: Scene, found: Falsified) -> None:
     )
 
 
-def test_what_is_left_is_simple(found: Falsified) -> None:
-    """A steady push does it: no step is left that does nothing, and the speed is nearly that of the worst."""
+def test_worst_release_is_simplified(found: Falsified) -> None:
+    """A steady push suffices: no idle step is left, and the speed is nearly that of the worst release."""
     assert len(found.release.level_n) <= 2
     assert 0.98 * found.worst <= found.speed <= found.worst
     environment = found.scene.environment
@@ -93,7 +93,7 @@ def test_releases_keep_their_bounds(name: str, push: str) -> None:
             assert (levels >= 0.0).all()
         written = releases.scene_of(release)
         assert written.environment is not None
-        # With the delay on its way back nothing reaches the hand before it lets go.
+        # With the backward delay nothing reaches the hand before it lets go.
         sent = [pusher.at_s for pusher in written.environment.pushers[1:]]
         assert all(at_s + release.delay_s[1] >= releases.at_s - 1e-9 for at_s in sent)
         kept = replace(scene.ejection_settings(), free_s=inf)
@@ -103,7 +103,7 @@ def test_releases_keep_their_bounds(name: str, push: str) -> None:
 
 @pytest.mark.parametrize("push", ["any", "steady"])
 def test_the_numbers_of_a_release_give_it_again(wall: Scene, push: str) -> None:
-    """To rounding, where its steps fit into the span; so that a search can begin at a release that is known."""
+    """To rounding, if its steps fit into the span, so that a search can begin at a known release."""
     bounds = ReleaseBounds(push="steady" if push == "steady" else "any", steps=4, longest_s=0.05)
     releases = Releases(wall, bounds)
     rng = np.random.default_rng(2)
@@ -116,7 +116,7 @@ def test_the_numbers_of_a_release_give_it_again(wall: Scene, push: str) -> None:
 
 
 def test_on_several_axes_the_push_has_the_direction_of_the_release() -> None:
-    """What is written and what is swept are one force; numbers in the middle are the lightest axis."""
+    """The written and the swept force are the same; middle numbers select the lightest axis."""
     releases = Releases(load_scene("three_axis_box", ("master.mass_kg=[0.2,0.1,0.3]",)), ReleaseBounds(steps=2))
     middle = releases.of(np.full(releases.size, 0.5))
     assert middle.direction == (0.0, 1.0, 0.0)
@@ -132,7 +132,7 @@ def test_on_several_axes_the_push_has_the_direction_of_the_release() -> None:
 
 
 def test_a_run_with_an_arm_lasts_until_the_hand_has_let_go() -> None:
-    """Times count from engagement, which takes a while; however soon the push steps."""
+    """Times count from engagement, which takes a while, however soon the push steps."""
     releases = Releases(load_scene("three_axis_box", ("safety.controllers=[wsc]",)), ReleaseBounds(steps=1))
     release = Release(
         held_n=7.9,
@@ -174,7 +174,7 @@ def test_scenes_without_such_releases_are_refused(name: str, problem: str) -> No
     ("changes", "problem"),
     [({"steps": 0}, "steps = 0: must be between 1 and 40"), ({"loss": 1.0}, "loss = 1.0: must be between 0 and 0.9")],
 )
-def test_bounds_that_cannot_be_are_refused(changes: dict[str, float], problem: str) -> None:
+def test_invalid_bounds_are_refused(changes: dict[str, float], problem: str) -> None:
     with pytest.raises(ValueError, match=problem):
         ReleaseBounds(**changes)  # type: ignore[arg-type]  # numbers of either kind
 
@@ -219,7 +219,7 @@ def test_the_command_writes_a_scene_that_reproduces(
         (["--seconds", "0"], "seconds = 0.0: must be above 0"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_is_refused(
+def test_invalid_options_are_refused(
     arguments: list[str], problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip

@@ -1,4 +1,4 @@
-"""The paper's claims: bounds that the reproduction must keep."""
+"""The paper's claims: bounds that the reproduction must meet."""
 
 import msgspec
 import numpy as np
@@ -35,7 +35,7 @@ def test_table_1(report: PaperReport) -> None:
     assert [row.window for row in rows] == [50, 100, 200, 500, 1000, 2000, 4000, 5000, 6000, 10000]
     assert ours(rows[0]) == pytest.approx(0.438, rel=0.10)
     assert ours(rows[-1]) == pytest.approx(1.094, rel=0.12)
-    # The shape that the table is about: short windows protect, long ones remember the press.
+    # Shape of the table: short windows protect, and long windows remember the press.
     assert all(ours(row) <= 0.52 for row in rows if (row.window or 0) <= 1000)
     beyond = [ours(row) for row in rows if (row.window or 0) >= 1000]
     assert beyond == sorted(beyond)
@@ -61,11 +61,11 @@ def test_closed_forms(report: PaperReport) -> None:
         assert row.depth is not None
         ideal = np.sqrt(row.stiffness / mass) * row.depth
         assert row.paper == pytest.approx(ideal, rel=1e-12)
-        # A held wall gives pi/8 dT sqrt(K/m) more; leaving inside a tick costs less than that.
+        # A held wall adds pi/8 dT sqrt(K/m); leaving within a tick costs less than that.
         gain = ours(row) / ideal - 1.0
         assert 0.0 < gain < np.pi / 8.0 * 1e-3 * np.sqrt(row.stiffness / mass) + 1e-3
         assert gain < 0.03
-    # The tick after the closed form is met: at most one tick of full acceleration beyond it.
+    # The trip comes at most one tick of full acceleration after the closed form.
     tick = 7.8 / mass * 1e-3
     for window, closed in ((100, 0.43713), (10000, 1.07697)):
         row = one(report, "Eq. 13", "speed_at_trip", window=window)
@@ -93,7 +93,7 @@ def test_every_row_carries_its_verdict(report: PaperReport) -> None:
 
 
 def test_an_encoder_changes_little() -> None:
-    """With 0.023 mm and the default estimator the protection is later, not lost."""
+    """Use 0.023 mm and the default estimator: the protection acts later, but still acts."""
     quantised = reproduce_paper(encoder_quantum=2.3e-5)
     for source, controller in (("Fig. 9", "hsc"), ("Fig. 10", "wsc")):
         row = one(quantised, source, "max_ejection_velocity", controller=controller)

@@ -1,4 +1,4 @@
-"""What moves the rows of `haptether paper`, and what is said to explain them: docs/paper.md holds what is computed."""
+"""Sensitivity of the rows of `haptether paper`, and their explanations; docs/paper.md holds the computed numbers."""
 
 import re
 from itertools import pairwise
@@ -31,18 +31,18 @@ pytestmark = pytest.mark.slow
 
 PAGE = (Path(__file__).parents[2] / "docs/paper.md").read_text("utf-8")
 SECTIONS = {"Fig. 6": observer_rows, "Table 1": table_1_rows, "Fig. 12": active_force_rows}
-"""What has the rows of an experiment; of all others `controller_rows`."""
+"""Functions with the rows of an experiment; all others use `controller_rows`."""
 
 
 def table(heading: str) -> list[list[str]]:
-    """The cells of the table below a heading of the page."""
+    """Return the cells of the table below a heading of the page."""
     text = PAGE.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
     rows = [line.strip("|").split("|") for line in text.splitlines() if line.startswith("|")]
     return [[cell.strip() for cell in row] for row in rows[2:]]
 
 
 def shown(name: str, values: list[float | str]) -> str:
-    """Values of a factor as the page has them."""
+    """Return values of a factor in the page's format."""
     factor = FACTORS[name]
     unit = {"device_delay": "ms"}.get(name, factor.unit)
     texts = [value if isinstance(value, str) else f"{value * factor.scale:g}" for value in values]
@@ -73,8 +73,8 @@ def rows_of(key: str, change: Change) -> list[PaperRow]:
 
 
 @pytest.mark.parametrize("key", MET_BY)
-def test_what_is_said_to_meet_the_paper_meets_it(key: str) -> None:
-    """One run, all numbers of the experiment; the page and the notes of the rows say which and what it gives."""
+def test_changes_declared_to_meet_the_paper_meet_it(key: str) -> None:
+    """One run meets all numbers of the experiment; the page and the notes of the rows name it with its result."""
     declared, met = rows_of(key, {}), rows_of(key, MET_BY[key])
     assert declared
     assert not all(row.meets(row.ours) for row in declared), "nothing to explain"
@@ -101,14 +101,14 @@ def test_closed_forms_move_with_nothing_that_they_do_not_contain() -> None:
             rows = list(closed_form_rows(changed(Conditions(), {name: value}).operator))
             for row, other in zip(declared, rows, strict=True):
                 if row.window == 10000:
-                    # The work of the press is that of its end points; its last tick may fall differently.
+                    # The work of the press depends on its end points; its last tick may fall differently.
                     assert other.ours == pytest.approx(row.ours, abs=tick), (name, value)
                 else:
                     assert other.ours == row.ours, (name, value)
 
 
 def test_the_watched_observers_are_those_of_the_equations() -> None:
-    """SO, WSO and HGO of a run in which nobody intervenes, against the observers alone on F_h of Eq. 4."""
+    """SO, WSO and HGO of a run without intervention, against the observers alone on F_h of Eq. 4."""
     bench = Bench()
     trace = bench.press(WATCHED)
     assert not trace.tripped.any()
@@ -126,7 +126,7 @@ def test_the_watched_observers_are_those_of_the_equations() -> None:
 
 @pytest.mark.parametrize(("force_threshold_n", "early"), [(0.1, True), (0.25, True), (0.3, False)])
 def test_hsc_says_something_of_the_active_force_only_where_it_waits(force_threshold_n: float, early: bool) -> None:
-    """Between 0.25 and 0.3 N is F_v = 0.27 N, up to which the page says S_h is above zeta while the force grows."""
+    """F_v = 0.27 N is between 0.25 and 0.3 N. Up to it, the page says, S_h is above zeta while the force grows."""
     bench = Bench(Conditions(hsc_force_threshold_n=force_threshold_n))
     rows = [row for row in active_force_rows(bench) if row.source == "Fig. 15b" and row.force_threshold_n is None]
     assert {row.quantity: bool(row.says_nothing) for row in rows} == {
@@ -147,7 +147,7 @@ def test_hsc_says_something_of_the_active_force_only_where_it_waits(force_thresh
     assert watched.rendered_force[above[-1]] == pytest.approx(0.27, abs=0.005)
 
 
-def test_what_the_page_says_of_what_is_not_explained() -> None:
+def test_page_has_the_numbers_of_unexplained_rows() -> None:
     sudden = list(ejection_rows(Bench(changed(Conditions(), {"release_s": 0.0}))))
     slow = list(ejection_rows(Bench(changed(Conditions(), {"release_kind": "gain", "release_s": 0.1}))))
     assert sudden[0].source == "Fig. 4a"
@@ -185,17 +185,17 @@ def test_an_explanation_is_a_run_that_meets_the_number() -> None:
     explained = msgspec.structs.replace(row(), sensitivity=found)
     assert explained.verdict == "explained by grip margin 2: 1.09"
     assert explained.paper_inside
-    # Of several factors only where none alone does.
+    # Several factors together count only if none alone explains the number.
     (joint,) = row_sensitivity(row(), [run for run in runs if "grip_margin" not in run[0]]).explanations
     assert joint.change == {"estimator": "kalman", "release_s": 0.1}
-    # Mass was fitted to a figure with a wall; it may explain the one without.
+    # Mass was fitted to a figure with a wall; it may explain the figure without one.
     assert row_sensitivity(row(source="Fig. 12"), runs).explanations[0].change == {"mass_kg": 0.08}
     missed = row_sensitivity(row(), runs[:3])
     assert not missed.explanations
     assert msgspec.structs.replace(row(), sensitivity=missed).verdict == (
         "not explained: nearest 0.89 at release time 100 ms"
     )
-    # A number that is met as declared asks for no explanation, one that says nothing has none.
+    # A number that is met as declared needs no explanation; a row that says nothing has none.
     assert not row_sensitivity(row(ours=1.05), runs).explanations
     nothing = msgspec.structs.replace(row(says_nothing="tripped before the release"), sensitivity=found)
     assert nothing.verdict == "says nothing: tripped before the release"
@@ -236,7 +236,7 @@ def test_a_report_with_its_sensitivity() -> None:
 @pytest.mark.thorough
 @pytest.mark.timeout(600)
 def test_the_whole_design() -> None:
-    """What the page says of all runs: how many numbers are met, and which are not explained."""
+    """The page gives for all runs how many numbers are met, and which are not explained."""
     report = paper_sensitivity(reproduce_paper())
     first = report.joint_fits[0]
     assert f"Of the {first.rows} numbers (closed forms not counted) {first.declared} are met" in PAGE

@@ -1,4 +1,4 @@
-"""What a demonstration says when one of its processes fails."""
+"""Message of a demonstration when one of its processes fails."""
 
 import os
 import subprocess
@@ -10,7 +10,7 @@ from haptether.studies.processes import Process
 
 
 def ended(name: str, says: str, status: int) -> Process:
-    """A process that said something and has ended."""
+    """Return a process that printed something and has ended."""
     code = f"print({says!r}); raise SystemExit({status})"
     process = Process(name, subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True), "")
     process.process.wait(30.0)

@@ -1,4 +1,4 @@
-"""The attacks of the RAVEN II study: what each does, and that whatever holds, holds still."""
+"""The attacks of the RAVEN II study: the effect of each, and no motion or force in any hold."""
 
 import contextlib
 import json
@@ -47,7 +47,7 @@ def test_nobody_is_believed_without_the_key(report: RavenReport) -> None:
 
 
 def test_what_somebody_else_made_is_refused(report: RavenReport) -> None:
-    """1000 frames in a second, ten of them beyond limits; in the clear only what is no number."""
+    """Check the counts: 1000 frames in a second, ten of them beyond limits; without a key only NaN is refused."""
     refused = {(row.scene.removeprefix("raven_"), row.security): row.refused for row in report.rows}
     for scene in ("invert", "scale", "pose", "feedback", "hijack"):
         assert refused[scene, "off"] == 0
@@ -68,17 +68,17 @@ def test_whatever_holds_holds_still(report: RavenReport) -> None:
 
 
 def test_a_displaced_pose_displaces_the_arm_by_as_much(report: RavenReport) -> None:
-    """30 mm beyond where the hand turned round, at rest."""
+    """Check the displacement: 30 mm beyond the hand's turning point, at rest."""
     assert row_of(report, "pose", "off").astray_mm == pytest.approx(30.0, abs=0.1)
 
 
 def test_a_hijacked_arm_goes_where_it_is_commanded(report: RavenReport) -> None:
-    """80 mm into the wall, until the slave echoes nothing any more that the hand has sent: then its news is old."""
+    """Check the motion: 80 mm into the wall, until the slave no longer echoes the hand's frames: its news is old."""
     run = simulate("raven_hijack", overrides=SECURITY["off"])
     held = [event for event in run.events if event.kind == "hold"]
     assert held[0].detail == "master: peer's news is old"
-    # The last echo arrives 20 ms after the first frame of somebody else; then 20 ms, a period of silence, ticks, and
-    # what is left of the first guess of the deviation, 40 ms * 20 ms / 580 ms. The slave receives that within 11 ms.
+    # The last echo arrives 20 ms after the attacker's first frame. Then follow 20 ms, a period of silence, ticks, and
+    # the rest of the initial guess of the deviation, 40 ms * 20 ms / 580 ms. The slave receives the hold within 11 ms.
     assert 0.64 <= held[0].time_s <= held[1].time_s <= 0.64 + 0.006 + 0.011
     time_s, position = run.signals["time_s"], run.signals["position"]
     away_mm = 1e3 * abs(position[(time_s >= 0.6) & (time_s <= held[1].time_s)] + 0.08)
@@ -86,7 +86,7 @@ def test_a_hijacked_arm_goes_where_it_is_commanded(report: RavenReport) -> None:
 
 
 def test_forged_forces_are_felt(report: RavenReport) -> None:
-    """6 N, where what is touched gives as much as the run that nobody attacks says."""
+    """Check the force: 6 N, less the peak force of the contact in a run without the attack."""
     overrides = [*SECURITY["off"], "link.backward.attacks=[]"]
     peak = simulate("raven_feedback", overrides=overrides).metrics.peak_device_force
     assert peak is not None
@@ -95,9 +95,9 @@ def test_forged_forces_are_felt(report: RavenReport) -> None:
 
 @pytest.mark.parametrize("security", SECURITY)
 def test_a_creeping_delay_holds_before_it_is_long(report: RavenReport, security: Security) -> None:
-    """At 48 ms more, the fourth step: in the first seconds a part of a creep is learnt with the rest.
+    """The sides hold at 48 ms more, the fourth step: at first they learn a part of the creep as normal delay.
 
-    It lags by no more than at 1.875 L / T, the largest speed of a minimum-jerk path.
+    The lag is at most that at 1.875 L / T, the largest speed of a minimum-jerk path.
     """
     run = simulate("raven_creeping_delay", overrides=SECURITY[security])
     held = [event for event in run.events if event.kind == "hold"]
@@ -108,7 +108,7 @@ def test_a_creeping_delay_holds_before_it_is_long(report: RavenReport, security:
 
 @pytest.mark.parametrize("security", SECURITY)
 def test_a_command_beyond_all_limits_stops_nothing(report: RavenReport, security: Security) -> None:
-    """Without a key it moves the command by one tick at its bound, and the hand goes on for as long."""
+    """Without a key one frame moves the command by one tick at its bound, and the hand continues."""
     row = row_of(report, "limits", security)
     assert row.final_states == ("engaged", "engaged")
     assert row.lag_mm <= row.astray_limit_mm
@@ -134,7 +134,7 @@ def test_what_is_refused_changes_not_a_byte(security: Security, scene: str) -> N
 
 
 def test_the_limits_are_those_of_the_runs(report: RavenReport) -> None:
-    """20 ms of coasting at the largest speed of the hand, and one tick at the bound of the command."""
+    """Check the limits: 20 ms of coasting at the hand's largest speed, and one tick at the bound of the command."""
     for row in report.rows:
         max_m = 1.875 * 0.06 / 0.6 * COASTING_S + COMMAND_SPEED * 1e-3
         assert 0.5 * max_m < row.astray_limit_mm * 1e-3 <= 1.1 * max_m

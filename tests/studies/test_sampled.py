@@ -1,4 +1,4 @@
-"""Means, shares and paired differences of a sweep: exact where they can be, covering where they cannot."""
+"""Means, shares and paired differences of a sweep: exact, or with the nominal coverage."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from haptether.studies.sampled import bootstrap_interval
 
 
 def table() -> Sweep:
-    """Two controllers, two delays, four seeds each, and one row that was never engaged."""
+    """Return two controllers, two delays, four seeds each, and one row that never engaged."""
     controllers = np.repeat(["none", "wsc"], 8)
     delays = np.tile(np.repeat([0.1, 0.2], 4), 2)
     seeds = np.tile([1.0, 2.0, 3.0, 4.0], 4)
@@ -70,7 +70,7 @@ def test_the_bootstrap_holds_the_mean_as_often_as_it_says() -> None:
     for _ in range(200):
         low, high = bootstrap_interval(rng.exponential(1.0, 60), rng) or (0.0, 0.0)
         held += low <= 1.0 <= high
-    # 0.93 is what is known for 60 exponential ones; three standard deviations of 200 draws about that.
+    # The known coverage for 60 exponential draws is 0.93; allow three standard deviations of 200 draws.
     assert 0.875 <= held / 200 <= 0.985
     assert bootstrap_interval(np.array([1.0]), rng) is None
 
@@ -100,7 +100,7 @@ def test_what_cannot_be_is_refused(
     quantity: str, by: list[str], baseline: tuple[str, object] | None, said: str | None
 ) -> None:
     if said is None:
-        # The delay tells the samples apart.
+        # The delay distinguishes the samples.
         assert all(row.pairs for row in sweep_summary(table(), [quantity], by, baseline=baseline))
         return
     with pytest.raises(ValueError, match=said):

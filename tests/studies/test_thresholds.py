@@ -1,4 +1,4 @@
-"""Thresholds: intervals against exact sums, what hands and releases are, counts of tasks, the command."""
+"""Thresholds: intervals against exact sums, hands and releases, counts of tasks, the command."""
 
 import json
 import re
@@ -59,7 +59,7 @@ def test_the_interval_of_a_median_is_the_narrowest_that_holds_it_at_95_percent(c
 
 @pytest.mark.parametrize("count", range(6))
 def test_fewer_than_six_values_have_no_interval_of_their_median(count: int) -> None:
-    """Of five the outermost hold it with 1 - 2 / 32 = 94 % only."""
+    """The outermost of five values contain it with only 1 - 2 / 32 = 94 %."""
     assert median_interval([float(value) for value in range(count)]) is None
 
 
@@ -95,9 +95,9 @@ def test_the_most_sensitive_threshold_trips_most_and_the_dullest_misses_all(wall
         counts = [wall.over("WSC", value, round_trip_s=round_trip_s) for value in WSC.values]
         trips, missed = [of.false_trips for of in counts], [of.missed for of in counts]
         assert trips[0] > trips[1] >= trips[2] == 0
-        # 9 J are never stored here: it is as if nobody watched.
+        # 9 J are never stored here: this threshold acts like no controller.
         assert missed[0] <= missed[1] < missed[2] == counts[2].releases > 0
-    # In the air nothing is felt, so nothing can be let go.
+    # In the air nothing is felt, so there is no release.
     assert wall.over("WSC", -0.03, task="free_motion").releases == 0
     held = wall.over("WSC", -0.03, task="free_motion", round_trip_s=0.0).hours * 3600.0
     bounds = HandBounds()
@@ -196,7 +196,7 @@ def test_what_a_scene_has_beside_its_delay_is_named_where_a_network_replaces_it(
     attacked = Task("raven_hijack", 0.1, network=steady).replaced()
     assert "attacks" in attacked[0]
     assert attacked[1:] == ("raven_hijack is run without its security.",)
-    # Clocks are no part of a network.
+    # Clocks are not part of a network.
     clocked = Task("remote_push", 0.1, ["link.master_clock.drift_ppm=30"], network=steady)
     assert clocked.held.link is not None
     assert clocked.held.link.master_clock is not None
@@ -229,12 +229,12 @@ def test_each_hand_lets_go_while_it_feels_more_than_half_of_its_own_largest_forc
         run = simulate(task.alone(recorded, hands, hand))
         felt = np.abs(run.signals["device_force"])
         assert felt[round(at_s * 1e3)] >= 0.5 * felt.max() > 0.0
-    # Of hands with paces of their own these are not the same times.
+    # Hands with their own paces have different times.
     assert np.unique(found.rows["run.duration_s"]).size == 3
 
 
-def test_what_is_held_is_what_is_coupled() -> None:
-    """A link that is dead from 2 s on: one HOLD, and the rest of the run is not held."""
+def test_held_time_is_coupled_time() -> None:
+    """A link that fails at 2 s causes one HOLD, and the rest of the run is not held."""
     network = "[{times={kind='once', at_s=2.0, duration_s=9.0}}]"
     task, bounds = Task("remote_push", 0.02, [f"link.forward.outages={network}"]), HandBounds()
     (run,) = task.hold(task.with_controllers(task.lasting(bounds), None, {}), task.hands(1, 1, bounds), 1)
@@ -264,7 +264,8 @@ def test_hands_of_a_population_do_a_task_where_they_are_stiff_enough() -> None:
     assert hands.keys() == usual.keys()
     drawn = load_population("stylus-arm").draws(64 * 20, 3)
     stiff = drawn["operator.stiffness"] >= 1.25 * near.felt_stiffness()
-    # The first that are stiff enough, whole, whatever the round trip; what a population does not have is as ever.
+    # The hands are the first complete draws that are stiff enough, for any round trip. Fields that the population lacks
+    # are drawn as before.
     for path in ("operator.stiffness", "operator.damping", "operator.tremor.amplitude", "operator.tremor.frequency_hz"):
         np.testing.assert_array_equal(hands[path], drawn[path][stiff][:20])
         np.testing.assert_array_equal(far.hands(20, 3, bounds)[path], hands[path])

@@ -1,4 +1,4 @@
-"""Tuning: quantiles against scipy, coverage of the order statistics, scores against the tick, what is refused."""
+"""Tuning: quantiles against scipy, coverage of the order statistics, scores against the tick, refusals."""
 
 import json
 import re
@@ -43,7 +43,7 @@ FIELDS = ("energy_threshold_j", "grasp_threshold", "velocity_threshold")
 @pytest.mark.parametrize("shape", [0.3, 1.0, 2.5, 7.0, 40.0, 500.0])
 def test_quantiles_of_gamma_are_those_of_scipy(shape: float) -> None:
     for share in (0.001, 0.025, 0.5, 0.975, 0.999):
-        # Bisection over 80 halvings, P(k, x) to 1e-14 of itself; the density is least at 0.001.
+        # Bisection over 80 halvings, with P(k, x) to a relative 1e-14; the density is least at 0.001.
         assert gamma_quantile(share, shape) == pytest.approx(gamma.ppf(share, shape), rel=1e-9)
 
 
@@ -106,7 +106,7 @@ def test_nothing_seen_is_the_rule_of_three() -> None:
 
 
 def drawn(rng: np.random.Generator, hours: float, law: Callable[..., Any], group: int) -> tuple[Scores, float]:
-    """Events of 100 groups an hour, each of one block, all of one height; and the rate above 1 of a uniform one."""
+    """Draw the events of 100 groups per hour, each one block with nearly equal heights; return them with the hours."""
     groups = int(rng.poisson(100.0 * hours))
     heights = np.repeat(law(size=groups), group) * (1.0 + 1e-9 * rng.random(groups * group))
     return series(heights, 1000 * np.arange(groups * group), np.repeat(np.arange(groups), group)), hours
@@ -115,7 +115,7 @@ def drawn(rng: np.random.Generator, hours: float, law: Callable[..., Any], group
 @pytest.mark.parametrize("group", [1, 3])
 @pytest.mark.parametrize("order", [6, 15])
 def test_the_interval_of_a_rate_covers_it_whatever_the_law(group: int, order: int) -> None:
-    """Pareto tails without a mean: of 250 sets, intervals cover the true rate and the count of another set at 95 %."""
+    """Pareto tails without a mean: in 250 sets, intervals cover the true rate and the count of another set at 95 %."""
     rng = np.random.default_rng([group, order])
     sets, inside, predicted = 250, 0, 0
     for _ in range(sets):
@@ -128,11 +128,12 @@ def test_the_interval_of_a_rate_covers_it_whatever_the_law(group: int, order: in
         other, hours = drawn(rng, 0.5, lambda size: rng.pareto(0.7, size), group)
         fewest, most = found.expected_count(hours, 0.95)
         predicted += fewest <= Exceedances(other, hours, 1e-3).count(found.value) <= most
-    # Binomial at 95 %: fewer than 223 of 250 are less likely than 1e-4. A count is discrete, and covered by more.
+    # Binomial at 95 %: fewer than 223 of 250 have a probability below 1e-4. Counts are discrete, and covered more
+    # often.
     assert inside >= 223
     assert predicted >= 223
     if group == 1:
-        # Exact, so not wider than they must be: 0.95^250 is 3e-6.
+        # The intervals are exact, so not too wide: 0.95^250 is 3e-6.
         assert inside < 250
 
 
@@ -146,7 +147,7 @@ def test_without_grouping_intervals_are_too_narrow() -> None:
         assert found is not None
         low, high = found.interval_per_hour(0.95)
         inside += low <= 600.0 * (1.0 + found.value) ** -0.7 <= high
-    # 5 groups of 6: a deviation of 1 / sqrt(5) where 1 / sqrt(30) is reckoned with.
+    # 5 groups of 6 have a deviation of 1 / sqrt(5); the interval assumes 1 / sqrt(30).
     assert inside < 160
 
 
@@ -163,7 +164,7 @@ def test_the_lowest_boundary_that_keeps_a_rate_is_found(per_hour: float) -> None
     # chi2_(2 k)(0.95) / (2 T) of scipy.
     assert found.quantile_per_hour(0.95) == pytest.approx(gamma.ppf(0.95, found.order) / 3.0, rel=1e-9)
     assert events.at_most(0.99, 0.95) is None
-    # More than all of them are allowed: how low one may go was not seen.
+    # The limit permits more than all events: lower thresholds were not observed.
     largest = events.at_most(1e6, 0.95)
     assert largest is not None
     assert (largest.order, largest.value) == (1, events.peaks(1)[0])
@@ -174,7 +175,7 @@ def test_the_lowest_boundary_that_keeps_a_rate_is_found(per_hour: float) -> None
 
 @pytest.fixture(scope="module")
 def held(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Recordings of as many hands that hold, with nobody who watches."""
+    """Return recordings of hands that hold, without a controller."""
     return record_hands(tmp_path_factory.mktemp("held"), RECORDINGS, seed=7)
 
 
@@ -204,7 +205,7 @@ def test_the_scene_of_a_recording_is_the_one_that_was_run(name: str) -> None:
 def test_the_tick_trips_below_the_largest_score_and_not_above(
     field: str, settings: tuple[str, ...], held: list[Path]
 ) -> None:
-    """The controller itself is the oracle: as measured, a first trip depends on nothing that an intervention alters."""
+    """The controller is the oracle: with measured motion, nothing that an intervention alters affects a first trip."""
     about = TUNED_FIELDS[field]
     recording = read_recording(held[0])
     overrides = [f"safety.{setting}" for setting in settings]
@@ -257,7 +258,7 @@ def test_hours_are_those_in_which_the_two_are_engaged_and_nobody_intervenes(held
     after = np.convolve(tripped, np.ones(301), "full")[: len(tripped)] > 0.5
     counted = (watched.signals["state"] == "engaged") & ~after
     assert seen.hours * 3600.0 == pytest.approx(counted.sum() * 1e-3)
-    # What it tripped at was cut off, and counts as above everything; of others it only leaves time out.
+    # The tripping observer's value was cut off, and counts as infinite; other observers only lose the time.
     assert np.isinf(seen.scores["energy_threshold_j"].value).sum() == len(begins)
     assert np.isfinite(seen.scores["grasp_threshold"].value).all()
     with pytest.raises(ValueError, match=r"wsc tripped \d+ times in .* record with duller thresholds"):
@@ -265,7 +266,7 @@ def test_hours_are_those_in_which_the_two_are_engaged_and_nobody_intervenes(held
 
 
 def of_a_person(recording: Recording, **run: object) -> Recording:
-    """As of a live hand, of which the scene says nothing."""
+    """Return the recording as that of a live hand, about which the scene says nothing."""
     scene = json.loads(recording.scene)
     scene["operator"] = None
     scene["run"] |= run
@@ -287,7 +288,7 @@ def test_a_release_is_found_by_the_signals_alone(controllers: str, said: str, tm
     with pytest.raises(ValueError, match=said) as refused:
         read_normal_operation([of_a_person(read_recording(files[0]))], fields=FIELDS)
     (at_s,) = re.findall(r"at ([\d.]+) s", str(refused.value))
-    # The grip gives way within 50 ms of 2.6 s after the engagement; a smoothed force tells it 0.1 s later at most.
+    # The grip gives way within 50 ms of 2.6 s after the engagement; a smoothed force shows it at most 0.1 s later.
     assert 2.6 + engaged_s <= float(at_s) <= 2.6 + engaged_s + 0.15
 
 
@@ -404,17 +405,17 @@ def test_the_command_prints_a_table_that_can_be_pasted(
     low, high = point["false_trips_per_h_interval"]
     assert low < point["false_trips_per_h"] < high
     assert point["false_trips_per_h"] == pytest.approx(tuned["order"] / found["hours"])
-    # A duller threshold is reached later by the same hands.
+    # The same hands reach a duller threshold later.
     speeds = [of["mev"] for of in tuned["roc"]]
     assert point["releases"] > 0
     # Trips after the first one move the largest speed by less than 1 %.
     assert speeds[-1] >= 0.99 * speeds[0]
     lower, upper = binomial_interval(point["missed"], point["releases"])
     assert point["missed_interval"] == pytest.approx([lower, upper])
-    # It is a scene's table.
+    # The table is valid in a scene.
     scene = override_scene(load_scene("remote_push"), [f"safety.{key}={value}" for key, value in table.items()])
     assert scene.safety.grasp_threshold == point["threshold"]
-    # The training set keeps it: only the events above the chosen one exceed it.
+    # The training set keeps the rate: only the events above the chosen one exceed the threshold.
     seen = read_normal_operation(held, fields=["grasp_threshold"])
     events = Exceedances(seen.scores["grasp_threshold"], seen.hours, seen.period_s)
     assert events.count(point["threshold"]) < tuned["order"]
@@ -426,7 +427,7 @@ def test_recordings_that_are_too_short_are_reported(held: list[Path], capsys: py
     shown = " ".join(capsys.readouterr().out.split())
     assert "too short: 0.155 min say no less than" in shown
     (needed_min,) = re.findall(r"; 1 take ([\d.e+]+) min", shown)
-    # Three hours, or more where what one hand does comes in groups.
+    # Three hours, or more if the events of one hand come in groups.
     assert 2.99 * 60.0 <= float(needed_min) <= 5.0 * 2.99 * 60.0
     assert "the threshold is the largest value seen" in shown
 

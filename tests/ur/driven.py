@@ -1,7 +1,7 @@
 """A hand and a UR arm of the real driver, in one process that can be killed: `python -m tests.ur.driven OPTIONS SCENE`.
 
-Lines on standard input are commands (`ack`, `press`, `end`); each line on standard output is an event with its time on
-the system's monotonic clock, which the process that watches has as well.
+Lines on standard input are commands (`ack`, `press`, `end`). Each line on standard output is an event with its time on
+the system's monotonic clock, which the watching process shares.
 """
 
 import json
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 LOOK_S = 0.001
 LONGEST_S = 60.0
 MIN_M = 1e-7
-"""Above the rounding of an arm that rests."""
+"""Smallest distance that counts as motion, in m: above the rounding of an arm at rest."""
 
 
 class Watched:
-    """Both sides, and what of them has been reported."""
+    """Both sides, and their reported states."""
 
     def __init__(self, options: dict[str, Any], overrides: list[str]) -> None:
         self.begun_s = time.monotonic()
@@ -41,7 +41,7 @@ class Watched:
         self._seen: dict[str, object] = {}
 
     def look(self) -> None:
-        """Report what is new."""
+        """Report changes."""
         for key, value in (
             ("slave", self.slave.state), ("master", self.master.state), ("fault", self.slave.notes.fault),
             ("recovering", self.device._recovery is not None), ("error", str(self.slave.error or "")),
@@ -51,7 +51,7 @@ class Watched:
                 emit({key: value})
 
     def command(self, line: str) -> bool:
-        """Does what a line says; whether to go on."""
+        """Run the command of a line; return false at the end."""
         commands: dict[str, Callable[[], None]] = {
             "ack": self.slave.acknowledge, "press": self.master.press_clutch, "end": lambda: None
         }  # fmt: skip
@@ -59,7 +59,7 @@ class Watched:
         return line != "end"
 
     def end(self) -> dict[str, Any]:
-        """End both; figures of the run."""
+        """End both sides; return figures of the run."""
         begun_s = time.monotonic()
         trace, report = self.slave.finish()
         ended_s = time.monotonic() - begun_s
@@ -80,7 +80,7 @@ class Watched:
 
 
 def reaction_s(trace: Any) -> float | None:  # noqa: ANN401  # SlaveTrace of one axis
-    """From the first command off the place to the first state off it, in s; none where either stays."""
+    """Return the time from the first change of the command to the first motion, in s; None if either stays."""
     commanded, moved = (
         np.flatnonzero(np.abs(x - x[:1]) > MIN_M) for x in (trace.command.ravel(), trace.position.ravel())
     )
@@ -88,12 +88,12 @@ def reaction_s(trace: Any) -> float | None:  # noqa: ANN401  # SlaveTrace of one
 
 
 def emit(event: dict[str, Any]) -> None:
-    """A line for who watches."""
+    """Print an event for the watching process."""
     print(json.dumps({"at_s": time.monotonic(), **event}), flush=True)
 
 
 def main() -> None:
-    """Runs until commanded to end, or until nobody is there any more."""
+    """Run until the end command, or until standard input ends."""
     watched = Watched(json.loads(sys.argv[1]), sys.argv[2:])
     going, waiting, end_s = True, b"", time.monotonic() + LONGEST_S
     while going and time.monotonic() < end_s:
@@ -106,7 +106,7 @@ def main() -> None:
             for line in lines:
                 going = watched.command(line.decode()) and going
     emit({"end": watched.end()})
-    # Threads whose call never returned and the library's destructors are not waited for.
+    # Do not wait for threads whose call never returns, nor for the library's destructors.
     sys.stdout.flush()
     os._exit(0)
 

@@ -1,4 +1,4 @@
-"""An emulated controller as a process, and ur_rtde as another: a call of ur_rtde that hangs can only be killed."""
+"""An emulated controller as a process, and ur_rtde as another: a hanging call of ur_rtde can only be killed."""
 
 import itertools
 import json
@@ -17,13 +17,13 @@ _numbers = itertools.count(1)
 
 
 def free_host() -> str:
-    """An address of this machine that no other test process uses: the ports are the same on all of them."""
+    """Return a local address that no other test process uses: the ports are the same on all of them."""
     process, number = os.getpid(), next(_numbers)
     return f"127.{64 + process // 250 % 128}.{process % 250 + 1}.{number % 250 + 1}"
 
 
 class Emulated:
-    """A controller that runs, and its control line."""
+    """A running controller, and its control line."""
 
     def __init__(self, process: "subprocess.Popen[bytes]", host: str) -> None:
         self.process = process
@@ -31,7 +31,7 @@ class Emulated:
         self._waiting = b""
 
     def line(self, patience_s: float = ANSWER_S) -> str:
-        """The next line that it says."""
+        """Return the next line of its output."""
         assert self.process.stdout is not None
         end = time.monotonic() + patience_s
         while b"\n" not in self._waiting:
@@ -48,25 +48,25 @@ class Emulated:
         return line.decode()
 
     def request(self, line: str) -> str:
-        """The answer to a control line."""
+        """Return the answer to a control line."""
         assert self.process.stdin is not None
         self.process.stdin.write(f"{line}\n".encode())
         self.process.stdin.flush()
         return self.line()
 
     def do(self, line: str) -> str:
-        """The result of a control line that must succeed."""
+        """Return the result of a control line that must succeed."""
         answer = self.request(line)
         assert answer.startswith("ok"), answer
         return answer[3:]
 
     def status(self) -> dict[str, Any]:
-        """State and figures."""
+        """Return state and figures."""
         status: dict[str, Any] = json.loads(self.do("status"))
         return status
 
     def wait_for(self, key: str, value: object, patience_s: float = 10.0) -> dict[str, Any]:
-        """The state, once one of its values is what is waited for."""
+        """Return the state once one of its values is the expected one."""
         end = time.monotonic() + patience_s
         while (status := self.status())[key] != value:
             if time.monotonic() > end:
@@ -99,7 +99,7 @@ def emulator(*arguments: str, host: str | None = None) -> Iterator[Emulated]:
 
 
 def client(scenario: str, host: str, arguments: Sequence[object] = (), patience_s: float = 30.0) -> dict[str, Any]:
-    """What a scenario of `tests.ur.clients` gives, run with ur_rtde in a process that is killed if it hangs."""
+    """Return the result of a scenario of `tests.ur.clients`, in a process that is killed if ur_rtde hangs."""
     command = [sys.executable, "-m", "tests.ur.clients", scenario, host, json.dumps(list(arguments))]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=patience_s, check=False)
     assert ended.returncode == 0, f"{scenario}: {ended.stderr}{ended.stdout}"
@@ -107,7 +107,7 @@ def client(scenario: str, host: str, arguments: Sequence[object] = (), patience_
 
 
 def result_of(output: str) -> dict[str, Any]:
-    """The result in what a client said; ur_rtde says things of its own, from threads of its own."""
+    """Return the result in a client's output; threads of ur_rtde print their own lines."""
     lines = [line for line in output.splitlines() if line.startswith("{")]
     assert lines, f"no result: {output!r}"
     result: dict[str, Any] = json.loads(lines[-1])

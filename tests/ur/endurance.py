@@ -1,7 +1,7 @@
-"""The real ur_rtde at 500 Hz for a minute a mode: `python -m tests.ur.endurance --seconds 60 --json out/ur.json`.
+"""The real ur_rtde at 500 Hz for a minute per mode: `python -m tests.ur.endurance --seconds 60 --json out/ur.json`.
 
-Every call must be accepted, no state may go back, the arm may meet no stop, and the emulator must lose no time. Run
-nothing else meanwhile. A mode that the host of a virtual machine disturbed is measured anew.
+Every call must be accepted, no state may go back, the arm must not stop, and the emulator must lose no time. Run
+nothing else meanwhile. A mode that the host of a virtual machine disturbed is repeated.
 """
 
 import argparse
@@ -17,13 +17,13 @@ from typing import Any
 from tests.ur.emulated import client, emulator
 
 STALE_S = 0.02
-"""Age of a state that a bridge takes for a silent peer."""
+"""Age in s at which a bridge takes a state for a silent peer."""
 STOLEN_SHARE = 0.01
-"""Of the time of all processors: what a host that takes more may have done to a run."""
+"""Share of the time of all processors above which the host may have disturbed a run."""
 
 
 def runs(seconds: float) -> dict[str, list[Any]]:
-    """Arguments of each mode of `tests.ur.clients`."""
+    """Return the arguments of each mode of `tests.ur.clients`."""
     return {
         "servoj": [seconds, 0.1, 0.5],
         "servol": [seconds, 0.01, 0.5],
@@ -33,7 +33,7 @@ def runs(seconds: float) -> dict[str, list[Any]]:
 
 
 def endured(mode: str, seconds: float, version: str) -> dict[str, Any]:
-    """Figures of one mode."""
+    """Return the figures of one mode."""
     with emulator("--scene", "three_axis_box", "--version", version) as running:
         running.do("forget-lateness")
         stolen_s = steal_s()
@@ -57,12 +57,12 @@ def endured(mode: str, seconds: float, version: str) -> dict[str, Any]:
 
 
 def is_disturbed(figures: dict[str, Any], seconds: float, processors: int) -> bool:
-    """Whether a run that is not good says nothing: the host stole more than a share of its time."""
+    """Return true if a bad run is inconclusive: the host stole more than a share of its time."""
     return not figures["good"] and figures["stolen_s"] > STOLEN_SHARE * seconds * processors
 
 
 def attempted(measure: Callable[[], dict[str, Any]], attempts: int, seconds: float, processors: int) -> dict[str, Any]:
-    """Figures of the last attempt, and under `attempts` those of all; a run that was not disturbed is the last."""
+    """Return the figures of the last attempt, with those of all under `attempts`; an undisturbed run is the last."""
     made: list[dict[str, Any]] = []
     while not made or (len(made) < attempts and is_disturbed(made[-1], seconds, processors)):
         made.append(measure())
@@ -70,7 +70,7 @@ def attempted(measure: Callable[[], dict[str, Any]], attempts: int, seconds: flo
 
 
 def steal_s() -> float:
-    """Time in s that the host of a virtual machine has taken from it so far; 0 on a real one."""
+    """Return the time in s that the host has taken from a virtual machine so far; 0 on a real one."""
     with contextlib.suppress(OSError):
         fields = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()
         return int(fields[8]) / os.sysconf("SC_CLK_TCK")
@@ -78,7 +78,7 @@ def steal_s() -> float:
 
 
 def main() -> int:
-    """Run every mode and print a row for each; 1 if one of them is not good."""
+    """Run every mode and print a row for each; return 1 if one of them is bad."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--version", default="5.11")

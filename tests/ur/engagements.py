@@ -1,9 +1,9 @@
 """Engagements of an emulated UR arm: `python -m tests.ur.engagements --count 100 --busy 2 --json out/engaged.json`.
 
-Each start has a controller and a `haptether slave` of its own and a master that waits, so that the first engagement
-meets whatever a process does for the first time; further ones follow by the clutch. A frame is late where either side
-takes the other for silent (STALE after 5 ms, HOLD after 20 ms) within 0.35 s of an engagement. A start with late frames
-in which a processor stood still, by a sleeper above all loops, is measured anew: the machine did that.
+Each start has its own controller and `haptether slave`, and a master that waits. The first engagement thus meets the
+first calls of each process; further ones follow by the clutch. A frame is late if either side takes the other for
+silent (STALE after 5 ms, HOLD after 20 ms) within 0.35 s of an engagement. A start with late frames runs again if a
+processor stalled in it, as seen by a sleeper above all loops: then the machine is the cause.
 """
 
 import argparse
@@ -28,13 +28,13 @@ from haptether.bridge import LiveMaster, ladder_state_name, load_scene, scene_js
 
 SCENE = "ur_peg"
 WINDOW_S = 0.35
-"""After an engagement in which a late frame counts; the next press comes later."""
+"""Time after an engagement in which a late frame counts, in s; the next press comes later."""
 OPEN_S = 40.0
 PRESS_S = 3.0
-"""For a press to engage: 0.1 s of released clutch, and a few frames each way."""
+"""Longest time for a press to engage, in s: 0.1 s of released clutch, and a few frames each way."""
 ENDS_S = 15.0
 STALL_S = 0.003
-"""Of a processor, from which on it may have made a frame late: the loop waits for 2 ms in any case."""
+"""Shortest stall of a processor that may delay a frame, in s: the loop waits for 2 ms in any case."""
 LATE = frozenset({"stale", "hold", "stop", "fault"})
 POLL_S = 0.002
 
@@ -42,7 +42,7 @@ Signals = Mapping[str, npt.NDArray[Any]]
 
 
 def engagements(ticks: Signals) -> list[dict[str, Any]]:
-    """Each engagement in a trace: when, which late states followed within the window, and how late the loop woke.
+    """Return each engagement in a trace: its time, the late states within the window, and the delay of the loop.
 
     Args:
         ticks: `time_s`, `state` as of `ladder_state_name`, and `overshoot_s`, shape (n_ticks,) each.
@@ -53,7 +53,7 @@ def engagements(ticks: Signals) -> list[dict[str, Any]]:
         if names[tick] != "engaged" or names[tick - 1] in {"engaged", "stale"}:
             continue
         last = int(np.searchsorted(time_s, time_s[tick] + WINDOW_S))
-        # A clutch that is let go ends the window.
+        # A released clutch ends the window.
         going = next((n for n in range(tick, last) if names[n] in {"disengaged", "aligning"}), last)
         begun = [n for n in range(tick + 1, going) if names[n] in LATE and names[n] != names[n - 1]]
         found.append({
@@ -66,7 +66,7 @@ def engagements(ticks: Signals) -> list[dict[str, Any]]:
 
 @contextlib.contextmanager
 def busy(count: int) -> Iterator[None]:
-    """So many processes beside that only compute."""
+    """Run that many processes that only compute."""
     children = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
     try:
         yield
@@ -77,7 +77,7 @@ def busy(count: int) -> Iterator[None]:
 
 
 def engaged(master: LiveMaster) -> bool:
-    """Waits until a press has engaged; whether it has."""
+    """Wait until a press has engaged; return false after a timeout."""
     end_s = time.monotonic() + PRESS_S
     while time.monotonic() < end_s:
         if master.state == "engaged":
@@ -87,7 +87,7 @@ def engaged(master: LiveMaster) -> bool:
 
 
 def undisturbed(count: int, folder: Path, attempts: int) -> dict[str, Any]:
-    """Figures of a start, of the first attempt in which the machine made no frame late, or of the last one."""
+    """Return figures of a start: of the first attempt without a late frame by the machine, or of the last one."""
     for attempt in range(1, attempts + 1):
         with machine_stalls() as stalls:
             run = started(count, folder)
@@ -100,7 +100,7 @@ def undisturbed(count: int, folder: Path, attempts: int) -> dict[str, Any]:
 
 
 def started(count: int, folder: Path) -> dict[str, Any]:
-    """Figures of one start with so many engagements."""
+    """Return figures of one start with that many engagements."""
     path = folder / "slave.npz"
     path.unlink(missing_ok=True)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
@@ -111,7 +111,7 @@ def started(count: int, folder: Path) -> dict[str, Any]:
             sys.executable, "-m", "tests.ur.engaging", str(path), "--listen", address, "--insecure", "--scene", SCENE,
             "--set", f"slave.options.host={running.host}", "--patience-s", str(OPEN_S),
         ]  # fmt: skip
-        # The master is there first: it engages as soon as the slave is ready.
+        # The master starts first: it engages as soon as the slave is ready.
         spec = scene_json(load_scene(SCENE))
         master = LiveMaster(spec, peer=address, run_id=time.time_ns() >> 8, insecure=True, patience_s=OPEN_S)
         slave = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
@@ -124,7 +124,7 @@ def started(count: int, folder: Path) -> dict[str, Any]:
             for _ in range(count - 1):
                 time.sleep(WINDOW_S + 0.05)
                 master.press_clutch()
-                # It is let go first.
+                # The clutch is released first.
                 time.sleep(0.05)
                 engaged(master)
             time.sleep(WINDOW_S)
@@ -151,7 +151,7 @@ def started(count: int, folder: Path) -> dict[str, Any]:
 
 
 def measured(count: int, each: int, beside: int, attempts: int, steps: Callable[[str], None]) -> dict[str, Any]:
-    """Figures of so many engagements, so many of them with each start, beside so many busy processes."""
+    """Return figures of `count` engagements, `each` per start, beside that many busy processes."""
     begun_s, stolen_s = time.monotonic(), steal_s()
     runs: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder, busy(beside):
@@ -178,7 +178,7 @@ def measured(count: int, each: int, beside: int, attempts: int, steps: Callable[
 
 
 def _row(number: int, run: dict[str, Any]) -> str:
-    """A line of the table."""
+    """Format a line of the table."""
     cells = [f"{number:5} {run['asked']:7}"]
     for side in ("master", "slave"):
         found = run[side]
@@ -197,7 +197,7 @@ HEADINGS = (
 
 
 def main() -> int:
-    """Print a row for each start; 1 if a frame was late or an engagement failed."""
+    """Print a row for each start; return 1 if a frame was late or an engagement failed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=100, metavar="N", help="engagements (default: 100)")
     parser.add_argument(

@@ -1,4 +1,4 @@
-"""`haptether slave` with a file of its ticks at the end: `python -m tests.ur.engaging TRACE.npz ARGUMENTS`."""
+"""`haptether slave` that writes its ticks to a file at its end: `python -m tests.ur.engaging TRACE.npz ARGUMENTS`."""
 
 import sys
 

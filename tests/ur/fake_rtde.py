@@ -1,6 +1,6 @@
-"""A controller and ur_rtde as far as the driver uses them, as plain objects.
+"""A controller and ur_rtde as plain objects, as far as the driver uses them.
 
-What the real ones do when something is wrong is asked for, and what was called is kept.
+Tests choose the faults of the real ones; all calls are recorded.
 """
 
 import threading
@@ -22,7 +22,7 @@ PERIOD_S = 0.002
 
 @dataclass
 class Arm:
-    """The state that both interfaces show, and what they are to do wrong."""
+    """State of both interfaces, and their faults."""
 
     version: tuple[int, int, int, int] = (5, 11, 0, 0)
     pose: list[float] = field(default_factory=lambda: list(START_POSE))
@@ -33,7 +33,7 @@ class Arm:
     slider: float = 1.0
     tool: list[float] = field(default_factory=lambda: [0.0] * 6)
     tool_moves: bool = False
-    """Whether the pose shows what is set as tool, along z."""
+    """True if the pose includes the tool that is set, along z."""
     runtime_state: int = STOPPED
     robot_mode: int = 7
     safety_mode: int = 1
@@ -58,18 +58,18 @@ class Arm:
     released: threading.Event = field(default_factory=threading.Event)
     kicked_s: float = 0.0
     packages: int = 0
-    """How many have been seen by the driver."""
+    """Number of packages that the driver has seen."""
     clock: Callable[[], float] = time.monotonic
-    """Of its watchdog, in s."""
+    """Clock of its watchdog, in s."""
 
     def call(self, name: str, *arguments: Any) -> bool:  # noqa: ANN401
-        """Any call of the control interface."""
+        """Perform any call of the control interface."""
         self.kicked_s = self.clock()
         self.enter(name, *arguments)
         return name not in self.refuses and (self.runtime_state == PLAYING or name == "reuploadScript")
 
     def enter(self, name: str, *arguments: Any) -> None:  # noqa: ANN401
-        """Keeps a call of either interface, which then hangs or raises where it is to."""
+        """Record a call of either interface, and hang or raise if requested."""
         self.said.append((name, *arguments))
         if name in self.blocks:
             self.released.wait(30.0)
@@ -77,23 +77,23 @@ class Arm:
             raise RuntimeError(f"{name}: write: Broken pipe")
 
     def look(self) -> None:
-        """Let its watchdog look at the time."""
+        """Let its watchdog check the time."""
         hz = self.watchdog_hz
         if hz is not None and self.watchdog_bites and self.clock() - self.kicked_s > 1.0 / hz:
             self.runtime_state, self.watchdog_hz = STOPPED, None
 
     def count_packages(self) -> None:
-        """Has its watchdog count packages that the driver has seen: no time passes while a machine stalls."""
+        """Let its watchdog count packages that the driver has seen: no time passes while a machine stalls."""
         self.packages, self.kicked_s = 0, 0.0
         self.clock = lambda: self.packages * PERIOD_S
 
     @property
     def names(self) -> list[str]:
-        """The calls, in order."""
+        """Names of the calls, in order."""
         return [call[0] for call in self.said]
 
     def probe(self, _host: str, limit_s: float = 5.0) -> Probe:
-        """Instead of `services.probe`."""
+        """Replace `services.probe`."""
         del limit_s
         if "probe" in self.blocks:
             self.released.wait(30.0)
@@ -104,24 +104,24 @@ class Arm:
         )  # fmt: skip
 
     def stop_by_protection(self) -> None:
-        """A protective stop."""
+        """Make a protective stop."""
         self.safety_mode, self.safety_bits, self.runtime_state = 3, 1 << 2 | 1 << 10, STOPPED
         self.watchdog_hz = None
 
     def end_control_script(self, _host: str) -> bool:
-        """Instead of `services.end_control_script`."""
+        """Replace `services.end_control_script`."""
         self.ends += 1
         if self.orphaned:
             self.runtime_state, self.orphaned = STOPPED, False
         return self.runtime_state != PLAYING
 
     def check_script_port(self, host: str) -> None:
-        """Instead of `services.check_script_port`."""
+        """Replace `services.check_script_port`."""
         if self.scripts_refused:
             raise ProbeError(f"{host}:30003: Connection refused")
 
     def query_dashboard(self, _host: str, *lines: str) -> list[str]:
-        """Instead of `services.query_dashboard`."""
+        """Replace `services.query_dashboard`."""
         self.dashboard.extend(lines)
         if self.dashboard_gone:
             raise DashboardError("dashboard: timed out")
@@ -154,7 +154,7 @@ class Control:
         return lambda *arguments: self._arm.call(name, *arguments)
 
     def kill(self) -> None:
-        """Calls that hang come back."""
+        """Let hanging calls return."""
         self.alive = False
         self._arm.said.append(("kill",))
 
@@ -216,7 +216,7 @@ class Receive:
 
 
 def install(monkeypatch: pytest.MonkeyPatch, arm: Arm) -> None:
-    """Put the arm where the driver looks for the library and for the controller."""
+    """Put the arm in place of the library and the controller."""
     module = SimpleNamespace(RTDEReceiveInterface=lambda *_: Receive(arm))
     for place in ("connection", "driver"):
         monkeypatch.setattr(f"haptether.slave.ur.{place}.vendor_module", lambda: module)

@@ -1,7 +1,7 @@
-"""When each processor of a machine stood still: a sleeper above all loops on each of them.
+"""Stalls of a machine's processors: a sleeper above all loops on each of them.
 
-`python -m tests.ur.machine_stalls CPU` sleeps again and again until its standard input ends, and prints when it
-overslept and by how much.
+`python -m tests.ur.machine_stalls CPU` sleeps repeatedly until its standard input ends. Then it prints when it
+overslept, and by how much.
 """
 
 import contextlib
@@ -14,14 +14,14 @@ import time
 from collections.abc import Iterator
 
 PRIORITY = 90
-"""Above the 80 of the loops: what holds these sleepers up is none of the processes that are measured."""
+"""Priority of the sleepers, above the 80 of the loops: none of the measured processes can delay them."""
 SLEEP_S = 0.001
 MIN_S = 0.002
-"""Two periods of an arm: what is shorter makes no frame late."""
+"""Shortest stall that counts, in s: two periods of an arm; a shorter one makes no frame late."""
 
 
 def overslept() -> list[tuple[float, float]]:
-    """Until standard input ends: when a sleep ended, on the system's monotonic clock, and how much too late, in s."""
+    """Sleep until standard input ends; return the end (monotonic clock) and the delay of each late sleep, in s."""
     ended = threading.Event()
 
     def wait() -> None:
@@ -40,7 +40,7 @@ def overslept() -> list[tuple[float, float]]:
 
 @contextlib.contextmanager
 def machine_stalls() -> Iterator[list[tuple[float, float]]]:
-    """At the end, when some processor stood still and for how long; empty where the system grants no real time."""
+    """Yield a list that gets the time and length of the stalls at the end; it stays empty without real-time rights."""
     found: list[tuple[float, float]] = []
     children = [
         subprocess.Popen(
@@ -62,7 +62,7 @@ if __name__ == "__main__":
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     except OSError:
-        # It would show what other processes take of the machine, the loops among them.
+        # Without real time it would also show the load by other processes, the loops included.
         print("[]")
     else:
         print(json.dumps(overslept()))

@@ -19,26 +19,26 @@ Array = npt.NDArray[np.float64]
 
 PERIOD_S = 0.002
 COMMANDS = {"servoJ": 11, "servoL": 24, "speedL": 10, "speedJ": 9, "directTorque": 66}
-"""Of the control script, by the call of ur_rtde."""
+"""Commands of the control script, by the call of ur_rtde."""
 
 
 @dataclass(frozen=True)
 class Led:
-    """What became of an arm, a row each period."""
+    """Path of an arm, one row per period."""
 
     q: Array
     """Joint angles, (n, 6), rad."""
     qd: Array
-    """As the controller measures them, (n, 6), rad/s."""
+    """Joint velocities measured by the controller, (n, 6), rad/s."""
     metres: Array
-    """How far the tool was from what was commanded then, (n,)."""
+    """Distance of the tool from the command at that time, (n,)."""
     radians: Array
     fault: str
-    """Of the mode, or why the controller stopped."""
+    """Fault of the mode, or why the controller stopped."""
 
 
 class Orders:
-    """Writes what is called to the control script, as ur_rtde does."""
+    """Writes calls to the control script, like ur_rtde."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -52,12 +52,12 @@ class Orders:
 
 
 class Posed:
-    """A mode and what it is sent to, at an emulated arm.
+    """A mode at an emulated arm.
 
     Args:
-        mode: Of the options.
+        mode: Mode of the options.
         start: Joint angles in rad.
-        options: Others of the driver's.
+        options: Other options of the driver.
     """
 
     def __init__(self, mode: str, start: tuple[float, ...] = START, **options: Any) -> None:  # noqa: ANN401
@@ -70,7 +70,7 @@ class Posed:
         self.home = self.state()
 
     def state(self, off: tuple[float, ...] = (0.0,) * 3) -> UrState:
-        """The newest package, of a controller that has the tool `off` away."""
+        """Return the newest package, of a controller whose tool is `off` away."""
         vector = self.world.vector
         pose = vector("actual_TCP_pose")
         moved = tuple(a + b for a, b in zip(pose[:3], off, strict=True))
@@ -80,7 +80,7 @@ class Posed:
         )  # fmt: skip
 
     def lead(self, path: Path, seconds: float, off: tuple[float, ...] = (0.0,) * 3) -> Led:
-        """Leads the arm for a time in s, until the mode refuses or the controller stops."""
+        """Lead the arm for a time in s, until the mode refuses or the controller stops."""
         home = self.state(off)
         self.point.begin((home.pose[0], home.pose[1], home.pose[2]))
         self.turning.begin(quat_wxyz_from_rotvec(home.pose[3:]))

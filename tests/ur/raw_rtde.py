@@ -11,12 +11,12 @@ CODES = {
 
 
 def frame(kind: str, payload: bytes = b"") -> bytes:
-    """A frame of the protocol."""
+    """Build a frame of the protocol."""
     return struct.pack(">HB", 3 + len(payload), ord(kind)) + payload
 
 
 class Client:
-    """One connection; every wait ends after a time."""
+    """One connection; every wait has a timeout."""
 
     def __init__(self, host: str, version: int = 2, patience_s: float = 5.0) -> None:
         self.socket = socket.create_connection((host, 30004), patience_s)
@@ -44,7 +44,7 @@ class Client:
         self.socket.sendall(frame(kind, payload))
 
     def next(self) -> tuple[str, bytes]:
-        """Type and payload of the next frame; a connection that was closed raises."""
+        """Return type and payload of the next frame; raise if the connection was closed."""
         while len(self._waiting) < 3 or len(self._waiting) < int.from_bytes(self._waiting[:2], "big"):
             received = self.socket.recv(1 << 16)
             if not received:
@@ -56,7 +56,7 @@ class Client:
         return kind, payload
 
     def request(self, kind: str, payload: bytes = b"") -> bytes:
-        """The answer to a request; data packages before it are passed over."""
+        """Send a request and return its answer; skip data packages before it."""
         self.send(kind, payload)
         while True:
             got, answer = self.next()
@@ -65,11 +65,11 @@ class Client:
             assert got == "U", f"a frame of type {got} before the answer to {kind}"
 
     def controller_version(self) -> tuple[int, ...]:
-        """Major, minor, bugfix, build."""
+        """Return major, minor, bugfix and build."""
         return struct.unpack(">4I", self.request("v"))
 
     def outputs(self, names: list[str], rate_hz: float = 125.0) -> tuple[int | None, list[str]]:
-        """Set up outputs: number of the recipe (none in version 1) and types."""
+        """Set up outputs; return the number of the recipe (None in version 1) and the types."""
         head = struct.pack(">d", rate_hz) if self.version == 2 else b""
         answer = self.request("O", head + ",".join(names).encode())
         number = answer[0] if self.version == 2 else None
@@ -78,16 +78,16 @@ class Client:
         return number, types
 
     def inputs(self, names: list[str]) -> tuple[int, list[str]]:
-        """Set up inputs: number of the recipe and types."""
+        """Set up inputs; return the number of the recipe and the types."""
         answer = self.request("I", ",".join(names).encode())
         return answer[0], answer[1:].decode().split(",")
 
     def start(self) -> bool:
-        """Asks for data packages."""
+        """Start the data packages."""
         return self.request("S") == b"\x01"
 
     def pause(self) -> bool:
-        """Asks for none."""
+        """Pause the data packages."""
         return self.request("P") == b"\x01"
 
     def write(self, recipe: int, types: str, *numbers: float) -> None:
@@ -95,7 +95,7 @@ class Client:
         self.send("U", struct.pack(f">B{types}", recipe, *numbers))
 
     def package(self) -> dict[str, Any]:
-        """The next data package."""
+        """Return the next data package."""
         kind, payload = self.next()
         assert kind == "U"
         if self.version == 2:
@@ -112,7 +112,7 @@ class Client:
         return values
 
     def until(self, **wanted: object) -> dict[str, Any]:
-        """The first package with these values."""
+        """Return the first package with these values."""
         for _ in range(5000):
             package = self.package()
             if all(package[name] == value for name, value in wanted.items()):

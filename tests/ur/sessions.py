@@ -18,7 +18,7 @@ CB3 = ControllerVersion(3, 15, 8, 106339)
 
 
 class Controller:
-    """What connections share."""
+    """State that connections share."""
 
     def __init__(self, version: ControllerVersion = E_SERIES) -> None:
         self.version = version

@@ -1,4 +1,4 @@
-"""Tests of several processes on a machine that others use, too: repeated after a stall of the machine."""
+"""Tests of several processes on a shared machine: repeated after a stall of the machine."""
 
 import functools
 import os
@@ -14,12 +14,12 @@ from tests.retry import REPEATED
 P = ParamSpec("P")
 SLEEP_S = 0.002
 STALL_S = 0.015
-"""Less than the 20 ms after which a loop holds: a sleeper beside a loop need not be held up for as long as that."""
+"""Shortest stall that counts, in s: below the 20 ms hold time, as a sleeper may be delayed less than the loop."""
 MAX_TRIES = 3
 
 
 class Stalls:
-    """The longest that a sleeper overslept; there is one on each processor, for they stand still one by one."""
+    """The longest delay of the sleepers; one sleeper runs on each processor, as they stall one by one."""
 
     def __init__(self) -> None:
         self.worst_s = 0.0
@@ -47,7 +47,7 @@ class Stalls:
 
 
 def anew_after_stalls(test: Callable[P, None]) -> Callable[P, None]:
-    """Repeat a test that failed during a stall of the machine, up to the third try; `tests.retry` lists it."""
+    """Repeat a test that failed during a stall of the machine, at most twice; `tests.retry` lists it."""
 
     @functools.wraps(test)
     def run(*arguments: P.args, **named: P.kwargs) -> None:

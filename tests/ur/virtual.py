@@ -1,4 +1,4 @@
-"""The emulated controller in virtual time, with a client that does what ur_rtde does."""
+"""The emulated controller in virtual time, with a client that acts like ur_rtde."""
 
 from collections.abc import Sequence
 
@@ -25,17 +25,17 @@ READY, DONE = 1, 2
 
 
 def shifted(joint: int, by: float) -> tuple[float, ...]:
-    """The start with one joint, from 0, elsewhere."""
+    """Return the start with one joint, counted from 0, moved."""
     return tuple(q + by * (n == joint) for n, q in enumerate(START))
 
 
 def lifted(pose: tuple[float, ...], by: float) -> tuple[float, ...]:
-    """A pose further up by so many m."""
+    """Return a pose raised by some m."""
     return (*pose[:2], pose[2] + by, *pose[3:])
 
 
 class World:
-    """A controller, what its tool touches, and a client that has uploaded the control script."""
+    """A controller, the environment of its tool, and a client that has uploaded the control script."""
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class World:
     # ------------------------------------------------------------------------------------------------- the client
 
     def upload(self) -> None:
-        """Uploads the control script and waits until it is ready."""
+        """Upload the control script and wait until it is ready."""
         text = f"{CONTROL_SCRIPT.removesuffix('end')}  # int register offset\n{self.offset}\nend"
         self.write(0)
         self.controller.submit(Submitted("rtde_control", text))
@@ -86,14 +86,14 @@ class World:
         self.controller.inputs.write(values)
 
     def realtime(self, command: int, doubles: Sequence[float] = (), integers: Sequence[int] = ()) -> None:
-        """A command of the real-time class: it is written once the script is ready."""
+        """Write a command of the real-time class once the script is ready."""
         self.until(lambda: self.answer == READY)
         self.write(command, doubles, integers)
 
     def call(
         self, command: int, doubles: Sequence[float] = (), integers: Sequence[int] = (), *, limit_s: float = 30.0
     ) -> int:
-        """A whole handshake; how many control cycles it took from the command to its answer."""
+        """Perform a whole handshake; return the control cycles from the command to its answer."""
         self.realtime(command, doubles, integers)
         begin = self.controller.cycles
         self.until(lambda: self.answer == DONE or not self.playing, limit_s)
@@ -103,11 +103,11 @@ class World:
         return took
 
     def servo(self, q: Sequence[float], time_s: float = 0.002, lookahead_s: float = 0.1, gain: float = 300.0) -> None:
-        """One call of servoJ."""
+        """Call servoJ once."""
         self.realtime(11, [*q, 0.0, 0.0, time_s, lookahead_s, gain])
 
     def rtde(self, protocol: int = 2) -> RtdeSession:
-        """A session of RTDE with the controller."""
+        """Return a session of RTDE with the controller."""
         of = self.controller
         return RtdeSession(
             99,
@@ -132,7 +132,7 @@ class World:
         self.cycles(round(seconds / self.controller.period_s))
 
     def until(self, holds: "object", limit_s: float = 1.0) -> None:
-        """Let time pass until something holds."""
+        """Let time pass until a condition holds."""
         assert callable(holds)
         for _ in range(round(limit_s / self.controller.period_s)):
             if holds():
@@ -144,33 +144,33 @@ class World:
 
     @property
     def playing(self) -> bool:
-        """Whether the program runs."""
+        """True if the program runs."""
         return self.controller.runtime.name == "PLAYING"
 
     @property
     def answer(self) -> int:
-        """The handshake's register."""
+        """Register of the handshake."""
         return self.integer(0)
 
     def integer(self, number: int) -> int:
-        """An output register of the script."""
+        """Return an output register of the script."""
         value = self.controller.outputs[f"output_int_register_{self.offset + number}"]
         assert isinstance(value, int)
         return value
 
     def six(self, first: int = 0) -> tuple[float, ...]:
-        """Six output registers of the script."""
+        """Return six output registers of the script."""
         names = [f"output_double_register_{self.offset + first + n}" for n in range(6)]
         return tuple(float(self.controller.outputs[name]) for name in names)  # type: ignore[arg-type]
 
     def vector(self, name: str) -> tuple[float, ...]:
-        """An output that is a vector."""
+        """Return an output that is a vector."""
         value = self.controller.outputs[name]
         assert isinstance(value, tuple)
         return value
 
     def number(self, name: str) -> float:
-        """An output that is a number."""
+        """Return an output that is a number."""
         value = self.controller.outputs[name]
         assert isinstance(value, float | int)
         return value

@@ -1,4 +1,4 @@
-"""A process with the real driver, and what it has reported."""
+"""A process with the real driver, and its reported events."""
 
 import json
 import os
@@ -14,7 +14,7 @@ START_S = 40.0
 
 
 class Watching:
-    """Events of `tests.ur.driven`, and lines that command it."""
+    """Events of `tests.ur.driven`, and its command lines."""
 
     def __init__(self, process: "subprocess.Popen[bytes]") -> None:
         self.process = process
@@ -22,24 +22,24 @@ class Watching:
         self._waiting = b""
 
     def command(self, line: str) -> None:
-        """Has an operator do something: `ack`, `press`, `end`."""
+        """Send a command of the operator: `ack`, `press`, `end`."""
         assert self.process.stdin is not None
         self.process.stdin.write(f"{line}\n".encode())
         self.process.stdin.flush()
 
     def look(self, patience_s: float) -> bool:
-        """Takes in what is reported; whether the process is still there."""
+        """Read the reported events; return false if the process has ended."""
         assert self.process.stdout is not None
         if not select.select([self.process.stdout], [], [], patience_s)[0]:
             return True
         received = os.read(self.process.stdout.fileno(), 1 << 16)
         *lines, self._waiting = (self._waiting + received).split(b"\n")
-        # The library prints between.
+        # The library prints further lines.
         self.events += [json.loads(line) for line in lines if line.startswith(b"{")]
         return bool(received)
 
     def wait_for(self, key: str, *values: object, since_s: float = 0.0, patience_s: float = 10.0) -> dict[str, Any]:
-        """The first event since a time in which something becomes one of some values; any, if none are given."""
+        """Return the first event since a time that gives a key one of these values; any value if none is given."""
         end_s = time.monotonic() + patience_s
         while True:
             for event in self.events:
@@ -50,7 +50,7 @@ class Watching:
                 raise AssertionError(message)
 
     def end(self) -> dict[str, Any]:
-        """End it in good order; figures of the run."""
+        """End the process with its command; return figures of the run."""
         self.command("end")
         result: dict[str, Any] = self.wait_for("end", patience_s=20.0)["end"]
         self.process.wait(10.0)

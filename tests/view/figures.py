@@ -1,4 +1,4 @@
-"""What tests ask of a figure: where its texts are, and whether they meet."""
+"""Checks of a figure: the places of its texts, and their overlaps."""
 
 from itertools import combinations
 
@@ -11,7 +11,7 @@ SLACK_PX = 0.5
 
 
 def texts_of(figure: Figure) -> list[Text]:
-    """Every text that shows, of a figure that was drawn."""
+    """Return every visible text of a drawn figure."""
     ticks: set[int] = set()
     for panel in figure.axes:
         for axis, limits in ((panel.xaxis, panel.get_xlim()), (panel.yaxis, panel.get_ylim())):
@@ -28,13 +28,13 @@ def texts_of(figure: Figure) -> list[Text]:
 
 
 def box(text: Text) -> Bbox:
-    """Of the letters alone, without what points from them."""
+    """Return the box of the letters, without their arrows."""
     renderer = text.get_figure(root=True).canvas.get_renderer()  # type: ignore[union-attr]
     return Text.get_window_extent(text, renderer)
 
 
 def fallen_off(figure: Figure) -> list[str]:
-    """Texts that are not wholly within their figure."""
+    """Return the texts that are not wholly within their figure."""
     width, height = figure.bbox.width, figure.bbox.height
     return [
         text.get_text()
@@ -47,7 +47,7 @@ def fallen_off(figure: Figure) -> list[str]:
 
 
 def overlapping(figure: Figure) -> list[tuple[str, str]]:
-    """Pairs of texts that cover one another."""
+    """Return the pairs of texts that overlap."""
     boxes = [(text.get_text(), box(text)) for text in texts_of(figure)]
     return [
         (one, other)
@@ -57,7 +57,7 @@ def overlapping(figure: Figure) -> list[tuple[str, str]]:
 
 
 def covered_panels(figure: Figure) -> list[str]:
-    """Panels in whose inside a legend lies."""
+    """Return the panels that a legend covers."""
     legends = [legend for panel in figure.axes if (legend := panel.get_legend()) is not None] + list(figure.legends)
     return [
         panel.get_ylabel() for legend in legends for panel in figure.axes if _meet(legend.get_window_extent(), panel)
@@ -73,12 +73,12 @@ def _meet(of: Bbox, panel: Axes) -> bool:
 
 
 def event_names(figure: Figure) -> list[str]:
-    """What is written of events."""
+    """Return the labels of events."""
     return [text.get_text() for text in figure.findobj(Annotation) if text.get_gid() == "event"]
 
 
 def check(figure: Figure) -> None:
-    """No text is off the figure or over another, no legend over a curve."""
+    """Assert that no text is off the figure or over another, and no legend over a curve."""
     figure.draw_without_rendering()
     assert fallen_off(figure) == []
     assert overlapping(figure) == []

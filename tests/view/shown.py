@@ -1,4 +1,4 @@
-"""Runs that the tests of the view look at, each computed once a process."""
+"""Runs that the tests of the view share, each computed once per process."""
 
 import functools
 
@@ -8,7 +8,7 @@ from haptether.view import Description, describe
 
 @functools.cache
 def shown(name: str, *overrides: str) -> tuple[Run, Scene, Description]:
-    """A run of a shipped scene, the scene, and its description."""
+    """Return a run of a shipped scene, the scene, and its description."""
     scene = load_scene(name, overrides)
     run = simulate(name, overrides=overrides)
     return run, scene, describe(run, scene)

@@ -1,6 +1,6 @@
-"""A window that is steered by the events of its toolkit: `python -m tests.view.steered`, on a display.
+"""A window driven by events of its toolkit: `python -m tests.view.steered`, on a display.
 
-Prints as JSON, for each event, its name and what the window shows after it.
+It prints as JSON, for each event, its name and the state of the window after it.
 """
 
 import json
@@ -17,7 +17,7 @@ AT_S = 2.0
 
 
 def main() -> None:
-    """Press every key once, clicks, plays."""
+    """Press every key once, click, and play."""
     window = Playback([shown("remote_push")[2]], size=(560, 340), camera="front", at_s=AT_S)
     window.draw()
     interactor = window.picture.plotter.iren.interactor

@@ -18,14 +18,14 @@ from haptether.slave import ur_model
 from haptether.view import LiveDescription
 from haptether.view.scene3d.arm import GRIPPER_M, link_frames
 
-# Loops in real time of drivers.
+# The drivers run real-time loops.
 pytestmark = pytest.mark.alone
 
 LONGEST_S = 40.0
 SAMPLES = 20
-"""Of a third of a second: what comes first may be of before the arm had torque."""
+"""Number of samples, a third of a second: the first ones may precede the torque of the arm."""
 HANGING_RAD = (0.0, 1.59, -0.03, -2.23, -1.57, 0.0)
-"""Where nobody has to support it before it has torque."""
+"""Posture that needs no support before the arm has torque."""
 SIGNS = (1, 1, -1, 1, 1, 1)
 LEADER = f"""
 schema = 1
@@ -53,7 +53,7 @@ controllers = ["wsc"]
 
 @contextmanager
 def side(socket: Path, *arguments: str) -> Iterator[TelemetryReader]:
-    """A side as a process, and what it sends."""
+    """Run a side as a process, and read its telemetry."""
     command = [sys.executable, "-m", "haptether", *arguments, "--insecure", "--telemetry", str(socket),
                "--patience-s", str(LONGEST_S)]  # fmt: skip
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
@@ -136,7 +136,7 @@ def test_a_leader_of_servos_stands_as_its_bus_says(tmp_path: Path) -> None:
         ) as reader:
             live = followed(reader, leader="gello-ur")
             until_s = time.monotonic() + LONGEST_S
-            # It sinks, for nobody holds it: one that moves is elsewhere before the bus has been asked.
+            # The arm sinks, as nobody holds it: a moving arm is elsewhere before the bus answers.
             while True:
                 before, q = tip_of(arm, bus), place(live, "handle")
                 if np.allclose(before, tip_of(arm, bus), atol=5e-4) and np.allclose(q, before, atol=2e-3):

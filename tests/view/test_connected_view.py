@@ -17,7 +17,7 @@ from PIL import Image, ImageGrab
 
 from haptether.view.window.playback import KEYS
 
-# They draw on all processors: beside loops in real time these would be late.
+# The views draw on all processors: real-time loops beside them would be late.
 pytestmark = pytest.mark.alone
 
 TIMEOUT_S = 60.0
@@ -31,7 +31,7 @@ def free_port() -> int:
 
 
 def master(path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
-    """A master that nobody answers."""
+    """Start a master without a slave."""
     return subprocess.Popen(
         [sys.executable, "-m", "haptether", "master", "--peer", f"127.0.0.1:{free_port()}", "--insecure",
          "--telemetry", str(path), *arguments],
@@ -53,7 +53,7 @@ def test_a_live_run_as_picture_film_and_page_without_a_display(tmp_path: Path) -
             view(path, *written, "--fps", "5", "--from-s", "0.5", "--until-s", "1.5", "--at-s", "1"),
             capture_output=True, text=True, timeout=TIMEOUT_S, check=False, env=environment,
         )  # fmt: skip
-        # Whoever looked has not touched it.
+        # The view has not affected the side.
         assert side.poll() is None
         side.send_signal(signal.SIGINT)
         side.wait(TIMEOUT_S)
@@ -82,14 +82,14 @@ def test_a_side_that_is_killed_is_no_end(tmp_path: Path) -> None:
 
 @pytest.fixture
 def display(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """A screen of its own, that nobody sees."""
+    """Yield a virtual screen that nobody sees."""
     if shutil.which("Xvfb") is None:
         pytest.skip("no Xvfb")
     readable, writable = os.pipe()
     command = ["Xvfb", "-displayfd", str(writable), "-screen", "0", "640x480x24", "-nolisten", "tcp", "-noreset"]
     with subprocess.Popen(command, pass_fds=[writable], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as server:
         os.close(writable)
-        # Its number comes in pieces; who closes too early ends it.
+        # The number comes in pieces; closing the pipe too early ends the server.
         with os.fdopen(readable) as number:
             name = f":{number.readline().strip()}"
         monkeypatch.setenv("DISPLAY", name)
@@ -103,7 +103,7 @@ def test_a_window_shows_a_live_run_and_ends_with_it(display: str, tmp_path: Path
     with master(path, "--patience-s", "30") as side:
         seen = subprocess.Popen(view(path), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         until_s = time.monotonic() + TIMEOUT_S
-        # What is shown: a black screen, a white window, then hundreds of colours.
+        # The screen is black, then a white window, then has hundreds of colours.
         while len(np.unique(np.asarray(ImageGrab.grab(xdisplay=display)).reshape(-1, 3), axis=0)) < 100:
             assert seen.poll() is None, seen.communicate()[1]
             assert time.monotonic() < until_s

@@ -1,4 +1,4 @@
-"""The pure description against closed forms: where things are, how long arrows are, when events are."""
+"""The pure description against closed forms: places of parts, lengths of arrows, times of events."""
 
 import math
 
@@ -19,7 +19,7 @@ SCENES = ["remote_push", "three_axis_box", "ur_pick", "valve", "moving_wall", "s
 
 
 def volume(mesh: Mesh) -> float:
-    """By the divergence theorem: above 0 where all triangles are counter-clockwise from outside."""
+    """Return the volume by the divergence theorem: positive if all triangles are counter-clockwise from outside."""
     a, b, c = (mesh.points[mesh.triangles[:, corner]] for corner in range(3))
     return float(np.sum(np.einsum("ij,ij->i", a, np.cross(b, c))) / 6.0)
 
@@ -83,7 +83,7 @@ def test_the_arm_leads_its_gripper_to_where_the_run_has_the_tool() -> None:
         wrist = described.part("link 6 offset").pose(time)
         assert wrist is not None
         flange = wrist[:3, 3] + 0.0996 * wrist[:3, 2]
-        # Postures are computed each 20 ms, and the hand moves at 0.2 m/s: 4 mm.
+        # Postures are computed every 20 ms, and the hand moves at 0.2 m/s: 4 mm.
         assert flange + 0.16 * base_from_tool[:3, 2] == pytest.approx(base_from_tool[:3, 3], abs=4e-3)
     assert any("posture" in note for note in described.notes)
 
@@ -112,7 +112,7 @@ def test_an_arrow_is_as_long_as_its_force_times_the_scale(name: str) -> None:
 
 
 def seen_length(arrow: Arrow, time_s: float) -> float:
-    """From the tail to the tip of what is drawn."""
+    """Return the distance from the tail to the tip as drawn."""
     tip = arrow.parts()[1].pose(time_s)
     return 0.0 if tip is None else float(np.linalg.norm(tip[:3, 3] - arrow.tail(time_s)))
 
@@ -120,7 +120,7 @@ def seen_length(arrow: Arrow, time_s: float) -> float:
 def test_the_drawn_arrow_points_along_the_force_and_vanishes_without() -> None:
     run, _, described = shown("remote_push")
     force = {arrow.name: arrow for arrow in described.arrows}["environment_force"]
-    # The tool presses the wall that fills x < 0: pushed along +x.
+    # The tool presses the wall that fills x < 0, which pushes it along +x.
     tip = force.parts()[1].pose(2.5)
     assert tip is not None
     assert tip[:3, 2] == pytest.approx([1.0, 0.0, 0.0])
@@ -154,7 +154,7 @@ def test_trails_are_the_signals(name: str) -> None:
         assert np.array_equal(found.points.values[:, : values.shape[1]], values)
         until = found.until(1.5)
         assert until[-1] == pytest.approx(found.points.values[np.searchsorted(found.points.time_s, 1.5 + 1e-9) - 1])
-        # Along one axis what is older lies further back, by its age alone.
+        # Along one axis, older points are displaced backwards by their age alone.
         begin = np.searchsorted(found.points.time_s, 1.5 - found.window_s)
         assert until[0] - found.points.values[begin] == pytest.approx(found.drift * (1.5 - found.points.time_s[begin]))
 

@@ -1,4 +1,4 @@
-"""Figures: what is drawn is seen, whatever a run is like; colours, sizes and fonts are the style's."""
+"""Figures: all drawn content is visible for any run; colours, sizes and fonts follow the style."""
 
 import re
 import zlib
@@ -186,7 +186,7 @@ def test_no_label_of_a_link_falls_off_or_overlaps(
 
 @pytest.fixture(scope="module")
 def paper(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[int, Figure]]:
-    """Each figure of the paper, in both widths, by the name of its file."""
+    """Return each figure of the paper, in both widths, by the name of its file."""
     kept: dict[str, dict[int, Figure]] = {}
     report = paper_sensitivity(reproduce_paper(), changes=[{"release_s": 0.1}, {"estimator": "kalman"}])
     widths: tuple[Columns, ...] = (1, 2)
@@ -257,7 +257,7 @@ def test_a_controller_has_one_colour_in_all_figures(paper: dict[str, dict[int, F
 
 
 def luminance_and_tone(colour: str, *, blind: bool) -> npt.NDArray[np.float64]:
-    """A colour as it is seen, with red and green told apart or not (Vienot, Brettel, Mollon 1999)."""
+    """Return a colour as perceived, with or without red-green vision (Vienot, Brettel, Mollon 1999)."""
     rgb = np.array([int(colour[at : at + 2], 16) / 255.0 for at in (1, 3, 5)]) ** 2.2
     seen = (
         np.array([[0.29275, 0.70725, 0.0], [0.29275, 0.70725, 0.0], [-0.02234, 0.02234, 1.0]]) @ rgb if blind else rgb
@@ -282,7 +282,7 @@ def test_unions_are_told_by_their_dashes() -> None:
     assert controller_look([]) == controller_look("none")
     assert controller_title("hsc+wsc") == "HSC + WSC"
     assert controller_title([]) == "no controller"
-    # One in Python has any name.
+    # A controller in Python may have any name.
     assert controller_look("xyz") == controller_look("abc") != controller_look("wsc")
     assert controller_look("wsc+xyz") != controller_look("hsc+xyz")
     assert controller_title("wsc+xyz") == "WSC + xyz"

@@ -1,4 +1,4 @@
-"""A run that goes on, told sample by sample, against the same run when it is over."""
+"""A running scene, described sample by sample, against the same run after its end."""
 
 from typing import Any
 
@@ -23,7 +23,7 @@ MASTER = ("position", "velocity", "hand_force", "device_force", "safety_force", 
 SLAVE = ("slave_position", "slave_command", "environment_force", "slave_state")
 KINDS = {"windowed_energy_j": "number", "tripped": "bits", "state": "name"}
 SLAVE_LATER_S = 3.0
-"""The slave's loop began so much before the master's, so that its times are larger."""
+"""Lead of the slave's loop, in s: it starts earlier, so that its times are larger."""
 
 
 def hello(run: Run, side: str) -> TelemetryHello:
@@ -38,7 +38,7 @@ def hello(run: Run, side: str) -> TelemetryHello:
     return TelemetryHello(schema=1, side=side, security="secure", scene=run.settings, signals=signals)
 
 
-def value(run: Run, name: str, at: int) -> Any:  # noqa: ANN401  # by the kind of the signal
+def value(run: Run, name: str, at: int) -> Any:  # noqa: ANN401  # depends on the kind of the signal
     given = run.signals[name][at]
     match KINDS.get(name.removeprefix("slave_"), "axes"):
         case "axes":
@@ -107,7 +107,7 @@ def test_all_that_moves_is_seen_and_no_arrow_is_longer_than_its_view() -> None:
         for arrow in live.description.arrows:
             low, high = live.description.views[arrow.station]
             assert arrow.length(live.time_s) < float((high - low).max())
-    # Each time everything is built anew: it must be seldom.
+    # Each generation rebuilds everything, so there must be few.
     assert len(generations) < 15
 
 

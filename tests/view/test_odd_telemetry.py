@@ -1,4 +1,4 @@
-"""Telemetry that is partly invalid: what is valid is shown, what is not is reported, and the other side goes on."""
+"""Partly invalid telemetry: valid parts are shown, invalid ones are reported, and the other side continues."""
 
 import contextlib
 import io
@@ -69,7 +69,7 @@ ODD: dict[str, tuple[Any, str]] = {
 
 @contextlib.contextmanager
 def sending(path: Path, *lines: object, hello: object = HELLO) -> Iterator[None]:
-    """Socket that sends these lines to each client, then nothing."""
+    """Open a socket that sends these lines to each client, then nothing."""
     ended = threading.Event()
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(path))

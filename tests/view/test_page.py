@@ -1,4 +1,4 @@
-"""The page of a run in a browser: it draws, plays and steps by itself, and asks for nothing else."""
+"""The page of a run in a browser: it draws, plays and steps by itself, and makes no other request."""
 
 import io
 from pathlib import Path

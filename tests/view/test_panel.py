@@ -1,4 +1,4 @@
-"""The panel of a live side: what it makes of telemetry, and how it looks."""
+"""The panel of a live side: its content from telemetry, and its layout."""
 
 import io
 import math
@@ -180,7 +180,7 @@ def test_it_fits_80_columns_whatever_is_in_it(axes: int, side: str) -> None:
     assert any("requested F_v [N m]" in line for line in lines), "torques of joints"
 
 
-def test_numbers_that_are_none_are_dashes() -> None:
+def test_missing_numbers_are_dashes() -> None:
     state = SideState(hello(axes=3))
     state.take(sample(0.0, axes=3, position=[[None, None, None], [0.1, 0.1, 0.1], [0.0, 0.0, 0.0]]))
     assert "-  +0.1000  +0.0000" in shown(state)
@@ -191,7 +191,7 @@ def test_numbers_that_are_none_are_dashes() -> None:
     [
         ((100, 0, 0), (160, 0, 0), 0.0),
         ((100, 0, 0), (150, 4, 6), 0.1),
-        # What was missing has come late.
+        # Missing packets have arrived late.
         ((100, 0, 9), (140, 9, 0), 0.0),
         ((100, 0, 9), (100, 0, 9), None),
     ],

@@ -1,4 +1,4 @@
-"""Pictures, films and pages: that they show what is described, and what is said where they cannot be made."""
+"""Pictures, films and pages: they show the description, or report why they cannot be made."""
 
 import base64
 import json
@@ -33,7 +33,7 @@ SMALL = (560, 340)
 
 
 def near(pixels: Pixels, colour: str, within: float) -> int:
-    """How many pixels have the hue of a colour, whatever light is on it."""
+    """Count the pixels with the hue of a colour, under any light."""
     wanted = np.array([int(colour[at : at + 2], 16) for at in (1, 3, 5)], dtype=np.float64)
     given = pixels.astype(np.float64)
     cosine = given @ wanted / np.maximum(np.linalg.norm(given, axis=-1) * np.linalg.norm(wanted), 1e-9)
@@ -55,12 +55,12 @@ def test_a_picture_shows_something_that_moves(name: str, times_s: tuple[float, f
 
 
 def test_an_arrow_is_seen_only_while_there_is_a_force() -> None:
-    # By the paper's thresholds the device flies further, and the arm leaves the wall.
+    # With the paper's thresholds the device flies further, and the arm leaves the wall.
     run, _, described = shown("remote_push", "safety.preset=paper")
     with Picture([described], size=SMALL) as picture:
         view = picture.columns[0].views["robot"]
         counts = {}
-        # Before contact, and where the arrow is out of the wall again.
+        # Before contact, and after the arrow has left the wall.
         for time_s in (0.3, 3.5):
             image = picture.image(time_s)[view.top : view.top + view.height, view.left : view.left + view.width]
             counts[float(run.signals["environment_force"][round(1000 * time_s)])] = near(
@@ -189,7 +189,7 @@ def test_a_request_that_cannot_be_met_is_refused(
     arguments: list[str], said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
-    # Where no side of another test runs.
+    # A folder in which no side of another test runs.
     (tmp_path / "run").mkdir(mode=0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
     (tmp_path / "here").mkdir()
@@ -212,7 +212,7 @@ NO_LIBRARY, NO_DRIVER = "LD_LIBRARY_PATH", "__EGL_VENDOR_LIBRARY_DIRS"
 
 @pytest.mark.parametrize("missing", [NO_LIBRARY, NO_DRIVER])
 def test_without_opengl_the_packages_are_named(missing: str, tmp_path: Path) -> None:
-    # In place of the library a file that is none; in place of the drivers an empty folder.
+    # An invalid file replaces the library; an empty folder replaces the drivers.
     (tmp_path / "libEGL.so.1").touch()
     (tmp_path / "drivers").mkdir()
     folder = tmp_path if missing == NO_LIBRARY else tmp_path / "drivers"
@@ -226,7 +226,7 @@ def test_without_opengl_the_packages_are_named(missing: str, tmp_path: Path) -> 
 
 
 def test_keys_and_clicks_steer_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
-    # A window that is never shown: drawn through EGL, where there is no screen.
+    # The window is never shown, and EGL draws it if there is no screen.
     require_gl()
     monkeypatch.setattr("haptether.view.picture.picture.require_gl", lambda window: None)  # noqa: ARG005
     run, _, described = shown("remote_push")
@@ -267,7 +267,7 @@ def test_a_minute_opens_at_once() -> None:
     begun = time.perf_counter()
     with Picture([describe(run, scene)], size=SMALL) as picture:
         picture.image(30.0)
-    # 2.1 s on two quiet cores, 1.5 s of it to load VTK; a loaded machine may take several times that.
+    # On two quiet cores 2.1 s, of which VTK takes 1.5 s to load; a loaded machine may take several times that.
     assert time.perf_counter() - begun < 10.0
 
 

@@ -1,4 +1,4 @@
-"""Recordings and saved runs: one side or both, with and without a scene, and arms that they do not name."""
+"""Recordings and stored runs: one side or both, with and without a scene, and arms that they do not name."""
 
 import json
 import secrets
@@ -89,7 +89,7 @@ def test_a_slave_alone_is_one_end() -> None:
 def test_the_recording_of_a_master_alone(tmp_path: Path) -> None:
     path, picture = tmp_path / "master.mcap", tmp_path / "a.png"
     spec = scene_json(load_scene("remote_push"))
-    # Nobody answers at this port: after half a second it ends by itself.
+    # Nobody answers at this port: the master ends by itself after half a second.
     master = LiveMaster(
         spec, peer="127.0.0.1:9", run_id=secrets.randbits(64), insecure=True, patience_s=0.5, record=path,
         min_free_bytes=0,
@@ -124,7 +124,7 @@ def test_a_chain_of_servos_ends_where_its_kinematics_do(name: str) -> None:
 
 
 def sent_and_pushed(force_n: tuple[float, float, float]) -> tuple[Run, ArmKinematics]:
-    """Servos that follow 0.1 s late, with a force at their tip, as torques of the joints."""
+    """Return servos that follow 0.1 s late, and the joint torques of a force at their tip."""
     arm = load_arm("gello-ur")
     kinematics = ArmKinematics(arm)
     time_s = np.arange(0.0, 1.0, 0.01)

@@ -26,7 +26,7 @@ def free_port() -> int:
 
 
 def master(path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
-    """A master that nobody answers."""
+    """Start a master without a slave."""
     return subprocess.Popen(
         [sys.executable, "-m", "haptether", "master", "--peer", f"127.0.0.1:{free_port()}", "--insecure",
          "--telemetry", str(path), *arguments],
@@ -53,7 +53,7 @@ def test_a_run_that_is_killed_is_no_end(tmp_path: Path) -> None:
     with master(path, "--patience-s", "60") as side:
         seen = subprocess.Popen(watch(path), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         assert seen.stdout is not None
-        # Whoever looks may be there before the side's first ticks.
+        # A reader may connect before the side's first ticks.
         assert any("ALIGNING" in line for line in seen.stdout)
         side.kill()
         _, error = seen.communicate(timeout=TIMEOUT_S)
@@ -76,7 +76,7 @@ def test_on_a_terminal_it_is_a_panel_that_ctrl_c_ends(tmp_path: Path) -> None:
         seen.send_signal(signal.SIGINT)
         assert seen.wait(TIMEOUT_S) == 130
         os.close(near)
-        # Whoever looked has not touched it.
+        # The reader has not affected the side.
         assert side.poll() is None
         side.send_signal(signal.SIGINT)
         side.wait(TIMEOUT_S)
@@ -100,7 +100,7 @@ def test_nobody_there_is_one_line_at_once(tmp_path: Path, capsys: pytest.Capture
         error = capsys.readouterr().err
         assert error.count("\n") == 1
         assert f"{path}: {said}: start master or slave with --{option} {path} first, or give --wait-s" in error
-    # No wait of seconds, on a loaded machine either.
+    # The command does not wait for seconds, even on a loaded machine.
     assert time.monotonic() - begun_s < 5.0
 
 

@@ -110,10 +110,10 @@ pub struct RotationHand {
     release: Option<Release>,
 }
 
-/// Torque of a hand, and which law holds.
+/// Torque of a hand, with its strain and turn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pull {
-    /// In N m, in the frame of the body.
+    /// Torque in N m, in the frame of the body.
     pub(super) torque: Axes<3>,
     /// Wished torque over grip strength: above 1 the grip slips.
     strain: f64,
@@ -122,8 +122,8 @@ pub(super) struct Pull {
 }
 
 impl Pull {
-    /// Whether the grip has begun or ceased to slip since `before`, slips to the other side, or the spring has changed side
-    /// at pi.
+    /// True if, since `before`, the grip has begun or ceased to slip, slips to the other side, or the spring has changed
+    /// side at pi.
     pub(super) fn differs(&self, before: &Self) -> bool {
         let (slips, holds) = (self.strain > 1.0 + CLEAR, self.strain < 1.0 - CLEAR);
         let grip = if before.strain > 1.0 { holds || self.torque.dot(&before.torque) < 0.0 } else { slips };
@@ -264,7 +264,7 @@ impl RotationHand {
         Pull { torque, strain: if strength > 0.0 { norm / strength } else { f64::INFINITY }, turn }
     }
 
-    /// Whether target and grip are constant from t to the next kink.
+    /// True if target and grip are constant from t to the next kink.
     pub(super) fn is_still(&self, t: f64) -> bool {
         self.grip_rate(t) == 0.0 && !self.legs.iter().any(|leg| (leg.begin_s..leg.end_s).contains(&t))
     }

@@ -106,13 +106,13 @@ struct State {
     momentum: Axes<3>,
 }
 
-/// What a sub-step leads to.
+/// Result of a sub-step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Step {
     state: State,
-    /// Whether the law of the hand differs between its stages.
+    /// True if the law of the hand differs between its stages.
     changes: bool,
-    /// Whether a stage moves against the direction that the step has of friction.
+    /// True if a stage moves against the direction in which the step applies friction.
     reverses: bool,
 }
 
@@ -136,9 +136,9 @@ struct Step {
 /// direction ends, found by secants. The body moves again if friction cannot hold it. The remaining speed
 /// across that direction is dropped: at most `|tau| / I` times the shortest sub-step, a 4096th of a tick.
 ///
-/// **Events.** A sub-step ends where the path or the release of the hand has a kink, where its grip begins or ceases to
-/// slip, where its spring changes side at pi, and where friction no longer holds the body. Halving locates the last
-/// three to 1e-6 of the sub-step.
+/// **Events.** A sub-step ends at a kink of the hand's path or release. It also ends where the grip begins or ceases to
+/// slip, where the spring of the hand changes side at pi, and where friction no longer holds the body. Halving locates
+/// the last three to 1e-6 of the sub-step.
 ///
 /// Source: Munthe-Kaas 1998, section 4; Hairer, Lubich and Wanner 2006, IV.8 and XI.3 (drift of reversible systems).
 #[derive(Clone, Debug, PartialEq)]
@@ -149,7 +149,7 @@ pub struct SimulatedRotation {
     held_torque: Axes<3>,
     /// Time of the hand in s; its path begins at 0.
     time: f64,
-    /// The same at the last tick in ns: a sum of ticks in s would accumulate rounding.
+    /// Time of the hand at the last tick in ns: a sum of ticks in s would accumulate rounding.
     hand_ns: u64,
     waits: bool,
     now_ns: u64,

@@ -14,28 +14,27 @@ if TYPE_CHECKING:
 
 
 OWN_FOLDER = Path("out/demo")
-"""Where the files go that nobody has named a place for."""
+"""Default folder of the files."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(PictureOptions):
     """Watch a remote push reach a hand, with and without protection, or a hand pick something up, over real sockets.
 
-    Starts slave, network and master as three processes on this machine: 50 ms each way with a standard
-    deviation of 5 ms, and 1 % loss. A
-    simulated hand presses a remote wall; something shoves the remote arm; the hand lets go. Once without
-    a controller and once with each. Takes about 25 s. Exit status 0 says that the hand was slower with HSC and
-    with WSC than without a controller.
+    Starts slave, network and master as three processes on this machine: 50 ms each way with a standard deviation of 5
+    ms, and 1 % loss. A simulated hand presses a remote wall, something shoves the remote arm, and the hand lets go:
+    once without a controller and once with each. Takes about 25 s. Exit status 0: the hand was slower with HSC and with
+    WSC than without a controller.
 
     --task pick: 20 ms each way with a standard deviation of 1 ms, and 1 % loss. A simulated hand leads position,
-    orientation and gripper of the arm, picks something up, turns it by 60 degrees and puts it down beside. Takes about
-    15 s. Exit status 0 says that it did.
+    orientation and gripper of the arm. It picks something up, turns it by 60 degrees and puts it down beside its first
+    place. Takes about 15 s. Exit status 0: it did.
 
     --master dynamixel: an emulated leader arm of servos, whose joints a scripted hand leads. With --slave ur or
     simulated it picks something up, as --task pick. With --slave dynamixel, an emulated follower, 20 ms each way: its
-    gripper takes something, six joints carry it, and it is let go; then the follower is pushed and the hand lets go of
-    the leader, without a controller and with each. Exit status 0 of the latter says that each carried it, and that the
-    leader was thrown slower with HSC and with WSC than without a controller. Takes about 50 s.
+    gripper takes something, six joints carry it, and it is let go. Then the follower is pushed and the hand lets go of
+    the leader, without a controller and with each. Takes about 50 s. Exit status 0 of the latter: each run carried the
+    object, and the leader was thrown slower with HSC and with WSC than without a controller.
 
     Examples:
 
@@ -53,9 +52,9 @@ class Demo(PictureOptions):
     """
 
     delay_s: float | None = None
-    """One-way delay in s; by default 0.05, of --task pick 0.02."""
+    """One-way delay in s; by default 0.05, with --task pick 0.02."""
     jitter_s: float | None = None
-    """Standard deviation of the delay in s; by default 0.005, of --task pick 0.001."""
+    """Standard deviation of the delay in s; by default 0.005, with --task pick 0.001."""
     loss: float = 0.01
     """Share of packets lost."""
     seed: int = 1
@@ -66,10 +65,10 @@ class Demo(PictureOptions):
     """The model of an arm; an emulated UR controller, driven by the vendor's own client library (extra "ur"); or an
     emulated follower arm of Dynamixel servos."""
     task: Literal["push", "pick"] | None = None
-    """A push that reaches the hand; or something that a gripper picks up. By default what the two arms can."""
+    """A push that reaches the hand, or an object that a gripper picks up; by default the task that both arms can do."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Folder of the picture and of every tick (.npz), empty or new; or the picture (.png, .pdf, .svg), with a folder
-    beside it. By default out/demo, where a demo replaces the files of the one before."""
+    beside it. By default out/demo, where a demo replaces the files of the previous demo."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Also write the table as JSON; - for standard output."""
 
@@ -140,7 +139,7 @@ class Demo(PictureOptions):
 
     @property
     def _folder(self) -> Path:
-        """Where ticks go: `--out`, or beside a picture that `--out` names, in a folder of its name."""
+        """Folder of the ticks: `--out`, or beside a picture that `--out` names, a folder of the same name."""
         return self._out.with_suffix("") if self._is_picture else self._out
 
     @property
@@ -155,7 +154,7 @@ class Demo(PictureOptions):
         """Make the folder of the ticks.
 
         Raises:
-            FileExistsError: One of the user's, with something in it, without `--force`.
+            FileExistsError: The user's own folder is not empty, and `--force` was not given.
         """
         folder = self._folder
         folder.mkdir(parents=True, exist_ok=True)
@@ -166,11 +165,11 @@ class Demo(PictureOptions):
             raise FileExistsError(message)
 
     def _picture(self, name: str) -> Path | None:
-        """Where the picture goes; None without matplotlib.
+        """Return the path of the picture; None without matplotlib.
 
         Raises:
-            ValueError: `--out` ends in another suffix than a picture's.
-            OSError: `--out` names a picture that cannot be written.
+            ValueError: `--out` ends in a suffix that is not a picture's.
+            OSError: The picture that `--out` names cannot be written.
         """
         from haptether.cli.shared.picture import picture_file
         from haptether.extras import is_installed
@@ -188,7 +187,7 @@ class Demo(PictureOptions):
         console.print(found, highlight=False)
 
     def _task(self) -> str:
-        """What is shown.
+        """Return the name of the task that is shown.
 
         Raises:
             ValueError: Two arms, or an arm and a task, that do not go together.

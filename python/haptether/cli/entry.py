@@ -1,4 +1,4 @@
-"""What every command shares: parsing, one-line errors, exit status.
+"""Entry of every command: parsing, one-line errors, exit status.
 
 Exit status: 0 success, 1 a failed run, 2 a bad request, 130 interrupted, 141 a closed pipe.
 """
@@ -83,7 +83,7 @@ PURPOSES = {
         }
     ),
 }
-"""Commands by what they are for."""
+"""Commands by purpose."""
 COMMANDS = CommandTable.joined(PURPOSES.values())
 GROUPS = {
     "netsim": CommandTable(
@@ -99,7 +99,7 @@ GROUPS = {
     ),
     "dynamixel": CommandTable({"find": "dynamixel.find:Find", "calibrate": "dynamixel.calibrate:Calibrate"}),
 }
-"""Commands that only name others."""
+"""Groups of commands."""
 
 
 DESCRIPTION = """Bilateral teleoperation bridge that keeps a hand safe when the remote end pushes back.
@@ -116,10 +116,10 @@ SHELLS = ("bash", "zsh", "fish")
 
 FAILED, BAD_REQUEST = 1, 2
 CLOSED_PIPE = 141
-"""128 + SIGPIPE, as of a tool that the signal ends: whoever read the output took no more."""
+"""128 + SIGPIPE, as for a tool that the signal ends: the reader of the output has gone."""
 MIN_COLUMNS = 40
 LONG_NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.])(?<=[\d.]{30})")
-"""More digits than a number has: nobody counts the zeros of 1e300."""
+"""More digits than a number needs: nobody counts the zeros of 1e300."""
 
 NEVER_WAITS = frozenset(
     {
@@ -137,20 +137,20 @@ NEVER_WAITS = frozenset(
         "netsim record",
     }
 )
-"""Commands that go on, and end, whether anybody reads what they print or not."""
+"""Commands that run on, and end, even if nobody reads their output."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status."""
     arguments = sys.argv[1:] if arguments is None else arguments
     _print_all_characters()
-    # What a command writes is its user's alone: recordings say what a hand did.
+    # Files are readable by their user alone: recordings show the motion of a hand.
     before = os.umask(0o077)
     try:
         try:
             status = _main(arguments)
         except SystemExit as end:
-            # Of help.
+            # `--help` exits with 0.
             if end.code not in {None, 0} or not has_lost_output():
                 raise
             status = 0
@@ -158,14 +158,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return complain(OSError("standard output: is closed, must be open: nothing is written there"), FAILED)
         return status
     except BrokenPipeError as error:
-        # What is wrong was to be said where nobody listens.
+        # The reader of the error message has gone.
         return _unwritten(error)
     finally:
         os.umask(before)
 
 
 def _print_all_characters() -> None:
-    """Has text streams print a question mark for what their encoding lacks; reports and tables go as bytes."""
+    """Print a question mark for characters that the encoding lacks; reports and tables are written as bytes."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
             stream.reconfigure(errors="replace")
@@ -188,7 +188,7 @@ def _main(arguments: Sequence[str]) -> int:
     except ValueError as error:
         return complain(error, BAD_REQUEST)
     except OSError as error:
-        # The version, help or a script for a shell, that nobody takes.
+        # The reader of the version, of help or of a completion script has gone.
         return _unwritten(error)
     try:
         INTERRUPTS.raising = True
@@ -204,8 +204,8 @@ def _main(arguments: Sequence[str]) -> int:
         INTERRUPTS.raising = False
     if status == INTERRUPTED:
         _let_go_of_output()
-        # An interrupt within code that was made of text, as dataclasses make theirs, has CPython end by the signal
-        # whatever caught it, until the next such code runs.
+        # An interrupt within code that was compiled from text, such as a dataclass, makes CPython end by the signal
+        # even if the exception is caught. Running further code of this kind resets that.
         exec("")
     return status
 
@@ -213,13 +213,13 @@ def _main(arguments: Sequence[str]) -> int:
 def _status(command: Command) -> int:
     try:
         status = command.run()
-        # Here, where it is reported if it cannot be written.
+        # Flush here, where a failed write is reported.
         sys.stdout.flush()
     except KeyboardInterrupt:
         return INTERRUPTED
     except (ValueError, OSError, RuntimeError, ImportError, MemoryError) as error:
         if INTERRUPTS.seen:
-            # What Ctrl-C has cut short may say so in its own way.
+            # After Ctrl-C a call may fail with another exception.
             return INTERRUPTED
         if isinstance(error, BrokenPipeError) and (_is_closed(sys.stdout) or _is_closed(sys.stderr)):
             return _unwritten(error)
@@ -227,7 +227,7 @@ def _status(command: Command) -> int:
         try:
             sys.stdout.flush()
         except OSError:
-            # What it still holds would be tried again at exit.
+            # Python would try to write the rest of the buffer again at exit.
             _discard(sys.stdout)
         remedy = busy_port_remedy(error, command)
         return complain(error, status, debug=getattr(command, "debug", False), remedy=remedy)
@@ -235,20 +235,20 @@ def _status(command: Command) -> int:
 
 
 def _is_closed(stream: TextIO) -> bool:
-    """Whether its reader has gone away, so that writing raises `BrokenPipeError`; writing to a queued one does not."""
+    """Return true if the reader has gone, so that writing raises `BrokenPipeError`; false for a queued stream."""
     if isinstance(getattr(stream, "buffer", None), QueuedBuffer):
         return False
     poll = select.poll()
-    # Errors are reported whatever is asked for.
+    # Errors are reported for any event mask.
     poll.register(stream.fileno(), 0)
     return bool(poll.poll(0))
 
 
 def _unwritten(error: OSError) -> int:
-    """The status where an output takes no more: nothing is left to say there, and Python must not try at exit."""
+    """Return the status for an output that cannot be written, and keep Python from trying again at exit."""
     _discard(sys.stdout)
     if isinstance(error, BrokenPipeError):
-        # Of either, or of both, as after 2>&1.
+        # Either pipe may be closed, or both, as after 2>&1.
         _discard(sys.stderr)
         return CLOSED_PIPE
     return complain(error, FAILED)
@@ -259,9 +259,9 @@ def _discard(stream: TextIO) -> None:
 
 
 def _use_width() -> None:
-    """Has text be as wide as the terminal and at least `MIN_COLUMNS`, whatever COLUMNS says.
+    """Use the width of the terminal, at least `MIN_COLUMNS`, even if COLUMNS is smaller.
 
-    At width 0 tables come out empty, at a few columns the parser does not end.
+    At width 0 tables are empty; at a few columns the parser does not end.
     """
     columns = shutil.get_terminal_size().columns
     if columns < MIN_COLUMNS or not os.environ.get("COLUMNS", "1").lstrip("0").isdecimal():
@@ -269,9 +269,9 @@ def _use_width() -> None:
 
 
 def _delivered(command: Command, output: QueuedOutput, status: int) -> int:
-    """The status of a command whose result may not have been taken."""
+    """Return the status of a command whose result may not have been read."""
     is_result = str(getattr(command, "json", None)) == "-"
-    # Who closed it before such a command began wants none of it, unless it is the result.
+    # An output that was closed before the command began is unwanted, unless it is the result.
     is_delivered = output.delivered and sys.__stdout__ is not None
     if status == 0 and (output.error is not None or (is_result and not is_delivered)):
         return CLOSED_PIPE if isinstance(output.error, BrokenPipeError) else FAILED
@@ -279,7 +279,7 @@ def _delivered(command: Command, output: QueuedOutput, status: int) -> int:
 
 
 def _let_go_of_output() -> None:
-    """Keep Python from waiting at its exit for somebody who reads what is still held back."""
+    """Keep Python from waiting at exit for a reader of the remaining output."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
             if not select.select([], [stream], [], 0.0)[1]:
@@ -287,16 +287,16 @@ def _let_go_of_output() -> None:
 
 
 def name_of(arguments: Sequence[str]) -> str:
-    """The name of a command as it is called, within its group, too."""
+    """Return the name of a command as it is called, with its group."""
     return " ".join(arguments[: 2 if arguments[0] in GROUPS else 1])
 
 
 def parse(arguments: Sequence[str]) -> Command:
-    """The command that the arguments request.
+    """Return the command that the arguments request.
 
     Raises:
-        SystemExit: With 2 for arguments that do not fit, and with 0 once help was given.
-        ValueError: A command that there is not.
+        SystemExit: Status 2 for invalid arguments, 0 after help.
+        ValueError: No such command.
     """
     check_command(arguments, COMMANDS)
     if arguments and arguments[0] in GROUPS:
@@ -309,10 +309,10 @@ def parse(arguments: Sequence[str]) -> Command:
 
 def _parsed(commands: CommandTable, prog: str, group: "type[object] | None", arguments: Sequence[str]) -> Command:
     printed = io.StringIO()
-    # The parser repeats arguments as they are.
+    # The parser repeats arguments verbatim.
     safe = all(argument.isprintable() for argument in arguments)
     named = commands.get(arguments[0]) if arguments else None
-    # Of a command that is named no other is parsed: what it does not know is not looked for in theirs.
+    # If a command is named, only that one is parsed: unknown options are not looked for in other commands.
     if named is not None:
         parsed, prog, arguments = named, f"{prog} {arguments[0]}", arguments[1:]
         description = summary(named)
@@ -337,17 +337,17 @@ def _parsed(commands: CommandTable, prog: str, group: "type[object] | None", arg
         if ended.code == 0 and described is not None:
             # The parser would fold the examples into one paragraph.
             print(f"\n{folded((inspect.getdoc(described) or '').partition(chr(10))[2].strip())}")
-        # Here, where it is reported if it cannot be written.
+        # Flush here, where a failed write is reported.
         sys.stdout.flush()
         raise
     return command
 
 
 def refuse_repeated(command: type[Any], arguments: Sequence[str]) -> None:
-    """Refuse an option that is given twice: of most the parser takes the last and says nothing.
+    """Refuse an option that is given twice: the parser would silently take the last for most of them.
 
     Raises:
-        ValueError: With both.
+        ValueError: An option is given twice; the message names both.
     """
     options = list(arguments[: arguments.index("--")] if "--" in arguments else arguments)
     if not {"--help", "-h"}.isdisjoint(options):
@@ -356,7 +356,7 @@ def refuse_repeated(command: type[Any], arguments: Sequence[str]) -> None:
     single: set[str] | None = None
     for argument, after in zip(options, [*options[1:], "--"], strict=False):
         name, equals, _ = argument.partition("=")
-        # One without a value is refused for that.
+        # An option without a value is refused by the parser.
         if not name.startswith("--") or (not equals and after.startswith("--")):
             continue
         if single is None:
@@ -369,13 +369,13 @@ def refuse_repeated(command: type[Any], arguments: Sequence[str]) -> None:
 
 
 def _counts_once(hint: object) -> bool:
-    """Whether an option of this type has one value, or one list of them: no switch, and nothing that adds up."""
+    """Return true if an option takes one value or one list: not a switch, and not an appending option."""
     is_switch = getattr(hint, "__origin__", hint) is bool
     return not is_switch and tyro.conf.UseAppendAction not in getattr(hint, "__metadata__", ())
 
 
 def union_of(commands: Mapping[str, type[Any]]) -> Any:  # noqa: ANN401  # put together at run time, without a static type
-    """The commands as one type that the parser chooses from."""
+    """Return the commands as one type that the parser chooses from."""
     return Union[  # noqa: UP007
         tuple(
             Annotated[command, tyro.conf.subcommand(name, description=summary(command))]
@@ -385,15 +385,15 @@ def union_of(commands: Mapping[str, type[Any]]) -> Any:  # noqa: ANN401  # put t
 
 
 def with_help(arguments: Sequence[str]) -> Sequence[str]:
-    """The arguments of `haptether help X` as those of `haptether X --help`."""
+    """Rewrite `haptether help X` as `haptether X --help`."""
     return [*arguments[1:], "--help"] if arguments and arguments[0] == "help" else arguments
 
 
 def check_command(arguments: Sequence[str], commands: Mapping[str, type[Any]]) -> None:
-    """Refuse a command that there is not.
+    """Refuse an unknown command.
 
     Raises:
-        ValueError: With the nearest.
+        ValueError: No such command; the message names the nearest.
     """
     if arguments and not arguments[0].startswith("-") and arguments[0] not in commands:
         from haptether.bridge.scene.errors import closest
@@ -406,7 +406,7 @@ def complete(arguments: Sequence[str]) -> int:
     """Print the script by which a shell completes commands and flags.
 
     Raises:
-        ValueError: Another shell.
+        ValueError: An unknown shell.
     """
     if list(arguments) not in [[shell] for shell in SHELLS]:
         message = f"{' '.join((COMPLETION, *arguments))}: must be one of {', '.join(SHELLS)}"
@@ -426,7 +426,7 @@ def complete(arguments: Sequence[str]) -> int:
 
 
 def with_port(arguments: Sequence[str]) -> list[str]:
-    """The arguments of a command of dynamixel with `--port PORT` as the first of those without an option."""
+    """Rewrite `--port PORT` of a dynamixel command as its first positional argument."""
     changed = list(arguments)
     for place, argument in enumerate(changed[1:], start=1):
         name, equals, port = argument.partition("=")
@@ -438,22 +438,22 @@ def with_port(arguments: Sequence[str]) -> list[str]:
 
 
 def with_backward(arguments: Sequence[str]) -> list[str]:
-    """The arguments of a command of netsim with each `--backward.key value` as `--backward-set key=value`.
+    """Rewrite each `--backward.key value` of a netsim command as `--backward-set key=value`.
 
     Raises:
-        ValueError: One setting twice.
+        ValueError: A setting is given twice.
     """
     return _with_assignments(arguments, BACKWARD, "--backward-set", ())
 
 
 def with_overrides(arguments: Sequence[str]) -> list[str]:
-    """The arguments of a command that runs a scene with each `--table.key value` as `--set table.key=value`.
+    """Rewrite each `--table.key value` of a command that runs a scene as `--set table.key=value`.
 
-    Several values after one `--set`, `--vary` or `--compare`, and of a command that opens a driver after `--options`,
-    get one each.
+    Several values after one `--set`, `--vary` or `--compare` get one option each; for a command that opens a driver the
+    values after `--options` do.
 
     Raises:
-        ValueError: One field twice.
+        ValueError: A field is given twice.
     """
     if arguments and arguments[0] in SCENE_COMMANDS:
         return _with_assignments(arguments, TABLE_KEY, "--set", ("--set", "--vary", "--compare"))
@@ -471,7 +471,7 @@ BACKWARD = re.compile(r"--backward\.(.*)", re.DOTALL)
 def _with_assignments(
     arguments: Sequence[str], key: re.Pattern[str] | None, option: str, repeated: Sequence[str]
 ) -> list[str]:
-    """Each option of the form `key`, if any, as an assignment after `option`; one of `repeated` before each value."""
+    """Rewrite options that match `key` as assignments after `option`; put one of `repeated` before each value."""
     changed: list[str] = []
     waiting = list(arguments)
     given: dict[str, str] = {}
@@ -507,7 +507,7 @@ def _with_assignments(
 
 
 def folded(text: str) -> str:
-    """The paragraphs of a text as wide as the terminal; a command to be copied stays on one line."""
+    """Fold the paragraphs of a text to the width of the terminal; keep a command to be copied on one line."""
     width = shutil.get_terminal_size().columns
     paragraphs = text.split("\n\n")
     return "\n\n".join(
@@ -519,7 +519,7 @@ def folded(text: str) -> str:
 
 
 def complain(error: Exception, status: int, *, debug: bool = False, remedy: str = "") -> int:
-    """Say what is wrong in one line, whatever it repeats; before it the traceback, if requested."""
+    """Print an error in one line, after its traceback if requested; return `status`."""
     if debug:
         lines = "".join(traceback.format_exception(error)).splitlines()
         print("\n".join(printable(line) for line in lines), file=sys.stderr)

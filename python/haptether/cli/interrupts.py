@@ -1,6 +1,6 @@
 """Ctrl-C of a command, from its first line on: status 130, and no traceback."""
 
-# What is imported here is there already: while a module loads, Python itself answers Ctrl-C, by a traceback.
+# These modules are loaded already: while another module loads, Python itself answers Ctrl-C with a traceback.
 import _signal  # type: ignore[import-not-found]  # the part of `signal` in C
 import io
 import os
@@ -16,33 +16,33 @@ INTERRUPTED = 130
 
 
 class Interrupts:
-    """Ends the process at Ctrl-C while it loads; raises KeyboardInterrupt once while a command runs, then ends it."""
+    """Ctrl-C of a process: it ends a process that loads, interrupts a running command once, and then ends it."""
 
     def __init__(self) -> None:
         self.begun = False
-        """The process is the command's own."""
+        """True if the process belongs to the command."""
         self.raising = False
-        """A command runs, which may have something to clear up."""
+        """True while a command runs that may have to clean up."""
         self.seen = False
-        """Ctrl-C has come."""
+        """True once Ctrl-C has come."""
 
     def begin(self) -> None:
-        """Takes over, where this thread may: the buttons, and Ctrl-C unless it is ignored."""
+        """Install the handlers where this thread may: for the buttons, and for Ctrl-C unless it is ignored."""
         self.begun = True
         try:
             for button in (_signal.SIGUSR1, _signal.SIGUSR2):
-                # Before a side has begun and after it has ended, they must not end the process.
+                # The buttons must not end the process before a side has begun or after it has ended.
                 if _signal.getsignal(button) == _signal.SIG_DFL:
                     _signal.signal(button, _signal.SIG_IGN)
-            # A shell without job control starts a background job with Ctrl-C ignored: it stays so, but for a side
-            # that runs (`Stopped`). SIGTERM ends either.
+            # A shell without job control starts a background job with Ctrl-C ignored. It stays ignored, except for a
+            # running side (`Stopped`). SIGTERM ends either.
             if _signal.getsignal(_signal.SIGINT) is not _signal.default_int_handler:
                 return
             _signal.signal(_signal.SIGINT, self._handle)
         except ValueError:
-            # Of another thread than the main one.
+            # Only the main thread may install handlers.
             return
-        # Where nobody can take an exception, Python prints it and goes on.
+        # Python prints an exception that nothing can catch, and goes on.
         sys.unraisablehook = self._unraisable
 
     def _handle(self, _number: int, _frame: "FrameType | None") -> None:
@@ -58,23 +58,23 @@ class Interrupts:
 
 
 INTERRUPTS = Interrupts()
-"""Of this process."""
+"""Interrupts of this process."""
 
 
 class LostOutput(io.FileIO):
-    """Standard output that was closed before the command began: what is written there is lost, which is known."""
+    """Standard output that was closed before the command began: it discards what is written, and records that."""
 
     written = False
-    """Whether anything was."""
+    """True if anything was written."""
 
     def write(self, part: "ReadableBuffer", /) -> int:
-        """Loses what a command prints, so that it goes on to what it writes elsewhere."""
+        """Discard the output, so that the command goes on and writes its files."""
         self.written = True
         return memoryview(part).nbytes
 
 
 def has_lost_output() -> bool:
-    """Whether a command has printed something where standard output was closed before it began."""
+    """Return true if a command has printed to a standard output that was closed before it began."""
     if isinstance(sys.stdout, io.TextIOWrapper) and isinstance(sys.stdout.buffer, io.BufferedWriter):
         sys.stdout.flush()
         raw = sys.stdout.buffer.raw
@@ -83,9 +83,9 @@ def has_lost_output() -> bool:
 
 
 def open_standard_streams() -> None:
-    """Open what is closed of standard input, output and error: the next file or socket would take its place.
+    """Open those of standard input, output and error that are closed: the next file or socket would take their place.
 
-    What is written to an output or error that was closed is lost; of output it is known, see `has_lost_output`.
+    Output and errors written to them are lost; `has_lost_output` reports lost output.
     """
     for descriptor in range(3):
         try:
@@ -97,7 +97,7 @@ def open_standard_streams() -> None:
                 os.close(opened)
             else:
                 os.set_inheritable(descriptor, True)
-    # What Python found closed at its start it does not have.
+    # Python has no stream for a descriptor that was closed at its start.
     if sys.stdout is None:
         sys.stdout = io.TextIOWrapper(io.BufferedWriter(LostOutput(1, "w", closefd=False)))
     if sys.stderr is None:

@@ -11,8 +11,8 @@ import tyro
 class Keygen:
     """Make the key that master and slave share: 32 random bytes in a file that only you may read.
 
-    Bring the file to the other side over a channel that nobody else reads, such as scp or a memory stick.
-    Whoever has it can move the arm.
+    Bring the file to the other side over a channel that nobody else reads, such as scp or a memory stick. The key lets
+    its holder move the arm.
 
     Examples:
 
@@ -22,9 +22,9 @@ class Keygen:
     """
 
     path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")] = Path("haptether.key")
-    """Where to write it."""
+    """Path of the key file."""
     force: bool = False
-    """Replace a file that is there; the key in it is lost."""
+    """Replace an existing file; the key in it is lost."""
 
     def run(self) -> int:
         """Write the file."""

@@ -11,11 +11,11 @@ from haptether.cli.shared.output import FileOptions
 
 @dataclass(frozen=True, kw_only=True)
 class List(FileOptions):
-    """Say what there is to name: drivers and presets of devices, scenes, hands, networks, and who watches a hand.
+    """List the available drivers, device presets, scenes, hands, networks and safety controllers.
 
     Drivers and controllers in Python are entry points of the groups `haptether.masters`, `haptether.slaves`,
-    `haptether.grippers` and `haptether.controllers`; other packages that are installed may bring more. One whose
-    package cannot be loaded is listed with the reason.
+    `haptether.grippers` and `haptether.controllers`; other installed packages may provide more. A driver whose package
+    cannot be loaded is listed with the reason.
 
     Examples:
 

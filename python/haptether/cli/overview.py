@@ -1,4 +1,4 @@
-"""`haptether --help`: every command with its first line, by what it is for."""
+"""`haptether --help`: every command with its first line, by purpose."""
 
 import inspect
 import textwrap
@@ -10,11 +10,11 @@ NAME_COLUMNS = 22
 
 
 def overview(description: str, purposes: Mapping[str, CommandTable], columns: int) -> str:
-    """The text of `haptether --help`.
+    """Return the text of `haptether --help`.
 
     Args:
-        description: Before the commands.
-        purposes: Commands by what they are for.
+        description: Text before the commands.
+        purposes: Commands by purpose.
         columns: Width of the terminal.
     """
     parts = ["usage: haptether COMMAND ...", description]
@@ -34,5 +34,5 @@ def _row(name: str, text: str, columns: int) -> str:
 
 
 def summary(command: type[object]) -> str:
-    """The first line of the docstring of a command."""
+    """Return the first line of the docstring of a command."""
     return (inspect.getdoc(command) or "").partition("\n")[0]

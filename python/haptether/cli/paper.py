@@ -9,7 +9,7 @@ import tyro
 from haptether.cli.shared.picture import PictureOptions
 
 STIFFNESS, DEPTH = 200.0, 0.039
-"""K in N/m and D in m of most rows: not repeated in each."""
+"""K in N/m and D in m of most rows, which are not repeated in each."""
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Paper(PictureOptions):
-    """Print every quantitative claim of the paper's section 4 beside what this project computes.
+    """Print every quantitative claim of the paper's section 4 beside the result of this project.
 
     Examples:
 
@@ -33,13 +33,13 @@ class Paper(PictureOptions):
     """
 
     sensitivity: bool = False
-    """Also vary what the paper does not tell, one factor at a time and several at once (under a minute): the range of
-    each row, what moves it most, and what explains the paper's number."""
+    """Also vary what the paper does not state, one factor at a time and several at once (under a minute): the range of
+    each row, its strongest factor, and the explanation of the paper's number."""
 
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Also write the operator and all rows as JSON; - for standard output."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Draw the figures into this folder, ours beside what the paper says."""
+    """Draw the figures into this folder, ours beside the paper's."""
     encoder_quantum: float = 0.0
     """Resolution of the device in m; 0 measures position and velocity exactly, a PHANTOM Desktop has 2.3e-5."""
 
@@ -146,7 +146,7 @@ QUANTITIES = {
     "least_energy_gripped": "least energy [J]",
     "median_grasp_ratio_gripped": "median S_h",
 }
-"""What the table calls each quantity, with its unit; --json has the long names."""
+"""Labels of the quantities in the table, with units; --json has the long names."""
 
 FACTOR_TITLES = {
     "release_s": "release time",
@@ -163,7 +163,7 @@ FACTOR_TITLES = {
     "clock": "clock",
     "mass_kg": "mass",
 }
-"""What the table calls each factor; --json has the long names."""
+"""Labels of the factors in the table; --json has the long names."""
 
 
 def _conditions(row: "PaperRow") -> str:
@@ -171,13 +171,13 @@ def _conditions(row: "PaperRow") -> str:
     common = {"K": STIFFNESS, "D": DEPTH}
     changed = [f"{key}={value:.3g}" if key == "D" else f"{key}={value:g}"
                for key, value in numbers.items() if value is not None and value != common.get(key)]  # fmt: skip
-    # Beside a condition, the name of no controller says nothing more.
+    # Beside a condition, "none" as controller adds nothing.
     named = [] if row.controller == "none" and changed else [row.controller or ""]
     return " ".join(part for part in [*named, *changed] if part)
 
 
 def _range(row: "PaperRow") -> tuple[str, str, str, str]:
-    """Least and greatest of a row, what moves it most, and whether the paper's number is between them."""
+    """Return least and greatest of a row, its strongest factor, and if the paper's number is between them."""
     if (of := row.sensitivity) is None or of.least is None or of.greatest is None:
         return "", "", "", ""
     inside = {True: "yes", False: "no", None: ""}[row.paper_inside]
@@ -186,7 +186,7 @@ def _range(row: "PaperRow") -> tuple[str, str, str, str]:
 
 
 def _verdict(row: "PaperRow", reasons: dict[str, int]) -> str:
-    """The verdict in a word or two, with the number of its reason, which is added to `reasons`."""
+    """Return the verdict in a word or two, with the number of its reason, which is added to `reasons`."""
     head, _, rest = row.verdict.partition(": ")
     if head in {"agrees", "holds", ""}:
         return row.verdict.replace(": ", " ")

@@ -19,10 +19,10 @@ COLOURS = {"yes": "red", "denies": "yellow", "delays": "yellow", "no": "green"}
 
 @dataclass(frozen=True, kw_only=True)
 class Raven(FileOptions):
-    """Attack a teleoperation as the RAVEN II study did, and say what each attack does.
+    """Attack a teleoperation as in the RAVEN II study, and print the effect of each attack.
 
-    Each attack is a scene of its name, as raven_drop. Exit status 1 says that one did what it is not known to do, or
-    that something moved which should have held.
+    Each attack is a scene of its name, as raven_drop. Exit status 1: an attack had an unexpected effect, or something
+    moved that should have held.
 
     Examples:
 
@@ -37,7 +37,7 @@ class Raven(FileOptions):
     """Also write all rows as JSON; - for standard output."""
 
     def run(self) -> int:
-        """Run every attack (a second or two) and print what it did; 0, or 1 if that is not what is expected."""
+        """Run every attack (a second or two) and print its effect; return 0, or 1 for an unexpected one."""
         from haptether.cli.shared.output import check_target, write_json
         from haptether.cli.shared.progress import counted
         from haptether.cli.shared.screen import screen

@@ -1,4 +1,4 @@
-"""A gripper on the bus of an emulated arm: it grips, and keeps its grip whatever becomes of the arm."""
+"""A gripper on the bus of an emulated arm: it grips, and keeps its grip when the arm fails."""
 
 import os
 import signal
@@ -31,14 +31,14 @@ GRIPPER = {
     "lever_m": 0.05,
     "torque_constant": 0.354,
 }
-"""With the constant that the emulated servo has."""
+"""The torque constant is that of the emulated servo."""
 CLOSE = GripperCommand(position=1.0, speed=2.0, force_n=2.0)
 OPEN = GripperCommand(position=0.0, speed=2.0, force_n=2.0)
 
 
 @pytest.fixture(scope="module")
 def shared() -> Iterator[EmulatedBus]:
-    """With something between the jaws, at half their way."""
+    """Yield a bus with an object between the jaws, half way."""
     servos = ("--servos", "1=XM430-W350", "2=XL330-M288", "7=XL330-M288", "--start", "0.3", "0.5", "0.2")
     with emulated_bus(*servos, "--stops", "7=0.2:-0.3") as running:
         yield running
@@ -50,7 +50,7 @@ def emulated(shared: EmulatedBus) -> EmulatedBus:
 
 
 class Pair:
-    """An arm and its gripper, led like the loop of a slave leads them."""
+    """An arm and its gripper, led as by the loop of a slave."""
 
     def __init__(self, port: str, arm: Path, **options: Any) -> None:  # noqa: ANN401  # of the gripper
         self.arm = DynamixelSlave(
@@ -65,7 +65,7 @@ class Pair:
     def until(
         self, holds: Callable[[GripperSample, str | None], bool], command: GripperCommand | None = None
     ) -> GripperSample:
-        """Ticks until gripper and arm are as they should be; without a command the two are left alone."""
+        """Tick until the condition on gripper and arm holds; without a command both are left alone."""
         end = time.monotonic() + PATIENCE_S
         while True:
             arm = self.arm.read()
@@ -100,7 +100,7 @@ def grips(sample: GripperSample, fault: str | None) -> bool:
 
 
 def pressing(emulated: EmulatedBus) -> float:
-    """Current in A with which it closes: 2 N of 0.05 m at 0.354 N m/A are 0.282 A."""
+    """Return the closing current in A: 2 N at 0.05 m with 0.354 N m/A are 0.282 A."""
     servo = emulated.servo(7)
     assert servo["torque"]
     return -float(servo["current_a"])
@@ -118,7 +118,7 @@ def test_it_grips_and_lets_go(emulated: EmulatedBus, tmp_path: Path) -> None:
         assert pair.gripper.read().position == pytest.approx(0.0, abs=0.01)
         begin_s = time.monotonic()
         held = pair.until(grips, CLOSE)
-        # 0.5 of the way at 2 1/s.
+        # Half of the way at 2 1/s takes 0.25 s.
         assert time.monotonic() - begin_s > 0.2
         assert held.position == pytest.approx(0.5, abs=0.01)
         assert held.force_n == pytest.approx(2.0, abs=0.05)
@@ -135,7 +135,7 @@ def test_force_follows_the_command(emulated: EmulatedBus, tmp_path: Path) -> Non
         pair.until(
             lambda sample, _: abs(sample.force_n - 1.0) < 0.05, GripperCommand(position=1.0, speed=2.0, force_n=1.0)
         )
-        # Of 100 N what its cap of current leaves: 0.525 A.
+        # The cap of 0.525 A limits a command of 100 N.
         pair.until(
             lambda sample, _: abs(sample.force_n - 3.717) < 0.05, GripperCommand(position=1.0, speed=2.0, force_n=100.0)
         )
@@ -171,7 +171,7 @@ def test_a_grip_that_is_stronger_than_the_cap_is_let_down_to_it(emulated: Emulat
         pair.until(grips, CLOSE)
     pair = Pair(emulated.port, tmp_path / "arm.toml", cap_a=0.1)
     try:
-        # Before anything is commanded.
+        # Nothing has been commanded yet.
         time.sleep(0.1)
         assert pressing(emulated) == pytest.approx(0.1, abs=0.01)
     finally:
@@ -247,7 +247,7 @@ def test_its_faults_are_none_of_the_arm_and_are_mended(
         emulated.do(line)
         sample = pair.until(lambda sample, _: sample.fault is not None, CLOSE)
         assert said.replace("\\", "") in str(sample.fault)
-        # The joints go on.
+        # The joints are still led.
         end_s = time.monotonic() + 0.5
         pair.until(lambda _, fault: time.monotonic() > end_s or fault is not None, CLOSE)
         assert pair.arm.read().fault is None
@@ -312,7 +312,7 @@ def test_it_has_an_id_of_its_own(tmp_path: Path) -> None:
 
 
 def test_a_tick_has_one_read_and_one_write(emulated: EmulatedBus, tmp_path: Path) -> None:
-    """Beside looks ten times a second: an instruction more in each tick would be twice as many."""
+    """Looks come ten times a second; one more instruction per tick would double the count."""
     with opened(emulated, tmp_path) as pair:
         pair.until(grips, CLOSE)
         begun = emulated.status()["instructions"]
@@ -323,6 +323,6 @@ def test_a_tick_has_one_read_and_one_write(emulated: EmulatedBus, tmp_path: Path
             goal = 0.9 if index % 2 else 1.0
             pair.gripper.write(GripperCommand(position=goal, speed=2.0, force_n=2.0))
         looks = 30.0 * (time.monotonic() - begin_s)
-        # Its answer comes after the last write, which nobody answers, has been counted.
+        # This answer proves that the last write, which nobody answers, has been counted.
         pair.arm.read()
         assert 401 <= emulated.status()["instructions"] - begun <= 411 + looks

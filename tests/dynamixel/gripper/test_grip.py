@@ -1,4 +1,4 @@
-"""What a gripper makes of what its servo measures: opening, force, an object, and what a hold does."""
+"""Values of a gripper from its servo's measurements: opening, force, object, and the effect of a hold."""
 
 import struct
 from typing import Any
@@ -25,7 +25,7 @@ def ticks(rad: float) -> int:
 
 
 class Line:
-    """Takes what is sent; answers nothing."""
+    """A line that records sent writes and answers nothing."""
 
     def __init__(self) -> None:
         self.sent: list[tuple[int, bytes, bytes]] = []
@@ -36,7 +36,7 @@ class Line:
 
 
 def stand(servo: GripServo, rad: float, current: int, ticks_long: int = 40, begin_s: float = 0.0) -> None:
-    """It stands there with a current for so long."""
+    """Keep the servo at an angle with a current for some ticks."""
     for index in range(ticks_long):
         servo.take((current, 0, ticks(rad)), begin_s + TICK_S * index)
 
@@ -47,7 +47,7 @@ def test_its_opening_is_between_its_ends_in_either_direction(opened: float, clos
     for position in (0.0, 0.25, 1.0):
         servo.take((0, 10, ticks(opened + position * (closed - opened))), 0.0)
         assert servo.position == pytest.approx(position, abs=RAD_PER_TICK)
-    # 10 units of 0.229 rev/min over 1 rad, where closing is.
+    # 10 units of 0.229 rev/min over 1 rad, in the direction of closing.
     assert servo.velocity == pytest.approx((0.2398 if closed > opened else -0.2398), rel=1e-3)
 
 
@@ -88,7 +88,7 @@ def test_an_object_is_lost_by_slipping_or_by_a_goal_on_its_other_side() -> None:
         servo.write(1.0, 1.0, 100.0)
         stand(servo, -0.3, -CAP)
         assert servo.holds_object
-        # A little less force or a goal that is nearer is no loss.
+        # A slightly lower force or a nearer goal does not lose the object.
         servo.write(0.6, 1.0, 1.0)
         servo.take((-100, 0, ticks(-0.31)), 1.0)
         assert servo.holds_object, lost
@@ -105,7 +105,7 @@ def test_a_hold_stops_jaws_that_move_and_keeps_the_force_of_those_that_press() -
     servo = grip()
     servo.write(1.0, 1.0, 2.0)
     servo.send(line)  # type: ignore[arg-type]
-    # Not an object yet, and it presses: to stop it there would let it drop.
+    # No object is detected yet, but the jaws press: a stop there would drop it.
     servo.take((-400, 0, ticks(-0.3)), 0.0)
     servo.hold()
     assert not servo.is_due
@@ -116,8 +116,8 @@ def test_a_hold_stops_jaws_that_move_and_keeps_the_force_of_those_that_press() -
     assert struct.unpack("<i", servo.goal)[0] == ticks(-0.3)
 
 
-def test_nobody_who_has_not_measured_it_moves_it() -> None:
-    """An arm that is refused ends in `close`, while jaws that nobody has looked at hold something."""
+def test_unmeasured_gripper_is_not_moved() -> None:
+    """A refused arm ends in `close`; unmeasured jaws may hold an object and must not move."""
     servo = grip()
     servo.hold()
     assert not servo.is_due
@@ -126,14 +126,14 @@ def test_nobody_who_has_not_measured_it_moves_it() -> None:
 def test_force_and_speed_are_cut_to_what_it_may() -> None:
     line = Line()
     servo = grip(max_speed=1.0)
-    # 1 N of 0.05 m at the largest constant that is published, 0.378 N m/A.
+    # 1 N at 0.05 m with the largest published constant, 0.378 N m/A.
     for force_n, speed, cap, units in ((1e4, 100.0, CAP, 41), (1.0, 0.5, 132, 20), (0.0, 1e-6, 1, 1)):
         servo.write(1.0, speed, force_n)
         servo.send(line)  # type: ignore[arg-type]
         address, ids, sent = line.sent.pop()
         assert (address, ids) == (102, bytes((7,)))
         assert struct.unpack("<hiIIi", sent) == (cap, 0, 0, units, ticks(-0.8))
-    # The same again is not sent.
+    # An unchanged command is not sent again.
     servo.write(1.0, 1e-6, 0.0)
     servo.send(line)  # type: ignore[arg-type]
     assert not line.sent

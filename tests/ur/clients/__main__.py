@@ -1,7 +1,7 @@
-"""What the real ur_rtde does with the emulated controller: one scenario a process, its result as JSON on the last line.
+"""The real ur_rtde against the emulated controller: one scenario per process, its result as JSON on the last line.
 
-`python -m tests.ur.clients SCENARIO HOST [ARGUMENTS]`. A call of ur_rtde that hangs cannot be interrupted from within,
-so whoever runs this has a time-out and kills it.
+`python -m tests.ur.clients SCENARIO HOST [ARGUMENTS]`. A hanging call of ur_rtde cannot be interrupted from within, so
+the caller needs a timeout and kills the process.
 """
 
 import json

@@ -1,22 +1,22 @@
-"""Calls that are made once: moves, questions, inputs and outputs."""
+"""Single calls: moves, queries, inputs and outputs."""
 
 import time
 
 import numpy as np
-import rtde_control  # type: ignore[import-not-found]  # they have no stubs
+import rtde_control  # type: ignore[import-not-found]  # no stubs
 import rtde_io  # type: ignore[import-not-found]
 import rtde_receive  # type: ignore[import-not-found]
 from tests.ur.clients.scenario import START, Result, scenario
 
 
 def seen() -> None:
-    """Waits until a state newer than an answer is there: the two have connections of their own."""
+    """Wait for a state newer than an answer: the two use different connections."""
     time.sleep(0.02)
 
 
 @scenario
 def moves(host: str) -> Result:
-    """Moves, synchronous and asynchronous, along paths; and what ends them."""
+    """Run moves, synchronous and asynchronous, along paths; then end them in each way."""
     control = rtde_control.RTDEControlInterface(host)
     receive = rtde_receive.RTDEReceiveInterface(host)
     result: Result = {}
@@ -52,7 +52,7 @@ def moves(host: str) -> Result:
 
 @scenario
 def questions(host: str) -> Result:
-    """Settings and requests."""
+    """Query settings and requests."""
     control = rtde_control.RTDEControlInterface(host)
     receive = rtde_receive.RTDEReceiveInterface(host)
     pose = receive.getActualTCPPose()
@@ -72,7 +72,7 @@ def questions(host: str) -> Result:
     seen()
     result["force"] = receive.getActualTCPForce()
     control.getStepTime()
-    # The client reads the answer before the controller has given it: the second time it is there.
+    # The client reads the answer before the controller has written it: the second read is valid.
     time.sleep(0.02)
     result["step_time"] = control.getStepTime()
     result["steady"] = control.isSteady()
@@ -93,7 +93,7 @@ def questions(host: str) -> Result:
 
 @scenario
 def io(host: str) -> Result:
-    """Digital and analog outputs, the speed slider, a second client beside it."""
+    """Set digital and analog outputs and the speed slider, with a second client."""
     inputs_outputs = rtde_io.RTDEIOInterface(host)
     receive = rtde_receive.RTDEReceiveInterface(host)
     result: Result = {
@@ -120,13 +120,13 @@ def io(host: str) -> Result:
 
 @scenario
 def slider(host: str) -> Result:
-    """Position of the speed slider for the next client."""
+    """Return the position of the speed slider for the next client."""
     return {"seen": rtde_receive.RTDEReceiveInterface(host).getTargetSpeedFraction()}
 
 
 @scenario
 def custom(host: str, upper: bool, body: str) -> Result:
-    """A program of the user's, and a move after it."""
+    """Run a program of the user, and a move after it."""
     flags = rtde_control.RTDEControlInterface.FLAG_UPLOAD_SCRIPT
     if upper:
         flags |= rtde_control.RTDEControlInterface.FLAG_UPPER_RANGE_REGISTERS

@@ -1,13 +1,13 @@
-"""Who may connect, and beside whom."""
+"""Allowed connections, alone and beside other clients."""
 
-import rtde_control  # type: ignore[import-not-found]  # they have no stubs
+import rtde_control  # type: ignore[import-not-found]  # no stubs
 import rtde_receive  # type: ignore[import-not-found]
 from tests.ur.clients.scenario import START, Result, scenario
 
 
 @scenario
 def two_controls(host: str) -> Result:
-    """A second control client beside a first, which then goes and comes back."""
+    """Connect a second control client beside the first, which then disconnects and reconnects."""
     first = rtde_control.RTDEControlInterface(host)
     try:
         rtde_control.RTDEControlInterface(host)
@@ -24,7 +24,7 @@ def two_controls(host: str) -> Result:
 
 @scenario
 def upper_registers(host: str) -> Result:
-    """A control client in the upper range of the registers."""
+    """Connect a control client in the upper range of the registers."""
     flags = rtde_control.RTDEControlInterface.FLAG_UPLOAD_SCRIPT
     flags |= rtde_control.RTDEControlInterface.FLAG_UPPER_RANGE_REGISTERS
     control = rtde_control.RTDEControlInterface(host, 500.0, flags)
@@ -36,7 +36,7 @@ def upper_registers(host: str) -> Result:
 
 @scenario
 def connect_control(host: str) -> Result:
-    """Only connects."""
+    """Connect only."""
     try:
         control = rtde_control.RTDEControlInterface(host)
     except RuntimeError as error:

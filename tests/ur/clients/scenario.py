@@ -1,4 +1,4 @@
-"""What scenarios have in common: their names, where the arm begins, a pace."""
+"""Common parts of scenarios: their names, the first posture, a pace."""
 
 import time
 from collections.abc import Callable
@@ -13,13 +13,13 @@ SCENARIOS: dict[str, Callable[..., Result]] = {}
 
 
 def scenario(function: Callable[..., Result]) -> Callable[..., Result]:
-    """Make a function known by its name."""
+    """Register a function by its name."""
     SCENARIOS[function.__name__] = function
     return function
 
 
 class Pace:
-    """Absolute deadlines, and how late each was met; late ones are never dropped."""
+    """Absolute deadlines, and the lateness at each; late ones are never dropped."""
 
     def __init__(self, period_s: float) -> None:
         self.period_s = period_s
@@ -27,7 +27,7 @@ class Pace:
         self._due = time.perf_counter()
 
     def wait(self) -> None:
-        """Waits for the next one."""
+        """Wait for the next deadline."""
         self._due += self.period_s
         left = self._due - time.perf_counter()
         if left > 0.0:

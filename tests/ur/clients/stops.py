@@ -1,4 +1,4 @@
-"""What stops an arm: its watchdog, its safety system, a network that goes."""
+"""Stops of an arm: by its watchdog, its safety system, a lost network."""
 
 import itertools
 import time
@@ -11,14 +11,14 @@ from tests.ur.clients.scenario import NO_TIMES, PERIOD_S, START, Pace, Result, s
 
 @scenario
 def watchdog(host: str) -> Result:
-    """A watchdog that is kept quiet by commands, then not."""
+    """Feed a watchdog by commands, then stop."""
     control = rtde_control.RTDEControlInterface(host)
     receive = rtde_receive.RTDEReceiveInterface(host)
     result: Result = {"armed": control.setWatchdog(10.0)}
     pace = Pace(PERIOD_S)
     begin = 0.0
     for _ in range(250):
-        # Before the last command: the watchdog cannot have heard it earlier, however long this process is held up.
+        # Measured before the last command: the watchdog cannot have heard it earlier, even if this process is delayed.
         begin = time.perf_counter()
         control.speedL([0.0, 0.0, 0.02, 0.0, 0.0, 0.0], 0.5)
         pace.wait()
@@ -38,7 +38,7 @@ def watchdog(host: str) -> Result:
 
 @scenario
 def dashboard(host: str) -> Result:
-    """What a person does after a protective stop."""
+    """Act like a person after a protective stop."""
     control = rtde_control.RTDEControlInterface(host)
     receive = rtde_receive.RTDEReceiveInterface(host)
     client = dashboard_client.DashboardClient(host)
@@ -92,7 +92,7 @@ def dashboard(host: str) -> Result:
 
 @scenario
 def lost(host: str, seconds: float) -> Result:
-    """Streams servoJ and says what happens to each call, until it receives the end; reports when it begins."""
+    """Stream servoJ and report the outcome of each call until the end; print a line at the beginning."""
     control = rtde_control.RTDEControlInterface(host)
     receive = rtde_receive.RTDEReceiveInterface(host)
     print("streaming", flush=True)

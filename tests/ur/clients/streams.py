@@ -1,4 +1,4 @@
-"""Commands at a rate: every mode, and how soon a command shows."""
+"""Commands at a rate in every mode, and the delay until a command shows."""
 
 import contextlib
 import os
@@ -13,11 +13,11 @@ from tests.ur.clients.scenario import NO_TIMES, PERIOD_S, START, Pace, Result, s
 
 
 class Stream:
-    """Control and Receive clients that stream at a rate, and what they measured.
+    """Control and Receive clients that stream at a rate, with their measurements.
 
     Args:
-        host: Where the controller is.
-        rate_hz: Calls a second.
+        host: Address of the controller.
+        rate_hz: Calls per second.
     """
 
     def __init__(self, host: str, rate_hz: float = 500.0) -> None:
@@ -28,9 +28,9 @@ class Stream:
     def run(
         self, seconds: float, command: Callable[[float], tuple[object, float]], stop: Callable[[], object]
     ) -> Result:
-        """Commands, each with the time in s since the first; then what stops them.
+        """Call `command` with the time in s since the first call, then `stop`.
 
-        A command gives what its call returned, and the number that it asked for.
+        A command returns the result of its call, and the requested number.
         """
         receive, rows, calls_s, accepted = self.receive, [], [], 0
         count = round(seconds * self.rate_hz)
@@ -38,7 +38,7 @@ class Stream:
         first = time.perf_counter()
         for _ in range(count):
             begin = time.perf_counter()
-            # Of the time that it is, not that it should be: a machine that stalls delays a command, but bends no sine.
+            # The actual time counts, not the due time: a stalled machine delays a command, but does not bend the sine.
             returned, wanted = command(begin - first)
             accepted += bool(returned)
             calls_s.append(time.perf_counter() - begin)
@@ -82,7 +82,7 @@ class Stream:
         }
 
     def servoj(self, seconds: float, amplitude: float, frequency_hz: float) -> Result:
-        """A sine of the first joint."""
+        """Run a sine of the first joint."""
 
         def command(t: float) -> tuple[object, float]:
             q = [START[0] + amplitude * (1.0 - np.cos(2 * np.pi * frequency_hz * t)), *START[1:]]
@@ -91,7 +91,7 @@ class Stream:
         return self.run(seconds, command, self.control.servoStop)
 
     def servol(self, seconds: float, amplitude: float, frequency_hz: float) -> Result:
-        """A sine of the tool along z."""
+        """Run a sine of the tool along z."""
         pose = self.receive.getActualTCPPose()
 
         def command(t: float) -> tuple[object, float]:
@@ -101,7 +101,7 @@ class Stream:
         return self.run(seconds, command, self.control.servoStop)
 
     def speedl(self, seconds: float, velocity: list[float], frequency_hz: float) -> Result:
-        """A velocity of the tool, constant or as a cosine."""
+        """Run a velocity of the tool, constant or as a cosine."""
 
         def command(t: float) -> tuple[object, float]:
             share = np.cos(2 * np.pi * frequency_hz * t)
@@ -110,11 +110,11 @@ class Stream:
         return self.run(seconds, command, self.control.speedStop)
 
     def speedj(self, seconds: float, velocity: list[float]) -> Result:
-        """A constant velocity of the joints."""
+        """Run a constant velocity of the joints."""
         return self.run(seconds, lambda _: (self.control.speedJ(velocity, 0.5, 0.0), 0.0), self.control.speedStop)
 
     def force(self, seconds: float, wrench: list[float]) -> Result:
-        """Force mode along x, sent anew in every period."""
+        """Run force mode along x, sent again in every period."""
         frame, selection, limits = [0.0] * 6, [1, 0, 0, 0, 0, 0], [0.1] * 6
 
         def command(_: float) -> tuple[object, float]:
@@ -125,7 +125,7 @@ class Stream:
 
 @scenario
 def streams(host: str, rate_hz: float, *runs: list[Any]) -> Result:
-    """Modes one after another, each a name with its arguments, from the start each."""
+    """Run modes one after another, each a name with its arguments, from the first posture."""
     stream = Stream(host, rate_hz)
     results = {}
     for mode, *arguments in runs:
@@ -137,23 +137,23 @@ def streams(host: str, rate_hz: float, *runs: list[Any]) -> Result:
 
 @scenario
 def streams_first(host: str, rate_hz: float, *runs: list[Any]) -> Result:
-    """The same under SCHED_FIFO, where that is granted: what else the machine does then delays nothing."""
+    """Run the same under SCHED_FIFO, if granted: other work of the machine then delays nothing."""
     with contextlib.suppress(OSError):
-        # Below the emulator: a client that waits for it must not hold it up.
+        # Below the emulator: a client that waits for it must not block it.
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
     return streams(host, rate_hz, *runs)
 
 
 @scenario
 def latency(host: str, times: int) -> Result:
-    """From a call of servoJ until a state shows that the target moves, and until RTDE has it."""
+    """Measure the time from a call of servoJ until a state shows that the target moves, and until RTDE has it."""
     control = rtde_control.RTDEControlInterface(host)
     receive = rtde_receive.RTDEReceiveInterface(host)
     waits = []
     control.servoJ(list(START), *NO_TIMES, PERIOD_S, 0.03, 2000)
     for number in range(times):
         q = [START[0] + 0.02 * (1 - number % 2), *START[1:]]
-        # What is left of the step before has decayed to 0.1 rad/s²; calls fall everywhere in the control cycle.
+        # The previous step has decayed to 0.1 rad/s²; calls fall everywhere in the control cycle.
         time.sleep(0.2 + number % 8 * 0.00025)
         begin = time.perf_counter()
         control.servoJ(q, *NO_TIMES, PERIOD_S, 0.03, 2000)

@@ -33,7 +33,7 @@ STALLED = f"this machine stalled a loop in each of {ATTEMPTS} runs"
 
 
 class Never:
-    """Nobody asks to stop."""
+    """A flag that is never set."""
 
     def __bool__(self) -> bool:
         return False
@@ -46,7 +46,7 @@ class Never:
 @pytest.mark.timeout(200)
 @pytest.mark.parametrize("slave", ["simulated", "ur"])
 def test_something_is_picked_up_turned_and_put_down(slave: Literal["simulated", "ur"], tmp_path: Path) -> None:
-    """The hand carries it 100 mm aside and turns it by 60 degrees; the arm, its wrist and its gripper do so, too."""
+    """The hand carries the object 100 mm aside and turns it by 60 degrees; so do arm, wrist and gripper."""
     scene = PickScene(slave=slave)
     for _ in range(ATTEMPTS):
         with Stalls() as stalls, contextlib.suppress(RuntimeError):
@@ -64,19 +64,19 @@ def test_something_is_picked_up_turned_and_put_down(slave: Literal["simulated", 
 def test_a_push_of_an_emulated_tool_reaches_the_hand_damped(tmp_path: Path) -> None:
     scene = DemoScene(slave="ur", delay_s=0.02, jitter_s=0.0, loss=0.0)
     for _ in range(ATTEMPTS):
-        # A run whose controller was not heard for 0.1 s ends in a fault, as it must.
+        # A run that receives nothing from the controller for 0.1 s ends in a fault, as required.
         with Stalls() as stalls, contextlib.suppress(RuntimeError):
             result = run_demo(scene, "hsc", tmp_path, lambda *_: None, Never())
             if result.holds == 0:
                 break
         assert stalls.worst_s > STALL_S, "it held or failed though the machine did not stand still"
     else:
-        # After a hold the two engage from where they are, so that the wall is pressed otherwise.
+        # After a hold both sides engage at their current places, which changes the press on the wall.
         pytest.skip(STALLED)
     assert result.final_state in {"engaged", "stale"}
-    # 65 mm of target behind 300 and 100 N/m in series, and the push over what of it bends the hand instead.
+    # 65 mm of target behind 300 and 100 N/m in series, plus the share of the push that does not bend the hand.
     assert result.force_at_release_n == pytest.approx(6.0, abs=0.3)
-    # 2.8 m/s without a controller, 0.22 with HSC, on a quiet machine.
+    # On a quiet machine 2.8 m/s without a controller, 0.22 with HSC.
     assert result.peak_hand_speed is not None
     assert 0.05 < result.peak_hand_speed < 0.6
     assert result.trips_before_release == 0
@@ -97,7 +97,7 @@ def running() -> Iterator[list[subprocess.Popen[str]]]:
 
 
 def started(running: list[subprocess.Popen[str]], says: str, *arguments: str) -> str:
-    """Start a command and give the line that says that it is ready."""
+    """Start a command; return the line that reports it ready."""
     child = subprocess.Popen(
         [*COMMAND, *arguments],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
@@ -114,7 +114,7 @@ def started(running: list[subprocess.Popen[str]], says: str, *arguments: str) ->
 
 
 def peg(folder: Path, running: list[subprocess.Popen[str]]) -> tuple[dict[str, Any], Array, Array]:
-    """Run the scene with all its processes; gives the master's result, its force and its position over the ticks."""
+    """Run the scene with all its processes; return the master's result, and its force and position over the ticks."""
     host = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
     started(running, "listening on", "ur-emulator", "--host", host, "--scene", "ur_peg", "--duration-s", "60")
     line = started(
@@ -149,13 +149,13 @@ def test_a_peg_meets_table_and_wall_on_three_axes(tmp_path: Path, running: list[
     scene = load_scene("ur_peg")
     assert scene.operator is not None
     targets = np.array([leg.end for leg in scene.operator.legs])
-    # In series, 300 N/m of the hand and 150 N/m of the box give 100 N/m of what the target lies deep in it.
+    # In series, 300 N/m of the hand and 150 N/m of the box give 100 N/m over the target's depth in the box.
     deep = -targets[-1][2], targets[-1][1] - 0.04
     settled = force[-200:].mean(axis=0)
     assert settled[2] == pytest.approx(100.0 * deep[0], abs=0.4)
     assert settled[1] == pytest.approx(-100.0 * deep[1], abs=0.5)
     assert abs(settled[0]) < 0.3
-    # Friction of 0.1 of the table while the peg is drawn along it, against the motion.
+    # The peg is drawn along the table, whose friction of 0.1 opposes the motion.
     drawn = (x[:, 1] > 0.01) & (x[:, 1] < 0.035) & (force[:, 2] > 1.0)
     assert drawn.any()
     assert -1.5 < np.median(force[drawn, 1]) < 0.0

@@ -1,4 +1,4 @@
-"""The UR driver against a controller of plain objects: what it calls, in which order, and what it does not wait for."""
+"""The UR driver against a controller of plain objects: its calls, their order, and calls that it does not wait for."""
 
 import sys
 import time
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 
 LONG_S = 20.0
 BLOCKED_S = 0.3
-"""What a call into the driver may take on a busy machine, while the library hangs for 30 s."""
+"""Time in s that a call into the driver may take on a busy machine, while the library hangs for 30 s."""
 
 
 @pytest.fixture
@@ -30,10 +30,10 @@ def arm(monkeypatch: pytest.MonkeyPatch) -> Iterator[Arm]:
 
 
 class Driven:
-    """A driver, stepped as the loop steps it.
+    """A driver, stepped as by the loop.
 
     In `lockstep` each step waits until the thread of the library has made its calls, and the watchdog counts packages:
-    whether it hears the driver then depends on the driver alone, and not on a machine that stalls.
+    its feeding then depends on the driver alone, and not on a machine that stalls.
     """
 
     def __init__(self, arm: Arm, *, lockstep: bool = False, **options: Any) -> None:  # noqa: ANN401
@@ -54,7 +54,7 @@ class Driven:
         return sample
 
     def await_calls(self) -> None:
-        """Waits until the thread of the library has nothing to do."""
+        """Wait until the thread of the library has nothing to do."""
         worker, end_s = self.driver._connection.worker, time.monotonic() + LONG_S
         while worker._calls or worker._newest or worker._running:
             assert time.monotonic() < end_s, self.arm.names[-20:]
@@ -75,7 +75,7 @@ class Driven:
         return sample.fault
 
     def ready(self) -> None:
-        """Acknowledges, and waits until it could be engaged."""
+        """Acknowledge, and wait until the driver could be engaged."""
         self.driver.acknowledge()
         self.until(lambda _: self.driver._recovery is None)
 
@@ -84,7 +84,7 @@ def test_the_watchdog_is_tried_and_armed_before_the_first_motion(arm: Arm) -> No
     driven = Driven(arm, payload_kg=1.5, tool=[0.0] * 6)
     opened = arm.names
     assert opened.index("setPayload") < opened.index("zeroFtSensor") < opened.index("setWatchdog")
-    # It bit, so the script was uploaded anew.
+    # The watchdog fired, so the script was uploaded again.
     assert opened[-2:] == ["setWatchdog", "reuploadScript"]
     assert arm.watchdog_hz is None
     driven.moves()
@@ -107,7 +107,7 @@ def test_a_refusal_leaves_no_script_behind(arm: Arm) -> None:
     arm.watchdog_bites = False
     with pytest.raises(UrRefusedError):
         driver.open()
-    # What the loop does with a device that could not be opened.
+    # The loop closes a device that could not be opened.
     driver.close()
     assert "stopScript" in arm.names
     assert "kill" in arm.names
@@ -115,7 +115,7 @@ def test_a_refusal_leaves_no_script_behind(arm: Arm) -> None:
 
 def test_an_arm_that_is_closed_while_it_recovers_is_not_connected_again(arm: Arm) -> None:
     driven = Driven(arm)
-    # Its packages still come, so that only the control interface would be connected.
+    # Packages still come, so only the control interface would be connected.
     stopped(arm)
     driven.fault()
     arm.blocks.add("probe")
@@ -126,7 +126,7 @@ def test_an_arm_that_is_closed_while_it_recovers_is_not_connected_again(arm: Arm
     end_s = time.monotonic() + 0.5
     while time.monotonic() < end_s:
         time.sleep(0.01)
-    # Neither begun nor, once it was begun, killed.
+    # It is neither started, nor killed after a start.
     assert {"connect", "kill"}.isdisjoint(arm.names[sent:])
 
 
@@ -265,7 +265,7 @@ def test_speed_is_bounded_whatever_is_commanded(arm: Arm) -> None:
         driven.step(moving=True, at=0.1 * tick)
     orders = [call[1] for call in arm.said if call[0] == "speedL"]
     assert max(sum(part**2 for part in xd[:3]) ** 0.5 for xd in orders) <= 0.1 + 1e-12
-    # Along the axis alone.
+    # The tool moves along the axis only.
     assert max(abs(xd[0]) + abs(xd[2]) for xd in orders) < 1e-12
     driven.driver.close()
 
@@ -273,13 +273,13 @@ def test_speed_is_bounded_whatever_is_commanded(arm: Arm) -> None:
 def test_an_arm_that_would_go_on_is_stopped_in_silence(arm: Arm) -> None:
     driven = Driven(arm)
     driven.moves()
-    # Nothing calls the driver any more: a bridge that hangs.
+    # Nothing calls the driver any more, as if the bridge hung.
     end_s = time.monotonic() + LONG_S
     while "speedStop" not in arm.names:
         assert time.monotonic() < end_s
         time.sleep(0.001)
     assert arm.names.count("speedStop") == 1
-    # And the next order leads it on, from where it is.
+    # The next order leads the arm from its present position.
     arm.kicked_s = time.monotonic()
     arm.runtime_state = 2
     driven.moves()
@@ -296,7 +296,7 @@ def test_torques_begin_anew_after_silence(arm: Arm) -> None:
     while "stopJ" not in arm.names:
         assert time.monotonic() < end_s
         time.sleep(0.001)
-    # A person has moved the arm meanwhile: springs from where it was would throw it back with 30 N m.
+    # A person has moved the arm meanwhile: springs from its old position would throw it back with 30 N m.
     arm.q[1] += 0.1
     arm.kicked_s, arm.runtime_state = time.monotonic(), 2
     sent = len(arm.said)
@@ -342,7 +342,7 @@ def test_an_arm_that_moves_on_after_its_stop_ends_the_program(arm: Arm) -> None:
     driven.driver.stop()
     begun_s = time.monotonic()
     assert driven.fault().startswith("a soft stop was acknowledged, and the arm still moves")
-    # Not before it has had the time that a soft stop may take.
+    # The fault comes only after the time that a soft stop may take.
     assert time.monotonic() - begun_s > STOP_S
     driven.until(lambda _: "stop" in arm.dashboard)
     assert "kill" in arm.names
@@ -354,7 +354,7 @@ def test_an_arm_that_rests_for_one_package_does_not_rest(arm: Arm) -> None:
     driven.moves()
     driven.driver.stop()
     driven.until(lambda _: not driven.driver._soft_stop.heard)
-    # At a reversal.
+    # The motion reverses.
     driven.step()
     arm.qd[2] = 0.3
     assert driven.fault().startswith("a soft stop was acknowledged, and the arm still moves")
@@ -362,7 +362,7 @@ def test_an_arm_that_rests_for_one_package_does_not_rest(arm: Arm) -> None:
 
 
 def test_nothing_moves_an_arm_that_still_comes_to_rest(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
-    # However late a busy machine sees it at rest.
+    # A busy machine may see the arm at rest late.
     monkeypatch.setattr("haptether.slave.ur.stop.REST_S", LONG_S)
     driven = Driven(arm, lockstep=True)
     driven.moves()
@@ -372,7 +372,7 @@ def test_nothing_moves_an_arm_that_still_comes_to_rest(arm: Arm, monkeypatch: py
     for _ in range(round(0.3 / PERIOD_S)):
         assert driven.step(moving=True).fault is None
     assert "speedL" not in arm.names[sent:]
-    # It is heard all the while: the watchdog waits for 0.1 s.
+    # The watchdog is fed all the while; its limit is 0.1 s.
     assert "kickWatchdog" in arm.names[sent:]
     arm.qd[2] = 0.0
     driven.until(lambda _: "speedL" in arm.names[sent:], moving=True)
@@ -413,9 +413,9 @@ def test_a_stop_behind_a_call_that_hangs_ends_the_program(arm: Arm) -> None:
     arm.watchdog_bites = False
     arm.blocks.add("speedL")
     sent = len(arm.said)
-    # A machine that stalls has paused the arm, which then goes on once it rested.
+    # A stalled machine has paused the arm, which then goes on once it rested.
     driven.until(lambda _: "speedL" in arm.names[sent:], moving=True)
-    # Before the call is overdue something else stops the arm.
+    # Something else stops the arm before the call is overdue.
     slowed(arm)
     assert driven.fault().startswith("speed slider")
     driven.until(lambda _: "stop" in arm.dashboard)
@@ -452,7 +452,7 @@ def test_an_arm_that_was_closed_while_it_opened_is_not_connected(arm: Arm, monke
 @pytest.mark.parametrize(
     ("mode", "qd", "requested", "want"),
     [
-        # 0.1 s of the watchdog, 50 ms of them for braking.
+        # The watchdog takes 0.1 s, of which 50 ms are for braking.
         ("servoj", 0.7, 5.0, 14.0),
         ("servol", 0.7, 5.0, 14.0),
         ("servoj", 0.2, 5.0, 5.0),
@@ -482,7 +482,7 @@ def test_a_stop_ends_before_the_watchdog_would(arm: Arm, mode: str, qd: float, r
 def test_an_arm_that_does_not_follow_is_a_fault(arm: Arm, mode: str) -> None:
     driven = Driven(arm, mode=mode, max_speed=0.1)
     driven.until(lambda _: driven.driver._watchdog.armed)
-    # It accepts every command and stands still. 20 mm, and 0.3 s and the lookahead at 0.1 m/s.
+    # The arm accepts every command and stands still. The limit is 20 mm, plus 0.3 s and the lookahead at 0.1 m/s.
     begun_s = time.monotonic()
     fault, at = None, 0.0
     while fault is None:
@@ -501,7 +501,7 @@ def test_a_tool_outside_its_workspace_is_refused_before_it_moves(arm: Arm) -> No
 
 
 def test_the_workspace_is_for_the_tool_of_the_options(arm: Arm) -> None:
-    """On the pendant stands the flange, 84 mm outside; the tool of the options reaches inside."""
+    """The pendant's tool is the flange, 84 mm outside; the tool of the options reaches inside."""
     arm.tool_moves = True
     Driven(arm, tool=[0.0, 0.0, 0.1, 0.0, 0.0, 0.0], workspace=[[0.0, 0.0, 2.0, 0.6]]).driver.close()
 
@@ -536,7 +536,7 @@ def test_the_end_is_bounded_where_the_library_hangs(arm: Arm) -> None:
     begun_s = time.monotonic()
     driven.driver.stop()
     driven.driver.close()
-    # Both hang: each is waited for to its limit, and no longer.
+    # Both calls hang: each is awaited up to its limit.
     assert 2 * END_S <= time.monotonic() - begun_s < 5.0
     assert arm.names.index("stopScript") < arm.names.index("disconnect")
     assert "stop" in arm.dashboard
@@ -614,9 +614,9 @@ def test_each_fault_is_latched_with_its_reason(arm: Arm, cause: Callable[[Arm], 
     cause(arm)
     fault = driven.fault(moving=True)
     assert fault.startswith(said), fault
-    # The arm is stopped, or its connection cut where nothing else is left, without anybody asking for it.
+    # The arm is stopped, or its connection cut as a last resort, without a request.
     driven.until(lambda _: not {"speedStop", "kill"}.isdisjoint(arm.names[before:]))
-    # Gone by itself: it stays until somebody says so.
+    # The cause is gone by itself, but the fault stays until it is acknowledged.
     sent = len([name for name in arm.names if name == "speedL"])
     arm.runtime_state, arm.safety_mode, arm.safety_bits, arm.robot_mode = 2, 1, 1, 7
     arm.connected, arm.frozen_at, arm.remote, arm.slider = True, None, True, 1.0
@@ -628,7 +628,7 @@ def test_each_fault_is_latched_with_its_reason(arm: Arm, cause: Callable[[Arm], 
 
 
 def test_a_fault_stops_an_arm_that_nothing_else_would_stop(arm: Arm) -> None:
-    # A servo holds its last target by itself, so that no silence of the commands ends it.
+    # A servo holds its last target, so silence of the commands does not end it.
     driven = Driven(arm, mode="servoj")
     driven.until(lambda _: arm.names[-1] == "servoJ", moving=True)
     local(arm)
@@ -642,7 +642,7 @@ def test_a_process_that_does_not_connect_in_time_is_ended(arm: Arm, monkeypatch:
     arm.blocks.add("connect")
     with pytest.raises(RtdeConnectionError, match=r"connect \(control\): has not returned within 0.2 s"):
         Driven(arm)
-    # Else it would upload its script once it comes through, with nobody to arm the watchdog.
+    # Otherwise it would upload its script once it comes through, with nobody to arm the watchdog.
     assert arm.names[-1] == "kill"
 
 
@@ -658,7 +658,7 @@ def test_an_acknowledgement_makes_it_ready_and_leaves_it_disengaged(arm: Arm) ->
     assert "reuploadScript" in again
     assert "zeroFtSensor" not in again
     assert "speedL" not in again
-    # The watchdog was forgotten with the script.
+    # The watchdog was lost with the script.
     driven.until(lambda _: arm.watchdog_hz is not None)
     driven.moves()
     driven.driver.close()
@@ -698,7 +698,7 @@ def test_a_lost_connection_is_made_anew(arm: Arm) -> None:
     driven.fault()
     driven.ready()
     assert driven.step().fault is None
-    # The old one, which would connect again by itself, is gone before.
+    # The old process, which would reconnect by itself, is gone before.
     assert [name for name in arm.names if name in {"kill", "connect"}] == ["connect", "kill", "connect"]
     driven.driver.close()
 

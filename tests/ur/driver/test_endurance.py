@@ -1,4 +1,4 @@
-"""Which runs of the endurance of a UR controller are measured anew."""
+"""Rules for repeating an endurance run of a UR controller."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ def run(*, good: bool, stolen_s: float) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("good", "stolen_s", "anew"),
     [
-        # 1 % of a minute of two processors are 1.2 s.
+        # 1 % of a minute of two processors is 1.2 s.
         (False, 0.0, False),
         (False, 1.2, False),
         (False, 1.21, True),
@@ -36,7 +36,7 @@ BAD, DISTURBED, GOOD = run(good=False, stolen_s=0.1), run(good=False, stolen_s=2
         ([GOOD], 1),
         ([BAD, GOOD], 1),
         ([DISTURBED, GOOD], 2),
-        # What was not good without the host counts, whatever was before.
+        # A bad run that the host did not disturb counts, whatever came before.
         ([DISTURBED, BAD, GOOD], 2),
         ([DISTURBED, DISTURBED, DISTURBED, GOOD], 3),
     ],

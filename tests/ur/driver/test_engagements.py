@@ -1,4 +1,4 @@
-"""Late frames after an engagement: how they are counted, and that a UR arm's first ones have none."""
+"""Late frames after an engagement: how they are counted, and their absence at a UR arm's first engagements."""
 
 import importlib.util
 import threading
@@ -15,7 +15,7 @@ CODES = {ladder_state_name(code): code for code in range(7)}
 
 
 def ticks(*states: tuple[str, float], late_s: float = 0.0) -> dict[str, np.ndarray]:
-    """A trace of 1 kHz: each state for so many seconds."""
+    """Return a trace of 1 kHz with each state for its time in s."""
     names = [name for name, seconds in states for _ in range(round(1e3 * seconds))]
     overshoot_s = np.zeros(len(names))
     overshoot_s[len(names) // 2] = late_s
@@ -28,11 +28,11 @@ def ticks(*states: tuple[str, float], late_s: float = 0.0) -> dict[str, np.ndarr
     [
         ([("aligning", 0.01), ("engaged", 1.0)], [[]]),
         ([("aligning", 0.01), ("engaged", 0.012), ("stale", 0.002), ("engaged", 1.0)], [[["stale", 12.0]]]),
-        # To hold in the end: one engagement, both states.
+        # It holds in the end: one engagement, both states.
         ([("aligning", 0.01), ("engaged", 0.02), ("stale", 0.015), ("hold", 0.5)], [[["stale", 20.0], ["hold", 35.0]]]),
-        # What comes after the window is none of an engagement.
+        # Frames after the window do not belong to an engagement.
         ([("aligning", 0.01), ("engaged", WINDOW_S + 0.05), ("stale", 0.01), ("engaged", 0.5)], [[]]),
-        # A clutch that is let go ends it; two engagements.
+        # Releasing the clutch ends it: two engagements.
         ([("aligning", 0.01), ("engaged", 0.1), ("disengaged", 0.1), ("aligning", 0.01), ("engaged", 0.5)], [[], []]),
         ([("disengaged", 1.0)], []),
     ],

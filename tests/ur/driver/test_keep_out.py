@@ -1,4 +1,4 @@
-"""An arm that is led by joint angles stays within the planes of its workspace and clear of itself."""
+"""An arm led by joint angles stays within the planes of its workspace and clear of itself."""
 
 import math
 from dataclasses import dataclass
@@ -22,19 +22,19 @@ Array = npt.NDArray[np.float64]
 
 MODEL = ur_model("ur5e")
 INWARD = np.array((0.143, 0.436, 0.0)) / math.hypot(0.143, 0.436)
-"""From the tool of the start to the axis of the base."""
+"""Direction from the tool at the start to the axis of the base."""
 
 
 @dataclass
 class Led:
-    """What became of an arm that was led."""
+    """Path of an arm that was led."""
 
     q: Array
     """Joint angles at each period, (n, 6)."""
     away: Array
-    """Of the tool, as the controller has it, from where it began: (n, 3), m."""
+    """Displacement of the controller's tool from its start, (n, 3), m."""
     behind: Array
-    """Of the tool from its set point, (n, 3), m."""
+    """Distance of the tool from its set point, (n, 3), m."""
     fault: str
 
 
@@ -49,7 +49,7 @@ def led(
     model: UrModel = MODEL,
     **given: Any,  # noqa: ANN401  # options
 ) -> Led:
-    """Leads the tool along a straight line at a speed, and lets it settle; the controller has it `off` away."""
+    """Lead the tool along a straight line at a speed, and let it settle; the controller's tool is `off` away."""
     kinematics = UrKinematics(model)
     pose = pose_from_transform(np.array(kinematics.forward(q)))
     pose[:3] += off
@@ -79,7 +79,7 @@ def led(
 
 
 def plane_ahead(towards: Array, at_m: float, off: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> list[float]:
-    """The plane across the way, so far ahead of the start; its normal has a length of 3."""
+    """Return the plane across the path, at this distance from the start; its normal has a length of 3."""
     home = np.array(UrKinematics(MODEL).forward(START_Q))[:3, 3] + off
     return [*(-3.0 * towards).tolist(), -3.0 * (float(towards @ home) + at_m)]
 
@@ -96,8 +96,8 @@ def test_an_arm_that_is_led_beyond_a_plane_stops_at_it(speed: float, acceleratio
     )  # fmt: skip
     assert arm.fault == ""
     along = arm.away @ towards
-    # It comes to the plane from within, at a rate of 10 Hz, or less where that would take more than 10 m/s^2; the path
-    # of a period bends by less than 1 um.
+    # It approaches the plane from within at a rate of 10 Hz, or less where that would exceed 10 m/s^2. The path of a
+    # period bends by less than 1 um.
     assert along.max() <= 0.06 + 1e-6
     assert along[-1] == pytest.approx(0.06, abs=1e-4 + 0.06 * math.exp(-10.0 / max(1.0, speed)))
 
@@ -107,7 +107,7 @@ def test_an_arm_that_is_led_beyond_a_plane_stops_at_it(speed: float, acceleratio
 def test_an_arm_that_comes_to_a_plane_at_full_speed_does_not_fault(
     across: list[tuple[float, float]], period_s: float
 ) -> None:
-    # A UR20 across its front: none of the smaller ones is as fast as options allow.
+    # The arm is a UR20 across its front: none of the smaller ones is as fast as the options allow.
     model, q, towards = ur_model("ur20"), (0.0, -0.4, 1.0, -2.17, -1.57, 0.0), np.array((0.0, 1.0, 0.0))
     home = np.array(UrKinematics(model).forward(q))[:3, 3]
     normals = [np.array((x, -1.0, z)) for x, z in across]
@@ -132,7 +132,7 @@ def test_an_arm_that_comes_to_a_plane_at_full_speed_does_not_fault(
 def test_an_arm_that_cannot_follow_faults_before_a_plane_as_it_does_without(
     towards: tuple[float, ...], ahead_m: tuple[float, ...], speed: float
 ) -> None:
-    # What its joints do not do is not for a plane that it would brake at as well.
+    # If the joints cannot follow, the fault does not blame a plane at which the arm would also brake.
     direction = np.array(towards)
     free = led(direction, 1.2, speed=speed, max_acceleration=20.0)
     assert "the tool cannot follow" in free.fault
@@ -144,7 +144,7 @@ def test_an_arm_that_cannot_follow_faults_before_a_plane_as_it_does_without(
 
 
 def test_the_plane_is_where_the_controller_has_the_tool() -> None:
-    # As much as another model of the same size would be off, and more than the tool is from the plane.
+    # The offset equals the error of another model of the same size, and exceeds the tool's distance from the plane.
     off = (0.004, -0.003, 0.002)
     towards = np.array((1.0, 0.0, 0.0))
     arm = led(towards, 0.1, off=off, workspace=[plane_ahead(towards, 0.003, off)])
@@ -163,7 +163,7 @@ def test_far_from_planes_and_from_itself_commands_are_the_same_to_the_bit() -> N
 
 
 def clearances(path: Array) -> tuple[Array, tuple[str, ...]]:
-    """Distances of the arm from itself, with the margin of the driver taken off, of the joint angles of a path."""
+    """Return the arm's distances from itself minus the driver's margin, for the joint angles of a path."""
     steps = UrStreaming(UrKinematics(MODEL), StreamingLimits(self_keep_out=SelfKeepOut()), period_s=0.002)
     found = []
     for q in path:
@@ -183,7 +183,7 @@ def test_an_arm_that_is_led_into_itself_stays_clear_and_says_why() -> None:
 
 
 def test_without_the_keep_out_it_would_hit_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    # The same line, with links so thin that they hardly meet: what the test above must not owe to anything else.
+    # Links so thin that they hardly meet: the test above must owe its result to the keep-out alone.
     with monkeypatch.context() as patch:
         patch.setattr(program, "arm_body", lambda model, _: arm_body(model, 1e-3))
         arm = led(INWARD, 0.44)

@@ -1,4 +1,4 @@
-"""Control scripts that no client leads: late ones, those of an earlier run, and programs of somebody else."""
+"""Control scripts without a client: late ones, those of an earlier run, and programs of other users."""
 
 import json
 import socket
@@ -36,10 +36,10 @@ def arm(shared: Emulated) -> Emulated:
 
 
 def sent(arm: Emulated, program: str) -> None:
-    """Send a program as ur_rtde does."""
+    """Send a program like ur_rtde does."""
     with socket.create_connection((arm.host, SCRIPT_PORT), 5.0) as connection:
         connection.sendall(f"{program}\n".encode())
-        # A connection that is closed with unread bytes is reset.
+        # Closing a connection with unread bytes would reset it.
         time.sleep(0.05)
 
 
@@ -63,7 +63,7 @@ def command_register(arm: Emulated) -> int:
 
 
 class Row(NamedTuple):
-    """A program that was sent, a command that a dead client left, and what becomes of the program."""
+    """A sent program, the command that a dead client left, and whether the program must end."""
 
     name: str
     program: str
@@ -94,7 +94,7 @@ def test_a_script_that_starts_later_ends_at_once(arm: Emulated) -> None:
     arm.do("start-up 0.5")
     sent(arm, CONTROL_SCRIPT)
     assert end_control_script(arm.host)
-    # The emulator has named the program since its start.
+    # The emulator names the program from its start on.
     arm.wait_for("program", "rtde_control")
     arm.wait_for("runtime_state", "STOPPED", patience_s=1.0)
 
@@ -110,7 +110,7 @@ def test_a_script_that_another_client_leads_goes_on(arm: Emulated) -> None:
 
 
 class Start(NamedTuple):
-    """How long the control script takes to start, in s, and whether the arm is taken."""
+    """Start-up time of the control script in s, and whether the arm is taken."""
 
     start_up_s: float
     taken: bool

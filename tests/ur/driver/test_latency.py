@@ -1,4 +1,4 @@
-"""How late an arm follows, from what was commanded and measured."""
+"""Delay of an arm's motion, from commands and measurements."""
 
 import math
 
@@ -17,7 +17,7 @@ def test_a_pure_delay_is_found(delay_s: float) -> None:
     for tick in range(3000):
         t = tick * PERIOD_S
         latency.add(t, wave(t), wave(t - delay_s) + 0.004)
-    # Linear between samples: far below a sample's.
+    # The estimate interpolates linearly: its error is far below a sample.
     assert latency.seconds == pytest.approx(delay_s, abs=1e-4)
 
 
@@ -26,7 +26,7 @@ def wave(t: float) -> float:
 
 
 def test_a_second_order_lag_is_its_delay_for_slow_motion() -> None:
-    """The servoj model `q'' = gain (q_set - q - lookahead q')`: its lag on a ramp is the lookahead."""
+    """The servoj model `q'' = gain (q_set - q - lookahead q')` lags on a ramp by the lookahead."""
     gain, lookahead_s = 1000.0, 0.05
     times = np.arange(0.0, 8.0, PERIOD_S)
     commanded = 0.05 * np.sin(1.0 * times)

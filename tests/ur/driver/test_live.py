@@ -1,6 +1,7 @@
 """The real ur_rtde in the real driver under the bridge, with an emulated controller as another process.
 
-What hangs in the library cannot be interrupted from within, so the driver runs in a process that is killed by its id.
+Hanging calls of the library cannot be interrupted from within, so the driver runs in a process that is killed by its
+id.
 """
 
 import math
@@ -20,27 +21,27 @@ pytestmark = [pytest.mark.live, pytest.mark.timeout(300)]
 
 MEND_S = 10.0
 CALM = {"watchdog_hz": 5.0}
-"""A shared machine may stall for longer than the 100 ms of the default, and the watchdog then does its duty."""
+"""A shared machine may stall for longer than the default of 100 ms, and the watchdog then fires."""
 SHARED_S = 0.35
-"""What a shared machine may add to a time limit: it delays three processes."""
+"""Time in s that a shared machine may add to a time limit, because it delays three processes."""
 PERIOD_S = 0.002
 LATE_S = 0.02
-"""How late a loop may be that is engaged: later, and it holds."""
+"""Lateness in s at which an engaged loop holds."""
 FASTEST_S = 2 * 7 / 8 * PERIOD_S
-"""A command is heard in the controller's next cycle and has moved the arm in the one after: two ticks of the loop,
-which come no closer than 7/8 of a period."""
+"""Least time in s from a command to the motion: the controller's next cycle hears it, the one after moves the arm. Two
+ticks of the loop are at least 7/8 of a period apart."""
 SLOWEST_S = 0.03 + SHARED_S / 5
 """20 ms of transport, and the begin of the slowest ramp."""
 
 
 def engaged(watching: Watching, since_s: float = 0.0) -> float:
-    """When both were coupled."""
+    """Return the time at which both were coupled."""
     events = [watching.wait_for(side, "engaged", since_s=since_s, patience_s=15.0) for side in ("slave", "master")]
     return max(float(event["at_s"]) for event in events)
 
 
 class ModeRow(NamedTuple):
-    """A mode, and the latency that it may have: ramp lag and transport, with room for a busy machine."""
+    """A mode and its permitted latency: ramp lag and transport, with room for a busy machine."""
 
     mode: str
     version: str
@@ -49,7 +50,7 @@ class ModeRow(NamedTuple):
 
 
 MODES = [
-    # Ramp lag of q'' = gain (q_set - q - lookahead q') is the lookahead; 4 to 20 ms of transport.
+    # The ramp lag of q'' = gain (q_set - q - lookahead q') is the lookahead; transport takes 4 to 20 ms.
     ModeRow("servoj", "5.11", {"lookahead_time": 0.03, "gain": 2000}, (0.03, 0.09)),
     ModeRow("servol", "5.11", {"lookahead_time": 0.1, "gain": 300}, (0.08, 0.16)),
     ModeRow("speedl", "5.23", {}, (0.0, 0.05)),
@@ -70,41 +71,41 @@ def test_a_hand_leads_the_arm_into_a_wall_and_feels_it(row: ModeRow) -> None:
             figures = watching.end()
         status = emulated.status()
     assert not [event for event in watching.events if event.get("fault")], watching.events
-    # 65 mm of the hand, with what contact bends: the arm has come along with all of what was commanded.
+    # The hand moves 65 mm, minus its deflection in contact: the arm has followed the whole command.
     assert figures["travel_m"] > 0.02
     assert figures["arm_travel_m"] > 0.02
     assert figures["environment_force_n"] > 0.5
     assert figures["device_force_n"] > 0.5
     assert figures["end_s"] < 5.0
-    # It has heard nothing that it did not understand, rests, and nobody's program plays.
+    # It has understood every command, is at rest, and no program plays.
     assert status["runtime_state"] == "STOPPED"
     assert math.hypot(*status["tcp_speed"][:3]) < 1e-3
     assert status["safety_mode"] == "NORMAL"
-    # The velocity that is sent along makes up for transport in speedl and direct-torque: 0 is the least that is found.
+    # The transmitted velocity compensates for transport in speedl and direct-torque: the least latency found is 0.
     low, high = row.latency_s
     assert figures["latency_s"] is not None
     assert low <= figures["latency_s"] <= high + SHARED_S / 5, figures
-    # Whatever is sent along, nothing moves before it is commanded.
+    # Nothing moves before it is commanded, even with a transmitted velocity.
     assert FASTEST_S <= figures["reaction_s"] <= SLOWEST_S, figures
 
 
 class FaultRow(NamedTuple):
-    """A fault, what it is mended by, and what the driver says; the reason's own limits in s."""
+    """A fault, its remedy, and the driver's text; the cause's own limits in s."""
 
     name: str
     fault: str
     said: str
     limits_s: tuple[float, float]
     mend: Callable[[Emulated], None]
-    """What people do beside the arm."""
+    """Actions of people beside the arm."""
 
 
 def nothing(_: Emulated) -> None:
-    """Nobody needs to."""
+    """Do nothing."""
 
 
 def released(emulated: Emulated) -> None:
-    """The button is turned back, the arm powered."""
+    """Turn the button back, and power the arm."""
     emulated.do("release-emergency-stop")
     emulated.do("power on")
     emulated.wait_for("robot_mode", "RUNNING")
@@ -123,8 +124,8 @@ def full_speed(emulated: Emulated) -> None:
     emulated.do("slider 1")
 
 
-# What RTDE reports is known within a package, that is at any time; silence after 100 ms, of which the package before it
-# may be as old as that of an engaged loop; remote control is queried once a second, that is at any time.
+# RTDE reports a state within a package, so at any time. Silence is detected after 100 ms; the package before it may be
+# as old as that of an engaged loop. Remote control is queried once per second, so at any time.
 FAULTS = [
     FaultRow("emergency stop", "emergency-stop", "emergency stop: find its cause", (0.0, 0.05), released),
     FaultRow("program stopped", "stop-program", "the control script is stopped", (0.0, 0.05), nothing),
@@ -145,11 +146,11 @@ def test_every_fault_ends_in_fault_and_goes_on_only_after_a_person() -> None:
     seen: list[str] = []
     with emulator(host=host) as emulated, driven({**CALM, "host": host, "verify_watchdog": False}) as watching:
         begun_s = engaged(watching)
-        # Packages that are once late by 60 ms: older than 20 ms is a hold, only older than 100 ms a fault.
+        # Packages are once late by 60 ms: older than 20 ms is a hold, only older than 100 ms a fault.
         at_s = time.monotonic()
         emulated.do("freeze 0.06")
         took_s = watching.wait_for("slave", "hold", "stop", since_s=at_s)["at_s"] - at_s
-        # A loop holds that is later than 20 ms; the last package arrived a period before the silence, or less.
+        # A loop that is late by more than 20 ms holds; the last package arrived at most a period before the silence.
         assert 0.02 - PERIOD_S <= took_s <= 0.06 + SHARED_S, took_s
         time.sleep(0.1)
         press_s = time.monotonic()
@@ -186,14 +187,14 @@ def test_every_fault_ends_in_fault_and_goes_on_only_after_a_person() -> None:
 
 
 def until_said(watching: Watching, said: str, since_s: float, key: str = "fault") -> None:
-    """Waits for a text."""
+    """Wait for a text."""
     event = watching.wait_for(key, since_s=since_s, patience_s=15.0)
     while said not in str(event[key]):
         event = watching.wait_for(key, since_s=event["at_s"] + 1e-6, patience_s=15.0)
 
 
 def recover(watching: Watching) -> float:
-    """Acknowledges until the arm is ready; when that was requested."""
+    """Acknowledge until the arm is ready; return the time of the acknowledgement."""
     end_s = time.monotonic() + MEND_S
     while True:
         ack_s = time.monotonic()
@@ -227,7 +228,7 @@ def test_a_soft_stop_from_full_speed_ends_before_the_watchdog(mode: str) -> None
             begun_s = time.monotonic()
             while (t := time.monotonic() - begun_s) < 0.4:
                 assert arm.read().fault is None
-                # Half a second of even acceleration to 0.2 m/s, and on.
+                # Half a second of constant acceleration to 0.2 m/s, and on.
                 arm.write((at_m + 0.25 * t * t,), (0.5 * t,))
             assert math.hypot(*emulated.status()["tcp_speed"][:3]) > 0.1
             arm.stop()
@@ -259,7 +260,7 @@ def test_a_protective_stop_is_unlocked_after_5_s_by_a_person() -> None:
     with emulator(host=host) as emulated, driven({**CALM, "host": host, "verify_watchdog": False}) as watching:
         engaged(watching)
         at_s = time.monotonic()
-        # More than the limit of 150 N.
+        # This exceeds the limit of 150 N.
         emulated.do("push 400 0.05")
         event = watching.wait_for("slave", "fault", since_s=at_s)
         assert event["at_s"] - at_s < 0.1 + SHARED_S
@@ -268,7 +269,7 @@ def test_a_protective_stop_is_unlocked_after_5_s_by_a_person() -> None:
         watching.command("ack")
         until_said(watching, "protective stop: can be unlocked in", at_s)
         assert emulated.status()["safety_mode"] == "PROTECTIVE_STOP"
-        # Fully 5 s after the stop, and the emulator refuses before as a real one does.
+        # The emulator, like a real controller, refuses before 5 s after the stop.
         time.sleep(max(0.0, at_s + 5.3 - time.monotonic()))
         ack_s = recover(watching)
         assert emulated.status()["safety_mode"] == "NORMAL"
@@ -294,7 +295,7 @@ def test_a_controller_that_dies_is_a_fault_and_the_end_is_bounded(mode: str) -> 
         said = watching.wait_for("fault", since_s=at_s)["fault"]
         assert said.startswith("the controller closed the connection"), said
         watching.command("ack")
-        # It looks before it meets the library again: 5 s at most, and an error of the network at once.
+        # It probes before it calls the library again: at most 5 s, or a network error at once.
         until_said(watching, f"{host}:30004: connect: ", event["at_s"])
         assert watching.end()["end_s"] < 5.0
 
@@ -306,7 +307,7 @@ def test_an_arm_whose_driver_is_killed_stops_by_its_watchdog() -> None:
         engaged(watching)
         end_s = time.monotonic() + 10.0
         while math.hypot(*emulated.status()["tcp_speed"][:3]) < 0.005:
-            # A machine that stalls has made it hold before the hand moved.
+            # A stalled machine has made it hold before the hand moved.
             watching.look(0.01)
             if [event["slave"] for event in watching.events if "slave" in event][-1] == "hold":
                 watching.command("press")
@@ -315,7 +316,7 @@ def test_an_arm_whose_driver_is_killed_stops_by_its_watchdog() -> None:
         watching.process.kill()
         emulated.wait_for("runtime_state", "STOPPED", patience_s=5.0)
         took_s = time.monotonic() - at_s
-        # 100 ms after the last command, which is as old as that of an engaged loop may be.
+        # 100 ms after the last command, which may be as old as that of an engaged loop.
         assert 0.1 - LATE_S < took_s < 0.1 + 0.1 + SHARED_S
         end_s = time.monotonic() + 5.0
         while math.hypot(*emulated.status()["tcp_speed"][:3]) > 1e-3:

@@ -1,4 +1,4 @@
-"""From a set-point to joint angles: the tool goes there, its orientation stays, no joint goes faster than it may."""
+"""From a set-point to joint angles: the tool reaches it, its orientation stays, and joint speeds stay within limits."""
 
 import math
 from typing import Any
@@ -23,7 +23,7 @@ def options(**given: Any) -> UrOptions:  # noqa: ANN401
 
 
 def state_at(q: tuple[float, ...], off: tuple[float, ...] = (0.0, 0.0, 0.0)) -> UrState:
-    """A state whose tool the controller has `off` away from where the model has it."""
+    """Return a state whose tool is `off` away from the model's."""
     pose = pose_from_transform(np.array(UrKinematics(MODEL).forward(q)))
     pose[:3] += off
     return UrState(1.0, q, q, (0.0,) * 6, tuple(pose), (0.0,) * 6, (0.0,) * 6, 7, 1, 1, 2, 1.0)
@@ -34,7 +34,7 @@ def test_the_tool_follows_and_keeps_its_orientation() -> None:
     state = state_at(START_Q, off)
     joints, point = JointTracking(UrKinematics(MODEL), options(), PERIOD_S), SetPoint(0.25, 5.0, PERIOD_S)
     joints.begin(state)
-    # The first command is where the joints are.
+    # The first command is the current joint position.
     assert joints.q.tolist() == list(START_Q)
     home = (state.pose[0], state.pose[1], state.pose[2])
     point.begin(home)
@@ -51,14 +51,15 @@ def test_the_tool_follows_and_keeps_its_orientation() -> None:
         there = transform[:3, 3] + off
         worst_m = max(worst_m, float(np.abs(there - point.position).max()))
         worst_rad = max(worst_rad, float(np.abs(transform[:3, :3] @ rotation.T - np.eye(3)).max()))
-    # Fed forward, so what is left is acceleration within the closing time of 4 periods, a T^2 = 0.32 * 64e-6 m, twice.
+    # With feed-forward the error is the acceleration within the closing time of 4 periods, a T^2 = 0.32 * 64e-6 m,
+    # twice.
     assert worst_m < 4e-5
     # Curvature of the chain within a period, (v T)^2 over a lever of 0.1 m, four periods of it.
     assert worst_rad < 1e-4
 
 
 def test_near_a_singularity_the_tool_stays_behind_and_no_joint_runs_away() -> None:
-    # The elbow almost straight: outwards there is nothing left.
+    # The elbow is almost straight: no motion outwards remains.
     q = (0.0, -1.0, 0.15, -0.5, 1.2, 0.0)
     state = state_at(q)
     joints, point = JointTracking(UrKinematics(MODEL), options(), PERIOD_S), SetPoint(0.25, 5.0, PERIOD_S)
@@ -92,7 +93,7 @@ def test_direct_torque_is_for_new_software(version: tuple[int, ...], good: bool)
 
 
 class Said:
-    """A control interface that keeps its calls."""
+    """A control interface that records its calls."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[Any, ...]] = []

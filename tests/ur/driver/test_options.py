@@ -1,4 +1,4 @@
-"""Options of the UR driver: what is refused names its key."""
+"""Options of the UR driver: a refusal names its key."""
 
 import math
 
@@ -66,7 +66,7 @@ def test_wrong_options_are_refused_by_name(given: dict[str, object], said: str) 
 
 @pytest.mark.parametrize("key", UrOptions.__struct_fields__)
 def test_each_option_says_what_it_may_be(key: str) -> None:
-    # Of no option's type, not even as text.
+    # This value fits no option's type, not even as text.
     wrong = "" if key in {"host", "model"} else {"no": "such"}
     with pytest.raises(ValueError, match=rf"device = ur: {key} = .*: must be \w") as refused:
         ur_options(HOST | {key: wrong})

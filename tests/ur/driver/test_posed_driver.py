@@ -1,4 +1,4 @@
-"""Poses through the driver, against a controller of plain objects: what a sample has, what is refused, what is said."""
+"""Poses through the driver, against a controller of plain objects: samples, refusals and texts."""
 
 import math
 import time
@@ -31,12 +31,12 @@ def arm(monkeypatch: pytest.MonkeyPatch) -> Iterator[Arm]:
 
 
 def turned(x: float, y: float, z: float) -> tuple[float, ...]:
-    """The orientation of the begin, turned by a rotation vector of the base."""
+    """Return the first orientation, turned by a rotation vector of the base."""
     return quat_product(quat_wxyz_from_rotvec((x, y, z)), BEGIN)
 
 
 class Driven:
-    """A driver that is open, and stepped with poses as a loop does."""
+    """An open driver, stepped with poses as by a loop."""
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401
         self.driver = UrSlave(host="fake", **({"axes": 3, "mode": "servol", "watchdog_hz": 5} | options))
@@ -58,7 +58,7 @@ class Driven:
         return sample
 
     def fault(self, orientation: tuple[float, ...]) -> str:
-        """Of an orientation that is commanded for long."""
+        """Return the fault of an orientation that is commanded until it appears."""
         sample = self.until(lambda sample: sample.fault is not None, orientation)
         assert sample.fault is not None
         return sample.fault
@@ -154,7 +154,7 @@ def test_along_one_axis_there_is_no_orientation(arm: Arm) -> None:
 def test_an_arm_that_does_not_turn_is_a_fault(arm: Arm, mode: str) -> None:
     driven = Driven(mode=mode, max_angular_speed=0.5)
     driven.step(BEGIN)
-    # It takes every command and stands still: 0.3 rad, and 0.3 s and the lookahead at 0.5 rad/s.
+    # It accepts every command and stands still: the limit is 0.3 rad, plus 0.3 s and the lookahead at 0.5 rad/s.
     fault = driven.fault(turned(0.0, 0.0, 1.0))
     assert "the arm does not follow: 0.48 rad behind its command (allowed 0.47 rad)" in fault
     stop = {"servoj": "servoStop", "servol": "servoStop", "speedl": "speedStop", "direct-torque": "stopJ"}[mode]

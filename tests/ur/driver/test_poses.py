@@ -1,4 +1,4 @@
-"""Poses in every mode, at an emulated arm in virtual time: what is turned follows, and nothing jumps."""
+"""Poses in every mode, at an emulated arm in virtual time: turns are followed, and nothing jumps."""
 
 import itertools
 import math
@@ -23,9 +23,9 @@ MODEL = ur_model("ur5e")
 AT_REST = (0.0, 0.0, 0.0)
 TURN = math.radians(60.0)
 LATE_S = {"servoj": 0.05 + 0.006, "servol": 0.05 + 0.006, "speedl": 0.003, "direct-torque": 0.025}
-"""Lookahead and three cycles of transport; of direct-torque what its springs leave, see docs/ur.md."""
+"""Lookahead and three cycles of transport; for direct-torque the lag of its springs, see docs/ur.md."""
 SPEED, ANGULAR_SPEED = 0.147, 1.56
-"""Largest of the figure, in m/s and rad/s."""
+"""Largest speeds of the figure, in m/s and rad/s."""
 
 
 def wrist_figure(arm: Posed) -> Path:
@@ -33,7 +33,7 @@ def wrist_figure(arm: Posed) -> Path:
 
 
 def across(start: tuple[float, ...], tilted: float = 0.0) -> Path:
-    """A turn of 1 rad that takes joint 5 through zero: about its axis, or beside it, where joint 4 must go round."""
+    """Return a turn of 1 rad with joint 5 through zero: about its axis, or beside it, where joint 4 must go round."""
     kinematics = UrKinematics(MODEL)
     jacobian = np.array(kinematics.forward_and_jacobian(start)[1])
     axis = -(jacobian[3:, 4] + tilted * jacobian[3:, 3])
@@ -50,7 +50,7 @@ def test_the_tool_follows_a_figure_that_turns_by_60_degrees(mode: str) -> None:
     assert ANGULAR_SPEED * 0.98 < max(math.hypot(*pose.angular_velocity) for pose in poses) < ANGULAR_SPEED
     led = arm.lead(path, 6.2)
     assert led.fault == ""
-    # It turns as far as that, and lags by no more than its delay does at the largest speed; springs also sag.
+    # It turns that far, and lags at most by its delay at the largest speed; springs also sag.
     assert np.ptp([pose.angular_velocity[2] for pose in poses]) > 1.0
     assert led.metres.max() < SPEED * LATE_S[mode] + (4e-3 if mode == "direct-torque" else 1e-4)
     assert led.radians.max() < ANGULAR_SPEED * LATE_S[mode] + (0.01 if mode == "direct-torque" else 1e-3)
@@ -60,7 +60,7 @@ def test_the_tool_follows_a_figure_that_turns_by_60_degrees(mode: str) -> None:
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("tilted", [0.0, 0.3])
 @pytest.mark.parametrize(("mode", "share", "swing"), [
-    # What is commanded keeps to a share; servoj swings beyond, the loop of speedl makes up, springs saturate.
+    # The command keeps to a share; servoj swings beyond, the loop of speedl compensates, springs saturate.
     ("servoj", POSE_SPEED_SHARE, 1.03), ("servol", POSE_SPEED_SHARE, 1.03), ("speedl", POSE_SPEED_SHARE, 1.1),
     ("direct-torque", SPRUNG_SPEED_SHARE, 1.5),
 ])  # fmt: skip
@@ -76,7 +76,7 @@ def test_a_wrist_goes_through_its_singularity_and_no_joint_jumps(
     assert fastest.max() < swing * share < 1.0
     assert fastest[3] > 0.4
     assert np.abs(np.diff(led.q, axis=0)).max() < swing * share * max(MODEL.max_speed) * PERIOD_S
-    # The tool's point is kept, its orientation comes late, and gets there.
+    # The tool's point is kept; its orientation lags, and arrives.
     assert led.metres.max() < 0.006
     assert 0.05 < led.radians.max() < 0.3
     assert led.radians[-1] < 0.02
@@ -84,7 +84,7 @@ def test_a_wrist_goes_through_its_singularity_and_no_joint_jumps(
 
 @pytest.mark.parametrize("q5", [0.5, math.pi - 0.5])
 def test_servol_does_not_come_to_a_singularity_that_lies_elsewhere_for_the_controller(q5: float) -> None:
-    """Its tool is 2 mm from that of the model, as of an arm without its calibration."""
+    """The controller's tool is 2 mm from that of the model, like that of an uncalibrated arm."""
     start = (*START[:4], q5, 0.0)
     kinematics = UrKinematics(MODEL)
     jacobian = np.array(kinematics.forward_and_jacobian(start)[1])
@@ -99,7 +99,7 @@ def test_servol_does_not_come_to_a_singularity_that_lies_elsewhere_for_the_contr
 
 @pytest.mark.parametrize("mode", LATE_S)
 def test_the_elbow_is_not_stretched_by_a_turn(mode: str) -> None:
-    """Where the arm cannot reach, the tool stays behind and the mode says why; no joint is too fast."""
+    """Out of reach the tool stays behind and the mode says why; no joint is too fast."""
     start = (0.0, -1.0, 0.3, -0.5, 1.2, 0.0)
     arm = Posed(mode, start)
     x, y, z = arm.home.pose[:3]
@@ -129,14 +129,14 @@ def test_speedl_goes_through_on_joint_velocities_and_comes_back_to_the_tools() -
     assert led.fault == ""
     switched = [n for n, (before, after) in enumerate(itertools.pairwise(sent)) if before != after]
     assert [sent[n + 1] for n in switched] == ["speedJ", "speedL"]
-    # Neither switch shows in what the joints do: no more than they may change their velocity in a period.
+    # The switches do not show in the joints' motion: velocity changes stay within the bound of a period.
     changes = np.abs(np.diff(led.qd, axis=0)).max(axis=1)
     for n in switched:
         assert changes[n - 5 : n + 6].max() < 1.5 * JOINT_ACCELERATION * PERIOD_S
 
 
 class Calls:
-    """A control interface that keeps its calls."""
+    """A control interface that records its calls."""
 
     def __init__(self) -> None:
         self.seen: list[list[float]] = []
@@ -150,7 +150,7 @@ class Calls:
 
 
 def test_poses_of_servol_do_not_turn_round_at_half_a_turn() -> None:
-    # The tool points down: half a turn about y, all but; a turn about y leads past it.
+    # The tool points down, which is nearly half a turn about y; a turn about y leads past it.
     arm = Posed("servol", max_angular_speed=1.0)
     calls, x = Calls(), arm.home.pose
     assert math.hypot(*x[3:]) > 3.1
@@ -180,7 +180,7 @@ def test_speedl_closes_its_loop_on_the_rotation() -> None:
     arm.mode.order(home.pose[:3], AT_REST, seen, PERIOD_S, Attitude(begin, AT_REST))(calls)  # type: ignore[arg-type]
     assert calls.seen[-1][:3] == pytest.approx(AT_REST, abs=1e-9)
     assert calls.seen[-1][3:] == pytest.approx([-8.0 * part for part in away], abs=1e-9)
-    # As fast as the tool may turn at most.
+    # The angular speed saturates at the tool's limit.
     far = Rotation.from_rotvec((1.5, 0.0, 0.0)) * Rotation.from_rotvec(home.pose[3:])
     seen = home._replace(pose=(*home.pose[:3], *far.as_rotvec().tolist()))
     arm.mode.order(home.pose[:3], AT_REST, seen, PERIOD_S, Attitude(begin, AT_REST))(calls)  # type: ignore[arg-type]
@@ -213,7 +213,7 @@ def test_planes_hold_for_a_tool_that_turns(mode: str) -> None:
     assert arm.point.position[2] >= START_Z - 0.02 - 1e-12
     kinematics = UrKinematics(MODEL)
     z = np.array([kinematics.forward(q)[2, 3] for q in led.q])
-    # Springs swing beyond what they are sent.
+    # Springs overshoot their set point.
     assert z.min() > START_Z - 0.02 - (4e-3 if mode == "direct-torque" else 5e-4)
     assert z.min() < START_Z - 0.018
 

@@ -1,4 +1,4 @@
-"""Poses through the real ur_rtde, with an emulated controller as a process, at 500 Hz: what the bench measures."""
+"""Poses through the real ur_rtde, with an emulated controller as a process, at 500 Hz: figures of the bench."""
 
 import json
 import subprocess
@@ -15,26 +15,26 @@ pytestmark = [pytest.mark.alone, pytest.mark.timeout(300)]
 
 BENCH = Path(__file__).resolve().parents[3] / "benches" / "pose_tracking.py"
 SHARED_S = 0.05
-"""What a shared machine may add to a delay, but for 5 % of the samples."""
+"""Delay that a shared machine may add, except for 5 % of the samples, in s."""
 STALLED_S = 0.5
-"""What it may add to any: an arm that jumps or runs away errs by more."""
+"""Largest delay that it may add, in s: an arm that jumps or runs away exceeds it."""
 LATE_S = {"servoj": 0.056, "servol": 0.057, "speedl": 0.003, "direct-torque": 0.025}
-"""Lookahead and transport; of direct-torque what its springs leave."""
+"""Lookahead and transport, in s; for direct-torque the lag of its springs."""
 SAG_M = {"direct-torque": 0.004}
 
 
 def measured(mode: str) -> dict[str, dict[str, Any]]:
-    """Rows of the bench by path; its process can be killed where the library hangs."""
+    """Return rows of the bench by path; its process can be killed if the library hangs."""
     command = [sys.executable, str(BENCH), "--mode", mode, "--host", free_host(), "--json", "-"]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
     assert ended.returncode == 0, ended.stderr
-    # The library says things of its own.
+    # The library prints further text.
     rows = json.loads(ended.stdout[ended.stdout.index("[\n") :])
     assert len(rows) == 3
     return {row["path"]: row for row in rows}
 
 
-# In virtual time: tests/ur/driver/test_poses.py; with the real client: the demonstration that turns what it picks up.
+# tests/ur/driver/test_poses.py covers virtual time; the pick demonstration covers the real client.
 @pytest.mark.thorough
 @pytest.mark.parametrize("mode", LATE_S)
 @anew_after_stalls

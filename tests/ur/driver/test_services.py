@@ -1,4 +1,4 @@
-"""Reaching a controller: whoever accepts a connection and says nothing must not hold the driver."""
+"""Connecting to a controller: a peer that accepts a connection and stays silent must not block the driver."""
 
 import contextlib
 import inspect
@@ -22,7 +22,7 @@ LIMIT_S = 0.3
 
 
 class Peer:
-    """A server whose handler is a function."""
+    """Server whose handler is a function."""
 
     def __init__(self, port: int, handle: Callable[[socket.socket], None]) -> None:
         self._listening = socket.create_server((HOST, port))
@@ -113,7 +113,7 @@ def test_the_dashboard_is_not_waited_for(serve: Serve, handle: Callable[[socket.
 
 def dashboard(answers: dict[str, str]) -> Callable[[socket.socket], None]:
     def handle(connection: socket.socket) -> None:
-        # In parts, as the network may deliver it.
+        # Send in parts, as the network may deliver it.
         connection.sendall(b"Connected: Universal Robots ")
         connection.sendall(b"Dashboard Server\n")
         for line in connection.makefile():
@@ -136,7 +136,7 @@ def test_what_the_dashboard_says(serve: Serve) -> None:
 
 
 class End(NamedTuple):
-    """Answers of RTDE, behaviour of the dashboard, the services asked, and the error."""
+    """Answers of RTDE, behaviour of the dashboard, the queried services, and the error."""
 
     rtde: tuple[bool | str, ...]
     dashboard: str
@@ -188,7 +188,7 @@ def test_a_program_is_ended_over_rtde_first(monkeypatch: pytest.MonkeyPatch, row
 def test_the_end_of_a_program_is_waited_for_as_long_as_its_steps_may_take(limit_s: float) -> None:
     rtde_s = inspect.signature(services.end_control_script).parameters["limit_s"].default
     dashboard = inspect.signature(services.query_dashboard).parameters
-    # Its greeting and one answer.
+    # The greeting of the dashboard, and one answer.
     dashboard_s = dashboard["connect_s"].default + 2 * dashboard["reply_s"].default
     assert limit_s > 2 * rtde_s + dashboard_s
 

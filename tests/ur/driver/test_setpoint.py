@@ -1,4 +1,4 @@
-"""Bounds on where a UR arm is sent: never faster or more suddenly than it may, and there in the end."""
+"""Bounds on the set point of a UR arm: speed and acceleration within limits, and the target reached in the end."""
 
 import math
 
@@ -16,7 +16,7 @@ PERIOD_S = 0.002
 coordinates = st.floats(-0.3, 0.3)
 points = st.tuples(coordinates, coordinates, coordinates)
 parts = st.floats(-1.0, 1.0)
-# Each far from the one before: jumps, up to half a turn.
+# Each orientation is far from the previous one: jumps of up to half a turn.
 orientations = (
     st.tuples(parts, parts, parts, parts)
     .filter(lambda q: math.hypot(*q) > 0.1)
@@ -40,7 +40,7 @@ def test_speed_and_acceleration_are_kept_whatever_is_asked(targets: list[tuple[f
             change = math.dist(point.velocity, before[1])
             assert math.hypot(*point.velocity) <= 0.25 * (1 + 1e-12)
             assert change <= 5.0 * period_s * (1 + 1e-12)
-            # Moved by the mean velocity: no step is longer than the speed allows.
+            # It moves by the mean velocity: no step is longer than the speed allows.
             assert math.dist(point.position, before[0]) <= 0.25 * period_s * (1 + 1e-12)
             before = point.position, point.velocity
 
@@ -55,7 +55,7 @@ def test_it_comes_to_rest_on_a_target_that_rests(target: tuple[float, float, flo
         away.append(math.dist(point.position, target))
     assert away[-1] < 1e-9
     assert math.hypot(*point.velocity) < 1e-9
-    # Straight, and with no swing beyond what a period of the largest acceleration moves.
+    # The path is straight, and overshoots at most by the motion of one period at the largest acceleration.
     line = np.array(point.position) / max(away[0], 1e-12)
     assert float(np.dot(line, target)) <= away[0] + 5.0 * period_s**2
 
@@ -69,13 +69,14 @@ def test_what_may_be_followed_is_followed_without_lag() -> None:
         x, v = 0.03 * (1 - math.cos(math.pi * t)), 0.03 * math.pi * math.sin(math.pi * t)
         point.step((x, 0.0, 0.0), (v, 0.0, 0.0), PERIOD_S)
         worst = max(worst, abs(point.position[0] - x))
-    # Fed forward, what is left is from the acceleration within the settling time, 3 periods: a T² = 0.3 * 36e-6 m.
+    # With feed-forward, the error is that of the acceleration within the settling time, 3 periods: a T² = 0.3 * 36e-6
+    # m.
     assert worst < 0.03 * math.pi**2 * (3 * PERIOD_S) ** 2 * 1.5
 
 
 @given(points, st.tuples(coordinates, coordinates, coordinates).filter(lambda n: math.hypot(*n) > 0.01))
 def test_it_never_leaves_the_workspace(target: tuple[float, float, float], normal: tuple[float, float, float]) -> None:
-    # A plane 50 mm behind the start, its normal of any length.
+    # A plane 50 mm behind the start; its normal has any length.
     length = math.hypot(*normal)
     plane = (*normal, -0.05 * length)
     point = SetPoint(0.25, 5.0, PERIOD_S, ur_options({"host": "fake", "workspace": [plane]}).planes)
@@ -119,7 +120,7 @@ def test_turns_keep_to_speed_acceleration_and_cone_whatever_is_asked(
 
 
 def pointing(axis: tuple[float, float, float]) -> tuple[float, float, float, float]:
-    """An orientation with the tool's z axis along an axis of the upper half."""
+    """Return an orientation with the tool's z axis along an axis of the upper half."""
     x, y, z = axis
     length = math.hypot(x, y)
     angle = math.atan2(length, z)
@@ -136,7 +137,7 @@ def test_a_turn_comes_to_rest_on_an_orientation_that_rests(target: tuple[float, 
         away.append(math.hypot(*turn_between(set_point.attitude.orientation, target)))  # type: ignore[arg-type]
     assert away[-1] < 1e-8
     assert math.hypot(*set_point.attitude.angular_velocity) < 1e-8
-    # The shorter way round: it brakes a period late, so that it swings beyond by no more than it turns in one.
+    # It takes the shorter way round, and brakes a period late: it overshoots at most by the turn of one period.
     assert np.diff(away).max() <= 1.0 * period_s
 
 
@@ -151,7 +152,7 @@ def test_a_turn_that_may_be_followed_is_followed_without_lag() -> None:
         wanted = quat_wxyz_from_rotvec([angle * part for part in axis])
         set_point.step(Attitude(wanted, (rate * axis[0], 0.0, rate * axis[2])), PERIOD_S)
         worst = max(worst, math.hypot(*turn_between(set_point.attitude.orientation, wanted)))
-    # What is left is from the acceleration within the settling time, 3 periods: a T² = 2 * 36e-6 rad.
+    # The error is that of the acceleration within the settling time, 3 periods: a T² = 2 * 36e-6 rad.
     assert worst < 2.0 * (3 * PERIOD_S) ** 2 * 1.5
 
 
@@ -165,7 +166,7 @@ def test_a_tool_that_begins_outside_its_cone_comes_back_and_does_not_leave_again
             set_point.step(Attitude(quat_wxyz_from_rotvec((angle, 0.0, 0.0)), REST), PERIOD_S)
             beyond.append(set_point.outside(set_point.attitude.orientation))
     assert beyond[0] == pytest.approx(0.1)
-    # Further out never, and once inside it stays there.
+    # It never goes further out, and once inside it stays there.
     assert max(np.diff(beyond)) < 1e-12
     assert max(beyond[1200:]) < 1e-12
     tilt, _ = cone.tilt(set_point.attitude.orientation)

@@ -1,4 +1,4 @@
-"""The state that a soft stop is: what leads from one phase to another, and that nothing else does."""
+"""States of a soft stop: the transitions between its phases, and their absence for all other events."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -15,7 +15,7 @@ from haptether.slave.ur.worker import Call
 
 
 class Connection:
-    """One that makes no call by itself."""
+    """A connection that makes no call by itself."""
 
     def __init__(self) -> None:
         self.worker: Any = self
@@ -33,7 +33,7 @@ class Connection:
         return self.started[-1]
 
     def pause(self) -> Call:
-        """What its thread does in silence."""
+        """Make the call of its thread during silence."""
         self.idled = Call("stop", lambda: True, 1.0)
         self.idled.perform()
         return self.idled
@@ -43,7 +43,7 @@ class Connection:
 
 
 class Stopped:
-    """A soft stop, and the packages that it looks at."""
+    """A soft stop with its packages."""
 
     def __init__(self) -> None:
         self.connection = Connection()
@@ -51,7 +51,7 @@ class Stopped:
         self._timestamp = 10.0
 
     def state(self, qd: float = 0.0, runtime_state: int = PLAYING) -> UrState:
-        """The next package."""
+        """Return the next package."""
         self._timestamp += 0.002
         six = (0.0,) * 6
         return UrState(
@@ -59,11 +59,11 @@ class Stopped:
         )
 
     def package(self, *, qd: float = 0.0, runtime_state: int = PLAYING, stale: bool = False) -> str | None:
-        """A package, and what is wrong."""
+        """Check a package; return the fault."""
         return self.soft_stop.check(self.state(qd, runtime_state), stale=stale)
 
     def rests(self) -> None:
-        """Packages of joints that rest for long enough, and no longer."""
+        """Send packages of joints that rest just long enough."""
         for _ in range(int(STILL_S / 0.002) + 2):
             assert self.package() is None
 
@@ -90,7 +90,7 @@ def test_an_arm_is_at_rest_once_its_stop_was_answered_and_its_joints_rested(stop
     soft_stop.begin()
     assert (stopped.phase, soft_stop.ready, soft_stop.commanded, soft_stop.heard) == (Phase.MOVING, True, True, True)
     call = stopped.stop()
-    # The joints rest, and the library has not answered: a package may be older than the stop.
+    # The joints rest, but the library has not answered: a package may be older than the stop.
     stopped.rests()
     assert (stopped.phase, soft_stop.ready, soft_stop.commanded, soft_stop.heard) == (
         Phase.STOPPING,
@@ -154,7 +154,7 @@ def test_nothing_is_commanded_while_the_arm_pauses(stopped: Stopped) -> None:
 
     assert send() == ["servoL"]
     stopped.connection.pause()
-    # Seen by the command itself, before any package.
+    # The command itself sees it, before any package.
     assert send() == ["servoL"]
     assert (stopped.phase, stopped.soft_stop.ready) == (Phase.PAUSING, False)
     stopped.rests()
@@ -187,7 +187,7 @@ def test_a_refused_stop_matters_where_the_program_may_play(
     stopped.soft_stop.stop(lambda _: False)
     stopped.connection.started[-1].perform()
     assert stopped.package(runtime_state=runtime_state, stale=stale) == why
-    # Said once.
+    # It is reported once.
     assert stopped.package(runtime_state=runtime_state, stale=stale) is None
 
 

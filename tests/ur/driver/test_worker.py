@@ -43,7 +43,7 @@ def test_a_call_that_does_not_return_is_never_waited_for_again(gate: threading.E
     with pytest.raises(CallTimeoutError, match=r"stopScript: has not returned within 0.05 s"):
         worker.run("stopScript", lambda: gate.wait(LONG_S), 0.05)
     assert worker.stuck is not None
-    # Neither of these waits for it.
+    # Neither of these calls waits for the hanging one.
     later = worker.start("later", lambda: 1, LONG_S)
     assert later.done
     assert later.failure == "later: worker: does not answer"
@@ -52,7 +52,7 @@ def test_a_call_that_does_not_return_is_never_waited_for_again(gate: threading.E
         worker.run("again", lambda: 1, LONG_S)
     worker.end()
     assert time.monotonic() - begun_s < LONG_S / 2
-    # What returns after all changes nothing.
+    # A call that returns late changes nothing.
     gate.set()
     assert worker.stuck is not None
 

@@ -29,7 +29,7 @@ def test_the_raw_force_is_turned_from_the_flange_to_the_base() -> None:
 
 
 def test_the_payload_is_taken_away_in_every_orientation() -> None:
-    """A sensor with a bias of its own and 1.5 kg on it, zeroed once and then turned: SciPy has the rotations."""
+    """Zero a sensor with a bias and 1.5 kg on it once, and then turn it; SciPy gives the rotations."""
     flange_from_tool = Rotation.from_rotvec(TOOL[3:])
     bias, weight = np.array((2.0, -3.0, 0.5)), np.array((0.0, 0.0, -1.5 * 9.80665))
 
@@ -46,19 +46,19 @@ def test_the_payload_is_taken_away_in_every_orientation() -> None:
 
 
 def test_the_filter_is_the_discrete_one_of_its_corner() -> None:
-    """Against SciPy's zero-order hold of 1/(1 + s/2 pi f)."""
+    """Compare with SciPy's zero-order hold of 1/(1 + s/2 pi f)."""
     corner, period_s = 2 * math.pi * 30.0, 0.002
     b, a, _ = signal.cont2discrete((np.array([corner]), np.array([1.0, corner])), period_s)
     x = np.random.default_rng(1).normal(size=200)
     wrench = UrWrench(raw=False, tool=(0.0,) * 6, filter_hz=30.0, deadband_n=0.0)
     y = [wrench.felt((value, 0.0, 0.0, 0.0, 0.0, 0.0), POSE, period_s)[0][0] for value in x]
-    # SciPy's output is due one sample later than an input that counts at once; both begin at the first.
+    # SciPy's output comes one sample after an input that acts at once; both begin at the first.
     want = signal.lfilter(b.ravel()[1:], a, x, zi=[x[0] * (1 - b.ravel()[1])])[0]
     assert y == pytest.approx(want, abs=1e-12)
 
 
 def test_the_moment_is_that_about_the_tool_point_whatever_the_flange_carries() -> None:
-    """A sensor that shows moments about the flange, with a bias and 1.5 kg off its axis: SciPy has the rotations."""
+    """Use a sensor of moments about the flange, with a bias and 1.5 kg off its axis; SciPy gives the rotations."""
     flange_from_tool = Rotation.from_rotvec(TOOL[3:])
     bias, cog = np.array((2.0, -3.0, 0.5, 0.1, 0.2, -0.3)), np.array((0.02, -0.01, 0.08))
     weight = np.array((0.0, 0.0, -1.5 * 9.80665))

@@ -14,7 +14,7 @@ def world() -> World:
 
 @pytest.fixture(scope="module")
 def shared(request: pytest.FixtureRequest) -> Iterator[Emulated]:
-    """Runs with the options that the module names in EMULATOR."""
+    """Run the emulator with the module's options in EMULATOR."""
     with emulator(*getattr(request.module, "EMULATOR", ())) as running:
         yield running
 

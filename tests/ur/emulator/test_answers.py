@@ -59,7 +59,7 @@ def test_answers_of_simple_questions(world: World) -> None:
     world.call(17, [1.5, 0.0, 0.0, 0.05])
     world.call(17, [2.5, 0.0, 0.0, 0.0])
     world.cycles(1)
-    # A centre of gravity of zeros leaves the one before.
+    # A zero centre of gravity leaves the previous one.
     assert world.number("payload") == 2.5
     assert world.vector("payload_cog") == (0.0, 0.0, 0.05)
 
@@ -120,7 +120,7 @@ def test_a_watchdog_stops_the_program_and_the_arm(offset: int) -> None:
     world.call(35, [20.0])
     world.realtime(10, [*UP, 0.25, 0.0])
     for _ in range(20):
-        # Any package with the command register keeps it quiet, whatever it says.
+        # Any package with the command register resets the watchdog, whatever its value.
         world.seconds(0.04)
         world.write(10)
         assert world.playing
@@ -132,7 +132,7 @@ def test_a_watchdog_stops_the_program_and_the_arm(offset: int) -> None:
     world.seconds(0.2)
     assert world.vector("target_qd") == (0.0,) * 6
     assert world.controller.safety.mode.name == "NORMAL"
-    # It does not outlive the program.
+    # The watchdog ends with the program.
     world.upload()
     world.seconds(1.0)
     assert world.playing
@@ -207,7 +207,7 @@ def test_move_until_contact_goes_back_to_where_it_touched() -> None:
     world.environment.engage()
     begin = world.vector("actual_TCP_pose")
     world.call(51, [-0.05, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5])
-    # The face is 20 mm away; contact is reported from 1 N on, 7 mm deep at 150 N/m.
+    # The face is 20 mm away; contact counts from 1 N on, 7 mm deep at 150 N/m.
     assert world.vector("actual_TCP_pose")[0] - begin[0] == pytest.approx(-0.02 - 1.0 / 150.0, abs=1e-3)
 
 
@@ -250,7 +250,7 @@ def test_direct_torque_turns_a_joint_against_its_friction() -> None:
     assert world.vector("actual_qd")[0] == pytest.approx(
         3.0 / friction * (1.0 - math.exp(-friction * t / inertia)), rel=0.01
     )
-    # An older one has no such line in its script.
+    # An older version has no such line in its script.
     old = World("5.23")
     old.realtime(66, [3.0, *(0.0,) * 17])
     old.cycles(10)
@@ -274,7 +274,7 @@ def test_servoc_works_once_as_in_the_script(world: World) -> None:
     goal = lifted(world.vector("actual_TCP_pose"), 0.02)
     world.write(12, [*goal, 0.25, 1.2, 0.0])
     world.cycles(2)
-    # It is not of the real-time class there, although the client takes it for that: it stays at "done".
+    # In the script it is not a real-time command, although the client treats it as one: the answer stays at "done".
     assert world.answer == DONE
     world.seconds(1.0)
     assert world.vector("actual_TCP_pose") == pytest.approx(goal, abs=1e-6)

@@ -1,4 +1,4 @@
-"""What a client can cost the emulated controller: time of its control cycle, and memory."""
+"""Costs of a client for the emulated controller: time of its control cycle, and memory."""
 
 import contextlib
 import socket
@@ -36,9 +36,9 @@ pytestmark = pytest.mark.live
 FLOOD_S = 1.0
 CLIENTS = 8
 LATE_S = 0.05
-"""Of a control cycle under a flood. It was 0.14 to 4.5 s late where all that had come was answered at once."""
+"""Largest lateness in s of a control cycle under a flood; answering all requests at once made it 0.14 to 4.5 s."""
 MORE_MB = 40.0
-"""Of memory that no client may make the controller take."""
+"""Memory in MB that no client may make the controller allocate."""
 DASHBOARD, RTDE, SCRIPT, GRIPPER = 29999, 30004, 30002, 63352
 
 
@@ -49,14 +49,14 @@ def running() -> Iterator[Emulated]:
 
 
 def memory_mb(emulated: Emulated, key: str = "VmHWM") -> float:
-    """Resident memory of the process, at most so far."""
+    """Return the peak resident memory of the process in MB."""
     status = Path(f"/proc/{emulated.process.pid}/status").read_text(encoding="ascii")
     (line,) = [line for line in status.splitlines() if line.startswith(f"{key}:")]
     return int(line.split()[1]) / 1024.0
 
 
 def flood(host: str, port: int, content: bytes, *, reads: bool) -> None:
-    """Send as much as is taken."""
+    """Send as much as the server accepts."""
     connections = [socket.create_connection((host, port), 5.0) for _ in range(CLIENTS)]
     try:
         for connection in connections:
@@ -65,7 +65,7 @@ def flood(host: str, port: int, content: bytes, *, reads: bool) -> None:
         while time.monotonic() < end_s:
             for connection in connections:
                 try:
-                    # From the begin of a request, whatever was taken before: a client may speak nonsense as well.
+                    # A message may be cut anywhere: a client may also send nonsense.
                     connection.send(content)
                     if reads:
                         connection.recv(1 << 16)
@@ -164,7 +164,7 @@ def test_what_a_client_writes_is_no_command_to_the_screen() -> None:
     world = World(upload=False)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        # Python warns of the escape that it does not know, and repeats it.
+        # Python warns about the unknown escape, and repeats it in the warning.
         world.controller.submit(Submitted("", 'textmsg("\\\x1b[31m")'))
         world.cycles(30)
     assert "textmsg: " in world.controller.log[-1]
@@ -187,7 +187,7 @@ def test_scripts_without_an_end_share_what_they_may_hold(running: Emulated) -> N
         try:
             client.sendall(f"def x{number}():\n".encode() + b"  sync()\n" * 200_000)
         except OSError:
-            # Cut off: the others hold all that there is.
+            # It is cut off: the other connections hold all the memory.
             continue
     running.wait_for("runtime_state", "STOPPED")
     assert memory_mb(running) < before_mb + MORE_MB
@@ -231,7 +231,7 @@ def test_a_long_program_is_read_a_few_calls_in_each_cycle() -> None:
     assert world.controller.submit(Submitted("long", "def long():\n" + "  sync()\n" * calls + "end"))
     begun = world.controller.cycles
     world.until(lambda: world.controller.program_name == "long")
-    # 10 cycles from its last line to its start, whatever it is.
+    # A start takes 10 cycles after the last line, for any length.
     assert world.controller.cycles - begun >= 10 + calls // CALLS_PER_CYCLE
     assert world.controller.submit(Submitted("longer", "def longer():\n" + "  sync()\n" * (MAX_CALLS + 1) + "end"))
     world.cycles(MAX_CALLS // CALLS_PER_CYCLE + 20)
@@ -249,7 +249,7 @@ def test_a_control_script_is_looked_through_in_one_go(inside: str) -> None:
     begun_s = time.process_time()
     with contextlib.suppress(ScriptError):
         recognised(text)
-    # Some 2 ms each; with a search that goes back it was minutes.
+    # Each takes about 2 ms; a backtracking search took minutes.
     assert time.process_time() - begun_s < 1.0
 
 

@@ -12,7 +12,7 @@ pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this Python
 
 CYCLE_S = 0.002
 LATE_S = 0.1
-"""More than any stall that a shared machine was seen to have while these ran."""
+"""Time in s beyond any observed stall of a shared machine during these tests."""
 
 EMULATOR = ("--unlock-after-s", "0.5")
 
@@ -55,7 +55,7 @@ def test_the_watchdog(arm: Emulated) -> None:
     result = client("watchdog", arm.host)
     assert result["armed"] is True
     assert result["streaming"] is True
-    # It bites in the first cycle that begins more than 0.1 s after the one that heard the last command.
+    # It fires in the first cycle that begins more than 0.1 s after the one that heard the last command.
     assert 0.1 - CYCLE_S < result["stopped_after_s"] < 0.1 + LATE_S
     assert result["speed"] == pytest.approx([0.0] * 6, abs=1e-6)
     assert result["refused"] is False
@@ -122,7 +122,7 @@ def test_two_clients_of_control_and_reconnection(arm: Emulated) -> None:
 
 def test_the_upper_range_of_registers(arm: Emulated) -> None:
     with Client(arm.host) as lower:
-        # Whoever has the lower range is not in the way.
+        # A client with the lower range does not block it.
         assert lower.inputs([f"input_int_register_{n}" for n in range(24)])[0] == 1
         result = client("upper_registers", arm.host)
     assert result == {"moved": True, "offset": [0.0] * 6}

@@ -1,4 +1,4 @@
-"""What the tool of the emulated arm touches: the contact of a simulation, placed around the tool."""
+"""Environment of the emulated arm's tool: the contact of a simulation, placed around the tool."""
 
 import math
 
@@ -21,7 +21,7 @@ def test_a_box_pushes_back_along_its_nearest_face() -> None:
     assert (box.axes, box.start) == (3, [0.02, -0.02, 0.0])
     assert box.force(0.0, (0.01, 0.0, 0.0), REST) == (0.0, 0.0, 0.0)
     assert not box.touches
-    # 150 N/m, 1 N s/m, and friction of 0.1 of what presses; the slip is above 1 mm/s.
+    # 150 N/m, 1 N s/m, and friction of 0.1 of the normal force; the slip is above 1 mm/s.
     x, y, z = box.force(0.0, (-0.01, 0.0, 0.0), (-0.2, 0.3, 0.0))
     assert x == pytest.approx(150.0 * 0.01 + 1.0 * 0.2)
     assert (y, z) == pytest.approx((-0.1 * x, 0.0))
@@ -65,7 +65,7 @@ def test_a_block_that_is_pushed_takes_the_momentum() -> None:
         momentum += force * h
         block.advance(step * h, h, (x, 0.0, 0.0), (v, 0.0, 0.0))
         x += v * h
-    # A tool that nothing slows is a wall in motion: elastically, the block leaves at twice its speed.
+    # A tool at constant speed is a moving wall: the block bounces off elastically at twice its speed.
     assert momentum == pytest.approx(0.5 * 2 * 0.1, rel=0.02)
     block.reset()
     assert block.force(0.0, (-0.001, 0.0, 0.0), REST)[0] == pytest.approx(0.2)
@@ -98,7 +98,8 @@ def test_scenes_that_do_not_lie_around_a_tool() -> None:
 def test_noise_has_its_deviation_and_depends_on_seed_and_index_alone() -> None:
     sensor, other = ForceSensor(noise_n=2.0, bias_n=(1.0, 0.0, -1.0), seed=3), ForceSensor(noise_n=2.0, seed=4)
     samples = np.array([sensor.sample((10.0, 0.0, 0.0), index) for index in range(20_000)])
-    # The mean of 20 000 has a deviation of 0.014 N, the deviation one of 0.01 N: five of these.
+    # The mean of 20 000 samples has a deviation of 0.014 N, the deviation one of 0.01 N; the tolerance is five of
+    # these.
     assert samples.mean(axis=0) == pytest.approx((11.0, 0.0, -1.0), abs=0.07)
     assert samples.std(axis=0) == pytest.approx((2.0,) * 3, abs=0.05)
     assert sensor.sample((10.0, 0.0, 0.0), 7) == tuple(samples[7])

@@ -1,4 +1,4 @@
-"""What goes wrong on command between an emulated controller and its clients, in real time; time bounds are loose."""
+"""Faults on command between an emulated controller and its clients, in real time; time bounds are loose."""
 
 import signal
 import socket
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this Python")
 
 LATE_S = 0.1
-"""More than any stall that a shared machine was seen to have while these ran."""
+"""Time in s beyond any observed stall of a shared machine during these tests."""
 
 EMULATOR = ("--unlock-after-s", "0.5")
 
@@ -28,16 +28,16 @@ EMULATOR = ("--unlock-after-s", "0.5")
 
 
 CRASHES = {-signal.SIGSEGV, -signal.SIGBUS, -signal.SIGABRT}
-"""How native code ends a process: a bad address, or std::terminate. Python ends with a status and a traceback."""
+"""Exit statuses of native code: a bad address, or std::terminate. Python ends with a status and a traceback."""
 HANG_S = 25.0
-"""The scenario ends by itself after 1.6 s: what takes longer hangs in a call of ur_rtde."""
+"""Timeout in s: the scenario ends by itself after 1.6 s, unless a call of ur_rtde hangs."""
 
 
 def while_streaming(arm: Emulated, *lines: tuple[float, str]) -> dict[str, Any] | None:
-    """What a stream of servoJ meets while control lines are given, each some time in s after the one before.
+    """Run a stream of servoJ while control lines are given, each some time in s after the previous one.
 
-    None where ur_rtde crashed or hung: two of its threads connect again at once, and sometimes into each other. A
-    client that ends in any other way without a result has failed by itself, and the test with it.
+    None if ur_rtde crashed or hung: two of its threads reconnect at once, and sometimes interfere. A client that ends
+    otherwise without a result has failed by itself, and the test fails.
     """
     command = [sys.executable, "-m", "tests.ur.clients", "lost", arm.host, "[1.6]"]
     with tempfile.TemporaryFile("w+") as errors:
@@ -84,8 +84,8 @@ def test_a_freeze_is_not_seen_by_the_client_but_the_state_stands_still(arm: Emul
 
 def test_dropped_connections_are_met_again(arm: Emulated) -> None:
     result = while_streaming(arm, (0.3, "drop rtde"))
-    # The client connects again by itself, from two threads at once: usually that works, sometimes it gives up, and
-    # sometimes it crashes. Its receiver never comes back. The controller has room for the next in any case.
+    # The client reconnects by itself, from two threads at once. Usually that works, sometimes it gives up, and
+    # sometimes it crashes. Its receiver never comes back. The controller has room for the next client in any case.
     if result is not None:
         assert result["connected"][1] is False
         assert result["last_state_s"] < 1.0
@@ -167,7 +167,7 @@ def test_packages_can_be_late(arm: Emulated) -> None:
             newest = prompt.package()["timestamp"]
         age_s = 100.0 + arm.status()["time_s"] - newest
         arm.do("late 0")
-    # They keep their order.
+    # The packages keep their order.
     assert min(np.diff(stamps)) == pytest.approx(0.002, abs=1e-6)
     assert 0.14 < age_s < 0.16 + LATE_S
 

@@ -1,4 +1,4 @@
-"""Whatever is in registers, script or stream: the emulated controller goes on, and what it tells is finite."""
+"""Arbitrary registers, scripts and streams: the emulated controller goes on, and its outputs are finite."""
 
 import math
 import struct
@@ -44,7 +44,7 @@ def all_finite(of: World) -> bool:
 
 
 def packed(of: World) -> bool:
-    """Whether every output there is can be sent by RTDE."""
+    """Return true if RTDE can send every output."""
     for names in batched(of.controller.output_types, 60):
         session = of.rtde(protocol=1)
         session.receive(frame("O", ",".join(names).encode()))
@@ -61,7 +61,7 @@ def batched(names: Iterable[str], count: int) -> Iterator[tuple[str, ...]]:
 
 
 def whole_frames(answer: bytes) -> list[tuple[int, bytes]]:
-    """The frames of an answer, of which nothing may be left over."""
+    """Return the frames of an answer; assert that nothing is left over."""
     reader = FrameReader()
     found = list(reader.frames(answer))
     assert sum(3 + len(payload) for _, payload in found) == len(answer)
@@ -215,6 +215,6 @@ def test_a_list_of_names_that_is_too_long_gets_no_types() -> None:
     assert session.receive(frame("O", struct.pack(">d", 125.0) + names)) == frame("O", b"\x00")
     assert session.receive(frame("I", names)) == frame("I", b"\x00")
     assert of.rtde(1).receive(frame("O", names)) == frame("O")
-    # The longest that is allowed has an answer of its own.
+    # The longest permitted list has a full answer.
     known: Any = session.receive(frame("O", struct.pack(">d", 125.0) + b",".join([b"actual_q"] * 227)))
     assert known[3:4] == b"\x01"

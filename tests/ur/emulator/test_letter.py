@@ -1,4 +1,4 @@
-"""A client to the letter of the protocol, others beside it, and noise, on an emulated controller in real time."""
+"""A client that follows the protocol exactly, others beside it, and noise, on an emulated controller in real time."""
 
 import socket
 import struct
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.live
 
 
 LATE_S = 0.1
-"""More than any stall that a shared machine was seen to have while these ran."""
+"""Time in s beyond any observed stall of a shared machine during these tests."""
 
 
 @pytest.mark.parametrize("protocol", [1, 2])
@@ -33,7 +33,7 @@ def test_a_client_to_the_letter(arm: Emulated, protocol: int) -> None:
         assert other.inputs(["nothing"]) == (0, ["NOT_FOUND"])
         assert rtde.start()
         stamps = [rtde.package()["timestamp"] for _ in range(20)]
-        # Version 1 cannot ask for a rate.
+        # Version 1 cannot request a rate.
         assert np.median(np.diff(stamps)) == pytest.approx(0.008 if protocol == 1 else 0.01, abs=1e-6)
         assert rtde.package()["actual_q"] == START
         rtde.write(2, "id", 5, 0.5)
@@ -45,7 +45,7 @@ def test_a_client_to_the_letter(arm: Emulated, protocol: int) -> None:
         assert rtde.start()
         assert rtde.package()["robot_mode"] == 7
     with Client(arm.host) as third:
-        # What was given back can be had again.
+        # Released inputs can be reserved again.
         assert third.inputs(["input_int_register_24"]) == (1, ["INT32"])
 
 
@@ -72,9 +72,9 @@ def test_a_client_that_reads_nothing_is_dropped_and_others_are_not(arm: Emulated
         begin = other.package()["timestamp"]
         while arm.status()["connections"].count("rtde") == 2:
             assert other.package()["timestamp"] - begin < 10.0
-        # Nobody is dropped before the end of patience.
+        # No client is dropped before the timeout.
         assert time.monotonic() - begun_s > READ_TIMEOUT_S
-        # What else is missing, a machine that stalls takes.
+        # Other gaps come from stalls of the machine.
         gaps = np.diff([other.package()["timestamp"] for _ in range(100)])
         assert np.median(gaps) == pytest.approx(0.002, abs=1e-6)
 
@@ -84,7 +84,7 @@ def test_noise_harms_nobody(arm: Emulated, noise: bytes) -> None:
     for port in (30004, 29999, 30001, 30002, 30003):
         with socket.create_connection((arm.host, port), 5.0) as broken:
             broken.sendall(noise)
-            # Closed with what was sent unread: the other end sees a reset.
+            # Closed with unread data: the other end sees a reset.
             broken.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     with Client(arm.host) as rtde:
         assert rtde.controller_version()[0] == 5
@@ -101,6 +101,6 @@ def test_many_clients_at_once(arm: Emulated) -> None:
 
     with ThreadPoolExecutor(8) as pool:
         medians, longest = zip(*pool.map(one, range(24)), strict=True)
-    # Whoever requested 125 Hz gets that and no more, but for what a stall takes.
+    # Each client gets its requested 125 Hz, except during stalls.
     assert medians == pytest.approx([0.008] * 24, abs=1e-6)
     assert max(longest) < 0.008 + LATE_S

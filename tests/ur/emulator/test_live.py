@@ -1,6 +1,6 @@
 """The unmodified ur_rtde streams to an emulated controller in real time.
 
-Time bounds are loose: the machine may be shared. What is exact is tested in virtual time.
+Time bounds are loose: the machine may be shared. Exact behaviour is tested in virtual time.
 """
 
 from typing import Any
@@ -20,10 +20,10 @@ pytest.importorskip("rtde_control", reason="ur-rtde has no wheel for this Python
 
 CYCLE_S = 0.002
 GRID_S = 0.0005
-"""Of the search for how late a law was fed."""
+"""Grid in s of the search for the lateness of a law's input."""
 TRANSPORT_S = 0.008
-"""What a command needs until the law has it: a cycle at most until it is read, one for the servo thread, and one for
-the age of the freshest state, with what a client is held up between a call and the look at its clock."""
+"""Longest time in s until the law has a command: a cycle until it is read, one for the servo thread, and one for the
+age of the freshest state. It includes delays of the client between a call and its clock."""
 
 EMULATOR = ("--scene", "three_axis_box")
 
@@ -34,20 +34,20 @@ def accepted(result: dict[str, Any]) -> None:
     assert result["runtime_state"] == 2
     assert result["safety_mode"] == 1
     assert result["state_steps_back"] == 0
-    # A machine that stalls the client costs it states; none comes between two control cycles.
+    # A stalled machine loses states of the client; none comes between two control cycles.
     cycles = np.diff(result["time_s"]) / 0.002
     assert np.abs(cycles - cycles.round()).max() < 1e-6
     assert 1.0 in cycles.round()
 
 
 def followed(result: dict[str, Any], values: np.ndarray) -> tuple[float, float]:
-    """How late in s the law of servoj took the commands that were given, and how far in RMS the values are off it.
+    """Return the lateness in s at which the law of servoj took the commands, and the RMS error of the values.
 
-    `q'' = gain (u - q - lookahead q')` is driven by the commands at the times at which they were given, so a client
-    that stalls bends nothing; the lateness is the one that fits best.
+    `q'' = gain (u - q - lookahead q')` is driven by the commands at their actual times, so a stalled client bends
+    nothing. The lateness is the best fit.
     """
     stamps, seen, wall, commands = (np.array(result[name]) for name in ("time_s", "seen_s", "wall_s", "command"))
-    # What the two clocks differ by, and how old the freshest state was.
+    # This removes the offset of the two clocks, with the age of the freshest state.
     given_s = wall - (seen - stamps).min()
     a, b, c, d = transition(300.0, 30.0, 0.002)
     cycles = np.arange(round((stamps[-1] - stamps[0]) / 0.002) + 1)
@@ -67,7 +67,7 @@ def followed(result: dict[str, Any], values: np.ndarray) -> tuple[float, float]:
 
 @pytest.fixture(scope="module")
 def streams(shared: Emulated) -> dict[str, Any]:
-    """Every mode at 500 Hz, one after another."""
+    """Run every mode at 500 Hz, one after another."""
     shared.do("reset")
     runs = [
         ["servoj", 1.0, 0.05, 2.0],
@@ -87,9 +87,9 @@ def test_every_call_at_500_hz_is_accepted(streams: dict[str, Any], mode: str) ->
 def test_servoj_tracks_as_its_law_says(streams: dict[str, Any]) -> None:
     q = np.array(streams["servoj"]["q"])
     late_s, off = followed(streams["servoj"], q[:, 0])
-    # A command passes the servo thread, which takes a cycle, before the law has it.
+    # The servo thread takes a cycle before the law has a command.
     assert CYCLE_S - GRID_S <= late_s <= TRANSPORT_S
-    # At 0.6 rad/s the rhythm of two clocks is worth 1.2 mrad a cycle.
+    # At 0.6 rad/s the beat of two clocks is worth 1.2 mrad per cycle.
     assert off < 1.2e-3
     assert np.ptp(q[:, 0]) > 0.06
     assert np.abs(q[:, 1:] - START[1:]).max() < 1e-9
@@ -99,10 +99,10 @@ def test_servol_tracks_as_the_law_of_servoj_says(streams: dict[str, Any]) -> Non
     pose = np.array(streams["servol"]["pose"])
     late_s, off = followed(streams["servol"], pose[:, 2])
     assert CYCLE_S - GRID_S <= late_s <= TRANSPORT_S
-    # At 0.13 m/s, 0.25 mm a cycle.
+    # At 0.13 m/s, 0.25 mm per cycle.
     assert off < 0.25e-3
     assert np.ptp(pose[:, 2]) > 0.012
-    # The law acts on joints: off its line the tool is by what is curved between.
+    # The law acts on joints: between commands the tool's path is curved.
     assert np.ptp(pose[:, :2], axis=0).max() < 1e-4
 
 
@@ -114,13 +114,13 @@ def test_speedl_and_speedj_reach_their_velocities(streams: dict[str, Any]) -> No
     ]
     for mode, values, speed in rows:
         stamps = streams[mode]["time_s"]
-        # Half of the 0.2 s in which it speeds up are missing, and some cycles before it begins.
+        # Half of the 0.2 s of acceleration is missing, and some cycles before it begins.
         assert values[-1] - values[0] == pytest.approx(speed * (stamps[-1] - stamps[0] - 0.1), abs=0.02 * speed)
 
 
 def test_force_mode_presses_a_box(streams: dict[str, Any]) -> None:
     force, x = (np.array(streams["force"][name])[:, 0] for name in ("force", "pose"))
-    # Free for 20 mm, then into 150 N/m.
+    # The tool is free for 20 mm, then goes into 150 N/m.
     assert np.abs(force[:100]).max() == 0.0
     depth = x[0] - x[-1] - 0.02
     assert 0.005 < depth < 0.04
@@ -130,7 +130,7 @@ def test_force_mode_presses_a_box(streams: dict[str, Any]) -> None:
 
 def test_a_command_shows_in_the_state_within_cycles(arm: Emulated) -> None:
     result = client("latency", arm.host, [6])
-    # Two whole cycles at least, three at most, and the client's polling.
+    # At least two whole cycles and at most three, plus the client's polling.
     assert 0.0035 < result["min_s"] < 0.02
     assert result["p50_s"] < 0.02
 

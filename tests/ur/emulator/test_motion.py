@@ -1,4 +1,4 @@
-"""How the emulated arm moves: against matrix exponentials, closed forms and figures that are reported of real ones."""
+"""Motion of the emulated arm: against matrix exponentials, closed forms and reported figures of real arms."""
 
 import math
 
@@ -34,7 +34,7 @@ positive = st.floats(1e-3, 1e3)
 def test_transitions_are_matrix_exponentials(stiffness: float, damping: float, step_s: float) -> None:
     system = np.array(((0.0, 1.0), (-stiffness, -damping)))
     expected = scipy.linalg.expm(system * step_s).ravel()
-    # Entries differ by up to the stiffness in size; each is held to rounding of the largest.
+    # Entries differ in size by up to the stiffness; the tolerance is the rounding of the largest.
     got = transition(stiffness, damping, step_s)
     assert np.abs(got - expected).max() < 1e-11 * np.abs(system).max()
 
@@ -56,9 +56,9 @@ def test_steps_of_servoj(gain: float, lookahead_s: float, rise_s: float, oversho
     path = servo(0.1, lookahead_s, gain, 500) / 0.1
     system = np.array(((0.0, 1.0), (-gain, -gain * lookahead_s)))
     exact = [1.0 - (scipy.linalg.expm(system * STEP_S * (step + 1)) @ (1.0, 0.0))[0] for step in range(0, 500, 25)]
-    # Rounding of 500 steps whose transition has entries of up to the gain.
+    # The tolerance is the rounding of 500 steps whose transition has entries of up to the gain.
     assert path[::25] == pytest.approx(exact, abs=1e-10)
-    # From the table of settings, whose times count whole control cycles.
+    # The table of settings has times in whole control cycles.
     assert (np.argmax(path >= 0.9) + 1) * STEP_S == pytest.approx(rise_s, abs=1.01 * STEP_S)
     if overshoot is not None:
         assert path.max() - 1.0 == pytest.approx(overshoot, abs=0.005)
@@ -69,7 +69,7 @@ def test_servoj_follows_a_ramp_by_its_lookahead(setting: tuple[float, float], sp
     gain, lookahead_s = setting
     steps = 800
     lag = speed * steps * STEP_S - servo(0.0, lookahead_s, gain, steps, speed)[-1]
-    # The set-point is held over each step at what it will be at its end: half a step ahead in the mean.
+    # The set point of a step is held at its final value: half a step ahead in the mean.
     assert lag == pytest.approx(speed * (lookahead_s - 0.5 * STEP_S), abs=1e-5)
 
 
@@ -100,7 +100,7 @@ def test_a_joint_gives_way_to_a_torque_and_comes_back() -> None:
 
 def test_a_motor_that_is_asked_for_too_much_falls_behind() -> None:
     joints = loop()
-    # 100 rad/s² commanded of 150 N m / 3 kg m²: after t the joint is 25 t² behind.
+    # 100 rad/s² are commanded with 150 N m / 3 kg m²: after t the joint is 25 t² behind.
     for _ in range(10):
         joints.step((100.0, *SIX[1:]), SIX, STEP_S)
     assert joints.saturated
@@ -111,7 +111,7 @@ def test_a_torque_beyond_the_motor_pushes_the_joint_away() -> None:
     joints = loop()
     for _ in range(500):
         joints.step(SIX, (180.0, *SIX[1:]), STEP_S)
-    # What the motor does not hold, 30 N m, accelerates 3 kg m²; the first step is short of it.
+    # The excess of 30 N m beyond the motor accelerates 3 kg m²; the first step falls short of it.
     assert joints.deflection[0] == pytest.approx(0.5 * 10.0 * 1.0**2, rel=0.05)
 
 
@@ -122,7 +122,7 @@ def test_trapezoids_begin_and_end_at_rest(length: float, speed: float, accelerat
     assert profile.at(0.0) == 0.0
     assert profile.at(end) == length
     assert profile.top_speed <= speed
-    # Symmetric, and never faster than the top speed or the acceleration allow.
+    # The profile is symmetric, and never exceeds the top speed or the acceleration.
     t = share * end
     assert profile.at(t) + profile.at(end - t) == pytest.approx(length, rel=1e-9)
     h = 1e-4 * end

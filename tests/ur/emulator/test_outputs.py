@@ -1,4 +1,4 @@
-"""What RTDE tells of the emulated controller: every output of the guide is served or said to be missing."""
+"""RTDE outputs of the emulated controller: every output of the guide is served or documented as missing."""
 
 import math
 import re
@@ -46,7 +46,7 @@ NEWEST = ControllerVersion.parsed("5.26")
 
 
 def named_in_the_document(begin: str) -> set[str]:
-    """What a sentence of the document names."""
+    """Return the names in a sentence of the document."""
     (names,) = re.findall(rf"{begin}: (.*?)\.\n", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
     return set(re.findall(r"`(\w+)`", names))
 
@@ -106,7 +106,7 @@ def test_the_elbow_is_the_end_of_the_upper_arm(name: str) -> None:
         q, qd = random.uniform(-6.0, 6.0, (2, 6))
         at, velocity = arm.elbow(tuple(q.tolist()), tuple(qd.tolist()))
         assert at == pytest.approx(chain_transform(two, q[:2].tolist())[:3, 3], abs=1e-12)
-        # The upper arm is as long as it is.
+        # The upper arm keeps its length.
         assert math.dist(at, (0.0, 0.0, rows.d[0])) == pytest.approx(math.hypot(rows.a[1], rows.d[1]))
         step = 1e-6
         ahead, behind = (arm.elbow(tuple((q + sign * step * qd).tolist()), (0.0,) * 6)[0] for sign in (1.0, -1.0))
@@ -162,7 +162,7 @@ def test_the_limiter_is_reported_beside_the_slider() -> None:
         assert scaling * fraction == pytest.approx(world.controller.robot.speed_scaling)  # type: ignore[operator]
         assert isinstance(scaling, float)
         shares.append(scaling)
-    # 3.1 rad/s at 0.4 m and more from the base are more than the limit.
+    # 3.1 rad/s at 0.4 m and more from the base exceeds the limit.
     assert min(shares) < 0.95
 
 
@@ -212,7 +212,7 @@ def test_after_load_the_state_has_the_name_of_the_file() -> None:
 
 
 def robot_message(packed: bytes) -> tuple[int, int, str]:
-    """Type of the frame, type of the message, and its text."""
+    """Return type of the frame, type of the message, and its text."""
     size, kind, _, _, of, _, _ = struct.unpack_from(">iBQbbii", packed)
     assert size == len(packed)
     return kind, of, packed[23:].decode()

@@ -1,4 +1,4 @@
-"""The process of an emulated controller: how it ends, what it refuses, its control line."""
+"""The process of an emulated controller: its end, its refusals, its control line."""
 
 import json
 import signal
@@ -80,7 +80,7 @@ def test_the_control_line_on_a_socket(tmp_path: Path) -> None:
         status, error, empty, blank, end = answers.decode().splitlines()
         assert json.loads(status.removeprefix("ok "))["model"] == "ur5e"
         assert error.startswith("error: 'nonsense': must be one of")
-        # Whoever waits for an answer to each line must get one.
+        # A client that waits for an answer to each line must get one.
         assert empty == blank
         assert empty.startswith("error: an empty line: must be one of")
         assert end == "ok"

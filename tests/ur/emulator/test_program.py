@@ -47,7 +47,7 @@ def test_a_program_ends_by_its_command_and_is_replaced_by_the_next(world: World)
     assert world.number("runtime_state") == 1
     world.upload()
     assert world.playing
-    # An upload stops what runs, at once.
+    # An upload stops the running program at once.
     world.controller.submit(Submitted("other", "def other():\n  sleep(0.1)\nend"))
     assert not world.playing
     world.cycles(11)
@@ -89,7 +89,7 @@ def test_servoj_shows_three_cycles_after_its_command(world: World) -> None:
     while world.vector("target_q")[0] == START[0]:
         world.cycles(1)
         moved += 1
-    # One for the main loop to read it, one for the servo thread to take it, one to move.
+    # One cycle for the main loop to read it, one for the servo thread to take it, one to move.
     assert moved == 3
 
 
@@ -97,7 +97,7 @@ def test_servoj_follows_its_law_and_holds_the_last_target(world: World) -> None:
     for step in range(500):
         world.servo(shifted(0, 0.2 * step * 0.002))
         world.cycles(1)
-    # Ramp lag: the lookahead, the cycle between, and half a cycle of holding.
+    # Lag on a ramp: the lookahead, the cycle between, and half a cycle of holding.
     lag = 0.2 * 499 * 0.002 - (world.vector("actual_q")[0] - START[0])
     assert lag == pytest.approx(0.2 * (0.1 + 0.002), abs=0.2 * 0.002)
     world.seconds(2.0)
@@ -143,7 +143,7 @@ def test_speedl_goes_on_until_it_is_stopped(world: World) -> None:
     assert world.vector("actual_TCP_speed")[:3] == pytest.approx(UP[:3], abs=1e-4)
     rise = world.vector("actual_TCP_pose")[2]
     world.seconds(1.0)
-    # Nobody says anything any more, and it goes on: 50 mm in the second.
+    # The client is silent, and the motion continues: 50 mm in the second.
     assert world.vector("actual_TCP_pose")[2] - rise == pytest.approx(0.05, abs=1e-4)
     world.call(15, [10.0])
     assert world.vector("actual_TCP_speed") == pytest.approx((0.0,) * 6, abs=1e-6)
@@ -157,7 +157,7 @@ def test_speedl_keeps_to_its_line(world: World) -> None:
     travel = np.array(end[:3]) - begin[:3]
     line = np.array((0.05, 0.02, 0.03))
     across = travel - line * (travel @ line) / (line @ line)
-    # The rates of each step are exact at its begin: an error of the order of step² per step.
+    # The rates of each step are exact at its start: an error of the order of step² per step.
     assert np.abs(across).max() < 2e-5
     assert end[3:] == pytest.approx(begin[3:], abs=2e-5)
 
@@ -186,7 +186,7 @@ def test_a_move_while_the_servo_thread_runs_is_an_error(world: World) -> None:
 
 
 def test_movej_takes_speed_before_acceleration(world: World) -> None:
-    # 0.5 rad at 1 rad/s and 2 rad/s²: a second.
+    # 0.5 rad at 1 rad/s and 2 rad/s² take a second.
     took = world.call(1, [*shifted(0, 0.5), 1.0, 2.0], [0])
     assert took * 0.002 == pytest.approx(1.0, abs=0.006)
     assert world.vector("actual_q") == pytest.approx(shifted(0, 0.5), abs=1e-9)

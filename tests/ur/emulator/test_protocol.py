@@ -1,4 +1,4 @@
-"""RTDE of the emulated controller, byte by byte and without a socket: framing, versions, and what waits to be sent."""
+"""RTDE of the emulated controller, byte by byte and without a socket: framing, versions, and the send queue."""
 
 import itertools
 import struct

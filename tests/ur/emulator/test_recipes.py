@@ -1,4 +1,4 @@
-"""Recipes of RTDE with the emulated controller, byte by byte: what is sent at which rate, and what is written."""
+"""Recipes of RTDE with the emulated controller, byte by byte: outputs, rates and inputs."""
 
 import itertools
 import math
@@ -73,7 +73,7 @@ def test_version_1_has_no_recipe_number_in_packages() -> None:
 @pytest.mark.parametrize(
     ("version", "names", "size"),
     [
-        # What ur_rtde subscribes to, and the size of the frame that it then gets.
+        # Subscriptions of ur_rtde, and the size of their frame.
         (
             E_SERIES,
             ["timestamp", "robot_status_bits", "safety_status_bits", "runtime_state"]
@@ -138,7 +138,7 @@ def test_packages_pause_and_start() -> None:
     assert session.package() is None
     session.receive(frame("S"))
     assert session.package() is not None
-    # Another recipe takes the place of the first, and waits for its own start.
+    # Another recipe replaces the first, and waits for its own start.
     session.receive(outputs_request(["timestamp", "actual_q"]))
     assert session.package() is None
 
@@ -155,7 +155,7 @@ def test_recipes_are_numbered_and_may_share_variables() -> None:
     assert session.receive(two) == frame("I", b"\x02INT32")
     assert session.receive(inputs_request(["no_register"])) == frame("I", b"\x00NOT_FOUND")
     assert session.receive(two) == frame("I", b"\x03INT32")
-    # Values persist until they are overwritten, by whichever recipe; nobody has to start before.
+    # Values persist until they are overwritten, by any recipe; inputs need no start.
     session.receive(frame("U", struct.pack(">Bid", 1, 11, 0.5)))
     session.receive(frame("U", struct.pack(">Bi", 3, -4)))
     assert controller.inputs.values["input_int_register_0"] == -4
@@ -169,7 +169,7 @@ def test_an_input_belongs_to_one_connection_until_that_ends() -> None:
     both = inputs_request(["input_int_register_0", "input_int_register_1"])
     assert first.receive(inputs_request(["input_int_register_0"]))[3] == 1
     assert second.receive(both) == frame("I", b"\x00IN_USE,INT32")
-    # Of a refused recipe nothing is taken.
+    # A refused recipe reserves nothing.
     assert first.receive(inputs_request(["input_int_register_1"])) == frame("I", b"\x02INT32")
     first.close()
     assert second.receive(both) == frame("I", b"\x01INT32,INT32")

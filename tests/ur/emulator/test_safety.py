@@ -1,4 +1,4 @@
-"""Stops of the emulated controller, scripts of other kinds, the dashboard and the control line, in virtual time."""
+"""Stops of the emulated controller, other scripts, the dashboard and the control line, in virtual time."""
 
 import json
 
@@ -22,7 +22,7 @@ def test_a_protective_stop_of_the_program(world: World) -> None:
     assert world.number("safety_status_bits") == 1 << 2 | 1 << 10
     world.seconds(0.2)
     assert world.vector("target_qd") == (0.0,) * 6
-    # Nothing starts until it is unlocked, and that takes its time.
+    # Nothing starts before the unlock, which takes some time.
     assert not world.controller.submit(Submitted("x", "def x():\nend"))
     assert "Cannot unlock" in world.line.answer("unlock", 0.0)
     world.seconds(5.0)
@@ -83,12 +83,12 @@ def test_the_same_seed_gives_the_same_noise() -> None:
 
 
 def test_the_end_of_force_mode_lets_nothing_jump() -> None:
-    # A servo target 50 mm away along the compliant axis: meanwhile the law has wound up nothing.
+    # The servo target is 50 mm away along the compliant axis: the law must not wind up meanwhile.
     world = World()
     goal = lifted(world.vector("actual_TCP_pose"), 0.05)
     selection = [2, 0, 0, 1, 0, 0, 0]
     world.realtime(6, [*(0.0,) * 12, *(0.1,) * 6], selection)
-    # Nothing of this class is acknowledged: what is written in the same cycle takes its place.
+    # Commands of this class get no acknowledgement: a write in the same cycle replaces the previous one.
     world.cycles(2)
     world.realtime(24, [*goal, 0.0, 0.0, 0.002, 0.1, 300.0])
     world.seconds(1.0)

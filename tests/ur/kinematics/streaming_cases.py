@@ -30,7 +30,7 @@ LIMITS: dict[str, StreamingLimits] = {
 
 @dataclass(frozen=True)
 class Step:
-    """A random state that is within limits, and a wish."""
+    """A random state within limits, and a requested motion."""
 
     q: Array
     qd: Array
@@ -38,7 +38,7 @@ class Step:
 
 
 def steps(count: int, seed: int = 3) -> list[Step]:
-    """Postures in front of the arm, of which each joint's range has some at its ends."""
+    """Return postures in front of the arm, some of them at the ends of each joint's range."""
     draws = np.random.default_rng(seed)
     middle = np.array((-0.6, -1.6, 1.7, -1.5, -1.4, 0.3))
     return [

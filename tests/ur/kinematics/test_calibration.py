@@ -1,4 +1,4 @@
-"""The deltas of one arm: real files are read, and what cannot be of such an arm is refused by file and key."""
+"""Calibration deltas of one arm: real files are read; impossible deltas are refused with file and key."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ def test_a_real_calibration_is_read_and_small(arm: str, tmp_path: Path) -> None:
     file.write_text(as_toml(calibration), encoding="utf-8")
     assert read_calibration(file, model) == calibration
     metres, radians = deviation(dh_rows(model, calibration), dh_rows(model))
-    # However far its common normals lie, a real arm is off by millimetres and mrad; and it is off.
+    # However far away its common normals are, a real arm deviates by millimetres and mrad; and it does deviate.
     assert 1e-4 < metres < 0.02
     assert 1e-5 < radians < 0.02
 
@@ -47,7 +47,7 @@ def test_whole_numbers_and_absent_keys_will_do(tmp_path: Path) -> None:
         (f"delta_d = [0.03, {ZEROS}]", r"delta_d of joint 1 = 0.03: must be finite and within \+-0.02"),
         (f"delta_d = [0.0, 3000.0, {ZEROS[5:]}]", "delta_d of joint 2 = 3000.0"),
         (f"delta_alpha = [1.5707, {ZEROS}]", "delta_alpha of joint 1"),
-        # Within its own bounds, and nothing takes it back.
+        # Each delta is within its own bounds, and no other delta compensates it.
         (f"delta_d = [0.0, 200.0, {ZEROS[5:]}]", "deltas move the flange of a ur3 by 200 m"),
         (f"delta_theta = [0.0, 1.0, {ZEROS[5:]}]", "1 rad: must be at most"),
         ("delta_a = [0.0", "calibration.toml: "),

@@ -1,4 +1,4 @@
-"""Inverse kinematics of UR arms: every branch leads back to the pose, the nearest to where the arm was."""
+"""Inverse kinematics of UR arms: every branch leads back to the pose, and the nearest is close to the last posture."""
 
 import math
 import re
@@ -19,7 +19,7 @@ ARMS: dict[str, tuple[UrModel, UrCalibration | None]] = {
     **{name: (model, None) for name, model in UR_MODELS.items()},
     **CALIBRATIONS,
 }
-# What is required; ours is at 1e-14 for a model, and at 2e-13 where common normals lie 446 m away.
+# Required tolerance; ours is 1e-14 for a model, and 2e-13 for common normals 446 m away.
 TIGHT = 1e-12
 
 
@@ -28,7 +28,7 @@ def postures(count: int, seed: int = 11) -> Array:
 
 
 def apart(one: Array, other: Array) -> float:
-    """Largest difference of two postures, turns aside."""
+    """Return the largest difference of two postures, modulo turns."""
     return float(np.abs(np.remainder(one - other + math.pi, 2 * math.pi) - math.pi).max())
 
 
@@ -46,7 +46,7 @@ def test_the_round_trip_over_random_poses(arm: str, tool: Array) -> None:
         nearest = inverse.nearest(pose, q)
         assert nearest is not None, inverse.reason
         np.testing.assert_allclose(forward.forward(nearest), pose, rtol=0, atol=TIGHT)
-        # The inverse of the Jacobian carries what is left of the pose's error into the joints.
+        # The inverse of the Jacobian carries the remaining error of the pose into the joints.
         left = TIGHT if calibration else 1e-14
         jacobian = forward.forward_and_jacobian(q)[1]
         assert np.abs(nearest - q).max() <= 1e-10 + left * 100 * np.linalg.cond(jacobian)
@@ -80,12 +80,12 @@ def test_a_path_goes_on_through_a_singularity(arm: str, name: str, middle: list[
     path = np.array(middle) + np.linspace(-0.05, 0.05, 101)[:, None] * np.array(step)
     before, posture = path[0], path[0]
     for q in path:
-        # From where the arm is about to be: where two branches meet, either is as near to where it was.
+        # Search from the next expected posture: where two branches meet, both are equally near to the last one.
         found = inverse.nearest(chain_transform(rows, q), 2 * posture - before)
         assert found is not None, f"{name}: {inverse.reason}"
         before, posture = posture, found
         # A step is 1e-3 rad long. In the middle, q3 may be off by the root of rounding over the shortest reach, and q6
-        # by a step where it is free; the other branches are farther by far, but for where they meet.
+        # by a step where it is free. The other branches are much farther, except where they meet.
         np.testing.assert_allclose(posture, q, rtol=0, atol=5e-3)
         np.testing.assert_allclose(chain_transform(rows, posture), chain_transform(rows, q), rtol=0, atol=TIGHT)
 
@@ -118,7 +118,7 @@ def test_limits_of_the_model_are_kept() -> None:
     assert apart(found, inside) < 1e-12
     assert inverse.nearest(forward.forward(outside), inside) is None
     assert "joint 3 at 1.6" in inverse.reason
-    # The next call that gives a posture takes the reason back.
+    # The next call that gives a posture clears the reason.
     assert inverse.nearest(forward.forward(inside), inside) is not None
     assert inverse.reason == ""
 

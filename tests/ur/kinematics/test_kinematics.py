@@ -15,7 +15,7 @@ from ur.arms import CALIBRATIONS, TOOL, PinocchioArm
 
 Array = npt.NDArray[np.float64]
 
-# The controller's own answers, at q = (-1.6, -1.7, -2.2, -0.8, 1.6, 0), to the digits that were kept.
+# Answers of a controller at q = (-1.6, -1.7, -2.2, -0.8, 1.6, 0), to the stored digits.
 GOLDEN_Q = (-1.6, -1.7, -2.2, -0.8, 1.6, 0.0)
 GOLDEN_ROTVEC = (0.045165, 3.112182, -0.019942)
 GOLDEN_POSITION = {
@@ -35,8 +35,8 @@ ARMS: dict[str, tuple[UrModel, UrCalibration | None]] = {
     **CALIBRATIONS,
 }
 
-# A hundred roundings of a reach of 2 m would be 4e-14. The common normals of a real arm lie up to 446 m away: eps times
-# that, 1e-13 m, is lost at each of the three places where they come in, so 1e-12 bounds these too.
+# A hundred roundings of a reach of 2 m would be 4e-14. The common normals of a real arm are up to 446 m away. Each of
+# the three places where they enter loses eps times that, 1e-13 m; 1e-12 covers these, too.
 TIGHT = 1e-12
 
 
@@ -47,7 +47,7 @@ def postures(count: int, seed: int = 5) -> Array:
 @pytest.mark.parametrize("name", GOLDEN_POSITION)
 def test_the_golden_poses(name: str) -> None:
     pose = pose_from_transform(UrKinematics(ur_model(name)).forward(GOLDEN_Q))
-    # Half a unit of the last digit kept.
+    # Half a unit of the last stored digit.
     np.testing.assert_allclose(pose, (*GOLDEN_POSITION[name], *GOLDEN_ROTVEC), rtol=0, atol=0.5001e-6)
 
 
@@ -79,8 +79,8 @@ def test_the_golden_poses(name: str) -> None:
     ],
 )
 def test_the_vendors_simulator_has_its_tool_there(q: tuple[float, ...], position: tuple[float, ...]) -> None:
-    # A UR10 in URSim, from the tests of the vendor's ROS driver. It takes 1.570796327 for pi/2: 2e-10 rad too much over
-    # 1.3 m and two such twists is 5e-10 m.
+    # A UR10 in URSim, from the tests of the vendor's ROS driver. It uses 1.570796327 for pi/2: an error of 2e-10 rad
+    # over 1.3 m and two such twists is 5e-10 m.
     np.testing.assert_allclose(UrKinematics(ur_model("ur10")).forward(q)[:3, 3], position, rtol=0, atol=5e-10)
 
 
@@ -103,7 +103,7 @@ def test_pinocchio_has_the_same_change_of_the_jacobian(arm: str) -> None:
     model, calibration = ARMS[arm]
     ours, theirs = UrKinematics(model, calibration, TOOL), PinocchioArm(model, calibration, TOOL)
     for q, qd in zip(postures(20), postures(20, seed=6) / 2, strict=True):
-        # A velocity of 3 rad/s multiplies what the Jacobian may be off by.
+        # A velocity of 3 rad/s multiplies the error of the Jacobian.
         found = ours.rates(q, qd).jacobian_dot
         np.testing.assert_allclose(found, theirs.jacobian_dot(q, qd), rtol=0, atol=20 * TIGHT)
 
@@ -112,8 +112,8 @@ def test_pinocchio_has_the_same_change_of_the_jacobian(arm: str) -> None:
 def test_the_time_derivatives_are_those_of_differences(arm: str) -> None:
     model, calibration = ARMS[arm]
     ours, h = UrKinematics(model, calibration, TOOL), 1e-5
-    # Central differences: h^2/6 of a third derivative, at most about (sum |qd|)^3 = 60 times the reach, and what
-    # rounding (up to 1e-13 m for the far common normals) leaves over 2 h.
+    # Central differences: h^2/6 of a third derivative, at most about (sum |qd|)^3 = 60 times the reach, and the
+    # rounding (up to 1e-13 m for far common normals) over 2 h.
     bound = h**2 / 6 * 60 * 2 + 3e-13 / h
     for q, qd in zip(postures(20), np.random.default_rng(7).uniform(-1, 1, (20, 6)), strict=True):
         after, before = (ours.forward_and_jacobian(q + sign * h * qd)[1].copy() for sign in (1, -1))
@@ -184,7 +184,7 @@ def test_results_are_overwritten_and_cannot_be_written_to() -> None:
 def test_a_bad_angle_is_refused(position: int, bad: float) -> None:
     q = np.ones(6)
     q[position] = bad
-    # A tool along which the last joint does not turn the first axis.
+    # A tool for which the last joint does not turn the first axis.
     ours = UrKinematics(ur_model("ur3e"), tool=np.eye(4)[[2, 0, 1, 3]])
     for call in (ours.forward, ours.forward_and_jacobian, ours.manipulability):
         with pytest.raises(ValueError, match="must be finite"):

@@ -55,9 +55,9 @@ def test_a_matrix_is_scipys(axis: tuple[float, ...], angle: float) -> None:
 def test_a_rotation_vector_comes_back(axis: tuple[float, ...], angle: float) -> None:
     rotvec = along(axis, angle)
     for back in (rotvec_from_quat_wxyz(quat_wxyz_from_rotvec(rotvec)), rotvec_from_matrix(matrix_from_rotvec(rotvec))):
-        # Three products are rounded on the way.
+        # Three rounded products are in between.
         assert math.hypot(*back) <= math.pi * (1.0 + 4.0 * sys.float_info.epsilon)
-        # Within rounding of pi it may come back from the other side, where it is the same rotation.
+        # Within rounding of pi the result may have the opposite sign, which is the same rotation.
         away = min(np.abs(np.subtract(back, rotvec)).max(), np.abs(np.add(back, rotvec)).max() if angle > 3 else 9)
         assert away <= 4 * ROUNDING
 
@@ -136,7 +136,7 @@ def test_products_and_the_turn_between_two_are_scipys(
     product = Rotation.from_rotvec(one) * Rotation.from_rotvec(two)
     np.testing.assert_allclose(matrix_from_quat_wxyz(quat_product(p, q)), product.as_matrix(), rtol=0, atol=ROUNDING)
     between = Rotation.from_rotvec(two) * Rotation.from_rotvec(one).inv()
-    # As rotations: near pi a rounding turns the vector round.
+    # Compare as rotations: near pi a rounding reverses the vector.
     np.testing.assert_allclose(matrix_from_rotvec(turn_between(p, q)), between.as_matrix(), rtol=0, atol=2 * ROUNDING)
 
 

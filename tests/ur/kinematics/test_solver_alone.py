@@ -1,4 +1,4 @@
-"""The quadratic solver and the search for the tool's speed stand without an arm, its limits and CasADi."""
+"""The quadratic solver and the search for the tool's speed work without an arm, its limits and CasADi."""
 
 import subprocess
 import sys
@@ -17,13 +17,13 @@ print(sorted(name.removeprefix(room) for name in sys.modules if name.startswith(
 
 
 def test_neither_loads_an_arm() -> None:
-    """What each imports of its own room is the types of numbers alone."""
+    """From its own room each imports the types of numbers only."""
     done = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.strip() == "['pose', 'quadratic', 'speed_limit']"
 
 
 def test_a_ball_bounds_a_program_of_six_numbers() -> None:
-    """Nearest to a point outside a ball about 0 is it, shortened: H = 1, f = -c, J the first three rows of 1."""
+    """A point outside a ball about 0 is shortened to its surface: H = 1, f = -c, J the first three rows of 1."""
     centre = np.array((0.3, -0.4, 1.2, 0.1, 0.2, -0.3))
     jacobian = np.eye(6)[:3]
     limit, solver = SpeedLimit(0.26, jacobian, jacobian.T @ jacobian), QuadraticSolver()

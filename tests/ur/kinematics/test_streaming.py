@@ -1,4 +1,4 @@
-"""Streamed joint velocities are optimal to rounding, of the problem that the limits name."""
+"""Streamed joint velocities are optimal, up to rounding, for the problem of the configured limits."""
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ Array = npt.NDArray[np.float64]
 
 
 def residual(streaming: UrStreaming, q: Array, x: Array, multipliers: Array) -> float:
-    """Largest residual of the conditions of Karush, Kuhn and Tucker, from program, arm and limits alone.
+    """Return the largest residual of the Karush-Kuhn-Tucker conditions, from program, arm and limits alone.
 
     Source: S. Boyd, L. Vandenberghe, "Convex Optimization", 2004, section 5.5.3.
     """
@@ -22,7 +22,7 @@ def residual(streaming: UrStreaming, q: Array, x: Array, multipliers: Array) -> 
     values = constraints @ x
     gradient = program.hessian @ x + program.linear + constraints.T @ multipliers
     infeasible = np.maximum(values - program.upper, program.lower - values).clip(min=0)
-    # A positive multiplier is of an upper bound, a negative one of a lower bound: its sign is its feasibility.
+    # A positive multiplier belongs to an upper bound, a negative one to a lower bound: any sign is feasible.
     slack = np.where(multipliers > 0, program.upper - values, np.where(multipliers < 0, values - program.lower, 0.0))
     parts = [infeasible.max(), np.abs(multipliers * slack).max()]
     max_speed = streaming.limits.max_tool_speed
@@ -71,7 +71,7 @@ def test_the_residual_notices_what_is_not_optimal() -> None:
 
 
 def least_distance(program: QuadraticProgram) -> Array:
-    """The same minimum by another way: least distance programming, by non-negative least squares.
+    """Find the same minimum with another method: least distance programming, by non-negative least squares.
 
     With `H = L'L`, `z = L x - b` and `G x >= h` for all bounds, it is `min |z|` subject to `G L^-1 z >= h - G L^-1 b`.
 
@@ -102,7 +102,7 @@ def test_another_solver_finds_the_same(name: str) -> None:
         if streaming.reason or streaming.speed_multiplier > 0:
             continue
         compared += 1
-        # It goes through the root of H, whose condition is up to 1e4, and its inverse.
+        # The method uses the root of H, whose condition is up to 1e4, and its inverse.
         np.testing.assert_allclose(velocity, least_distance(streaming.program), rtol=0, atol=1e-8)
     assert compared > 50
 
@@ -129,7 +129,8 @@ def test_scipy_finds_no_better_velocity_in_the_ball() -> None:
             method="SLSQP",
             options={"ftol": 1e-14, "maxiter": 500},
         )
-        # Its slopes are differences, so it ends within 1e-8 or so of the limit, which may be a gain.
+        # The solver uses differences as slopes, so it ends within about 1e-8 of the limit; the value may thus be
+        # better.
         assert value(velocity) == pytest.approx(value(found.x), rel=1e-6, abs=1e-6)
 
 

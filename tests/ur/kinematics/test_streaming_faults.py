@@ -1,4 +1,4 @@
-"""Where no velocity is within all limits, or a number is none, a streamed arm brakes, and says why."""
+"""Without a velocity within all limits, or with an invalid number, a streamed arm brakes and reports the reason."""
 
 import math
 from typing import Any
@@ -53,7 +53,7 @@ def test_it_brakes_with_a_reason_and_goes_on_after() -> None:
     limits = msgspec.structs.replace(JOINTS, max_tool_speed=0.1)
     streaming = UrStreaming(UrKinematics(MODEL), limits, period_s=PERIOD_S)
     q, fast = np.array((-0.6, -1.6, 1.7, -1.5, -1.4, 0.3)), np.array((1.5, -0.01, 0.0, 0.0, 0.0, 0.0))
-    # No acceleration within bounds makes the tool slow at once.
+    # No acceleration within bounds slows the tool at once.
     velocity = streaming.velocity(q, fast, np.zeros(6))
     assert "tool speed" in streaming.reason
     assert "must be at most 0.1 m/s" in streaming.reason
@@ -78,7 +78,7 @@ def test_bounds_that_cross_brake_too() -> None:
 
 
 def test_without_an_acceleration_limit_braking_is_standing_still() -> None:
-    # Clear of a table below it and of one above it at once: not to be had.
+    # The arm cannot clear a table below it and one above it at once.
     floor = WorkspacePlane(normal=(0.0, 0.0, 1.0), offset_m=5.0)
     ceiling = WorkspacePlane(normal=(0.0, 0.0, -1.0), offset_m=5.0)
     streaming = UrStreaming(UrKinematics(MODEL), StreamingLimits(planes=(floor, ceiling)), period_s=PERIOD_S)

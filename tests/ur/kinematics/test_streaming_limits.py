@@ -1,4 +1,4 @@
-"""Streamed joint velocities keep within every limit that is named, period after period."""
+"""Streamed joint velocities keep within every named limit, period after period."""
 
 import math
 
@@ -38,7 +38,7 @@ def test_a_joint_that_is_pushed_at_its_end_stops_there(
     )
     streaming = UrStreaming(UrKinematics(MODEL), limits, period_s=period_s)
     q, qd = np.full(6, 3.0 - distance), np.zeros(6)
-    # Through the buffer of the bounds alone: what the task wants does not matter here, the upper bound is taken.
+    # The joint follows the upper bound of the program; the task's own velocity does not matter here.
     for _ in range(round((distance / speed + speed / acceleration) / period_s) + 10):
         streaming.velocity(q, qd, np.zeros(6))
         after = streaming.program.upper[:6]
@@ -46,7 +46,7 @@ def test_a_joint_that_is_pushed_at_its_end_stops_there(
         assert (after <= speed).all()
         q, qd = q + after * period_s, after
         assert (q <= 3.0 + 1e-12).all()
-    # What is left is less than a step of braking over a period.
+    # The remaining distance is below a step of braking over a period.
     assert (3.0 - q <= acceleration * period_s**2 + 1e-9).all()
 
 
@@ -61,7 +61,7 @@ def test_past_its_end_a_joint_may_only_go_back() -> None:
 
 
 def frames(rows: DhRows, q: Array) -> list[Array]:
-    """base_from_link of every link, in plain NumPy."""
+    """Return base_from_link of every link, in plain NumPy."""
     found = [np.eye(4)]
     for angle, theta, a, d, alpha in zip(q, rows.theta, rows.a, rows.d, rows.alpha, strict=True):
         (c, s), (ca, sa) = cos_sin(angle + theta), cos_sin(alpha)
@@ -76,7 +76,7 @@ def at(found: list[Array], link: int, place: tuple[float, float, float]) -> Arra
 
 
 def apart(found: list[Array], ball: Ball, capsule: Capsule) -> float:
-    """Distance by a search along the capsule's axis: nothing shared with the closed form."""
+    """Return the distance by a search along the capsule's axis, without the closed form."""
     centre = at(found, ball.link, ball.place)
     start, end = at(found, capsule.link, capsule.start), at(found, capsule.link, capsule.end)
 
@@ -112,11 +112,11 @@ def test_rows_are_the_distances_and_their_gradients() -> None:
         count = len(here)
         assert count == len(streaming.rows)
         expected = np.minimum(-10.0 * here, 1e-3)
-        # The search is right to 1e-9 m, ten times that as a rate.
+        # The search is accurate to 1e-9 m, ten times that as a rate.
         np.testing.assert_allclose(program.lower[6 : 6 + count], expected, rtol=0, atol=2e-8)
         for joint in range(6):
             after, before = (distances(limits, step.q + sign * h * np.eye(6)[joint], TOOL) for sign in (1, -1))
-            # Central differences of distances that are right to 1e-12 m or so, with curvatures up to 1/0.05 m.
+            # Central differences of distances that are accurate to about 1e-12 m, with curvatures up to 1/0.05 m.
             np.testing.assert_allclose(
                 program.rows[:count, joint], (after - before) / (2 * h), rtol=0, atol=2e-6, err_msg=str(streaming.rows)
             )
@@ -131,7 +131,7 @@ def test_names_of_rows_say_what_they_are() -> None:
 
 
 def drive(streaming: UrStreaming, q: Array, twists: Array) -> tuple[Array, Array, set[str]]:
-    """Joint angles and velocities of a run, and why it braked."""
+    """Return joint angles and velocities of a run, and its reasons to brake."""
     places, speeds, reasons = [q], [np.zeros(6)], set()
     for twist in twists:
         velocity = streaming.velocity(places[-1], speeds[-1], twist)
@@ -147,7 +147,7 @@ def test_a_long_run_keeps_within_every_limit(seed: int) -> None:
     kinematics, limits = UrKinematics(MODEL, tool=TOOL), LIMITS["all"]
     streaming = UrStreaming(kinematics, limits, period_s=PERIOD_S)
     draws = np.random.default_rng(seed)
-    # Each wish holds for 0.4 s: into the table, the wall, the arm itself, and beyond every speed.
+    # Each wish lasts 0.4 s: into the table, the wall, the arm itself, and beyond every speed.
     twists = np.repeat(draws.normal(0, 1.0, (15, 6)), 200, axis=0)
     q = np.array((-0.6, -1.6, 1.7, -1.5, -1.4, 0.3))
     places, speeds, _ = drive(streaming, q, twists)
@@ -155,9 +155,9 @@ def test_a_long_run_keeps_within_every_limit(seed: int) -> None:
     assert np.abs(speeds).max() <= math.pi + 1e-9
     assert np.abs(places).max() <= 2 * math.pi
     for q_now, qd_now in zip(places[:-1:15], speeds[1::15], strict=True):
-        # While it brakes, the tool may be as fast as it was; the joints' acceleration bounds by how much that can be.
+        # While it brakes, the tool may keep its speed; the joints' acceleration bounds the excess.
         assert np.linalg.norm((kinematics.forward_and_jacobian(q_now)[1] @ qd_now)[:3]) <= 0.4 + 0.03
-        # A ball goes 0.5 mm a period, on a path that bends by 1/0.05 m: 6e-6 m beyond, and back at 1 mm/s.
+        # A ball moves 0.5 mm per period on a path that bends by 1/0.05 m: 6e-6 m beyond, and back at 1 mm/s.
         assert distances(limits, q_now, TOOL).min() >= -1e-3
 
 
@@ -177,7 +177,7 @@ def test_a_plane_is_approached_and_kept() -> None:
     assert x[-1] == pytest.approx(0.6, abs=1e-3)
 
 
-def test_what_begins_beyond_a_plane_stays_but_goes_no_further() -> None:
+def test_tool_that_begins_beyond_a_plane_goes_no_further() -> None:
     limits = msgspec.structs.replace(JOINTS, planes=(WALL,))
     kinematics = UrKinematics(MODEL)
     q = np.array((-0.2 + math.pi, -1.2, 1.1, -2.0, -1.57, 0.0))
@@ -190,10 +190,10 @@ def test_what_begins_beyond_a_plane_stays_but_goes_no_further() -> None:
         places, _, reasons = drive(streaming, q, twists)
         assert not reasons
         x = np.array([kinematics.forward(place)[0, 3] for place in places])
-        # On a path that bends by 1/0.7 m at 0.1 m/s, while the sideways speed builds up.
+        # The path bends by 1/0.7 m at 0.1 m/s, while the sideways speed builds up.
         assert np.abs(x - begin).max() < 5e-6
         assert streaming.held_by == ("planes[0], tool" if twists is outward else "")
-    # Without a begin it comes back, at 1 mm/s.
+    # Without `begin` it comes back, at 1 mm/s.
     places, _, _ = drive(UrStreaming(kinematics, limits, period_s=PERIOD_S), q, still)
     assert kinematics.forward(places[-1])[0, 3] - begin == pytest.approx(-0.4e-3, abs=2e-5)
 
@@ -208,8 +208,8 @@ def test_joints_stay_slow_through_the_wrists_singularity(calibration: str | None
     twists = np.repeat(np.array((0.0, 0.0, 0.0, 0.0, 0.3, 0.2))[None], 1000, axis=0)
     _, speeds, reasons = drive(streaming, q, twists)
     assert not reasons
-    # Damped least squares passes on at most 1/(2 sqrt(damping)) of the weighted twist, sqrt(0.1) |twist|: full damping
-    # sets in at the singularity only, so twice that.
+    # Damped least squares passes on at most 1/(2 sqrt(damping)) of the weighted twist, sqrt(0.1) |twist|. Full damping
+    # sets in only at the singularity, so twice that.
     assert np.abs(speeds).max() < 2 * math.sqrt(0.1) * 0.36 / (2 * math.sqrt(0.01))
 
 
@@ -226,17 +226,16 @@ def test_no_distance_of_the_arm_to_itself_changes_faster_than_its_levers(name: s
         fastest = np.maximum(fastest, np.abs(near.quadratic.rows).max(axis=0))
     levers = np.array(link_levers(kinematics))
     assert (fastest <= levers + 1e-12).all(), (fastest, levers)
-    # What is far above what occurs would let the arm seem near itself everywhere.
+    # Levers far above the observed rates would make the arm seem near itself everywhere.
     assert (fastest[2:5] >= 0.5 * levers[2:5]).all(), (fastest, levers)
     assert (levers[0], levers[5]) == (0.0, 0.0)
 
 
-# Where the tool is at its limit of speed, that is met to 1e-9 of it, and joints to that over a singular value of 0.05.
+# At the limit of the tool's speed, the limit is met to a relative 1e-9, and joints to that over a singular value of
+# 0.05.
 @pytest.mark.parametrize(("max_tool_speed", "tolerance"), [(None, 1e-9), (0.4, 1e-8)])
-def test_what_the_arm_keeps_from_itself_is_the_same_without_a_look_at_it(
-    max_tool_speed: float | None, tolerance: float
-) -> None:
-    # Links that are thicker than those of the model are so before planes, too.
+def test_skipping_the_self_keep_out_check_changes_nothing(max_tool_speed: float | None, tolerance: float) -> None:
+    # The thicker links also apply to the planes.
     limits = msgspec.structs.replace(
         JOINTS, max_tool_speed=max_tool_speed, planes=(TABLE, WALL), self_keep_out=SelfKeepOut(radius_m=0.07)
     )
@@ -246,7 +245,7 @@ def test_what_the_arm_keeps_from_itself_is_the_same_without_a_look_at_it(
     draws = np.random.default_rng(8)
     apart = free = held = m = 0.0
     for _ in range(40):
-        # Elbow folded up to a small angle or hardly at all, so that runs begin near and far.
+        # The elbow is folded up to a small angle or hardly at all, so that runs begin near and far.
         q, qd = np.array((0.3, -1.5, draws.uniform(1.5, 2.9), -1.0, -1.4, 0.2)), np.zeros(6)
         streaming.begin(q)
         whole.begin(q, np.zeros(3))
@@ -258,8 +257,8 @@ def test_what_the_arm_keeps_from_itself_is_the_same_without_a_look_at_it(
             assert (expected is None) == (streaming.reason != "")
             if expected is not None:
                 np.testing.assert_allclose(velocity, expected, rtol=0, atol=tolerance)
-                # Of two rows that are the same, either may hold; at the limit of the tool's speed, weights are known
-                # to a part in 1e3.
+                # If two rows are equal, either may hold. At the limit of the tool's speed, weights are known to a part
+                # in 1e3.
                 sums = [found.multipliers[6:].sum() for found in (streaming, whole)]
                 assert sums[0] == pytest.approx(sums[1], rel=1e-2, abs=1e-3)
                 held += (whole.multipliers[6:] < 0).any()
@@ -290,12 +289,12 @@ def test_no_distance_to_a_plane_changes_faster_than_its_levers() -> None:
             fastest = np.maximum(fastest, np.abs(near.quadratic.rows).max(axis=0))
         levers = np.array(plane_levers(kinematics, planes))
         assert (fastest <= levers + 1e-12).all(), (fastest, levers)
-        # Of the last joint, the part of the tool along its axis counts, and is no lever.
+        # For the last joint only the tool's offset along its axis counts, which is not a lever.
         assert (fastest[1:5] >= 0.5 * levers[1:5]).all(), (fastest, levers)
 
 
 def test_a_run_before_planes_is_the_same_without_a_look_at_them() -> None:
-    """No bit differs where no limit holds; where one does, the solver may start elsewhere, and rounding differs."""
+    """Without an active limit runs are bit-identical. With one, the solver may start elsewhere: rounding differs."""
     limits = msgspec.structs.replace(JOINTS, planes=(TABLE, WALL))
     kinematics = UrKinematics(MODEL)
     streaming = UrStreaming(kinematics, limits, period_s=PERIOD_S)

@@ -13,15 +13,15 @@ ARGUMENTS = (
     "--no-sandbox", "--disable-quic", "--disable-background-networking", "--disable-component-update",
     "--disable-sync", "--no-first-run",
 )  # fmt: skip
-"""No sandbox: it does not begin for root. The rest talks to nobody."""
+"""Options: no sandbox, which does not start for root; the others stop connections to other hosts."""
 
 
 @contextmanager
 def chromium() -> "Iterator[Browser]":
-    """That of the system; Debian's package `chromium`.
+    """Start the system's Chromium; Debian's package is `chromium`.
 
     Raises:
-        RuntimeError: There is none.
+        RuntimeError: No Chromium is installed.
     """
     from playwright.sync_api import sync_playwright
 
@@ -36,7 +36,7 @@ def chromium() -> "Iterator[Browser]":
 
 
 def press(page: "Page") -> None:
-    """Press Engage, and does not let go."""
+    """Press Engage without releasing it."""
     box = page.locator("#engage").bounding_box()
     assert box is not None
     page.mouse.move(box["x"] + 10, box["y"] + 10)
@@ -44,19 +44,19 @@ def press(page: "Page") -> None:
 
 
 def hold(page: "Page", seconds: float) -> None:
-    """Press Engage, and let go after so long."""
+    """Press Engage, and release it after a time."""
     press(page)
     page.wait_for_timeout(seconds * 1e3)
     page.mouse.up()
 
 
 def said(page: "Page", text: str) -> None:
-    """Waits until the page says so."""
+    """Wait until the page shows a text."""
     page.wait_for_function("text => document.getElementById('said').textContent.includes(text)", arg=text)
 
 
 def change(page: "Page", name: str, value: str) -> None:
-    """Changes a scale, and confirms it."""
+    """Change a scale, and confirm it."""
     page.fill(f"#{name}-scale", value)
     page.click(f"#set-{name}")
     page.click("#confirm-yes")

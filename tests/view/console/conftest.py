@@ -1,4 +1,4 @@
-"""A Chromium for the tests of a module, and no longer: beside it no other test can begin an event loop."""
+"""A Chromium for the tests of a module only: while it is open, no other test can start an event loop."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Connections that keep a server busy and give it nothing."""
+"""Connections that occupy a server and send nothing useful."""
 
 import contextlib
 import socket
@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 LISTENS = "0A"
-"""State of a socket in /proc/net/tcp."""
+"""State of a listening socket in /proc/net/tcp."""
 
 
 @contextlib.contextmanager
 def flood(port: int, count: int, sent: bytes) -> Iterator[list[socket.socket]]:
-    """So many connections, each of which has sent this, as far as the server takes them."""
+    """Open that many connections, as far as the server accepts them; each sends these bytes."""
     opened: list[socket.socket] = []
     with contextlib.ExitStack() as stack:
         for _ in range(count):
@@ -25,17 +25,17 @@ def flood(port: int, count: int, sent: bytes) -> Iterator[list[socket.socket]]:
 
 
 def send(opened: list[socket.socket], sent: bytes) -> None:
-    """Send the same at each that is still open."""
+    """Send the same bytes on each open connection."""
     for one in opened:
         with contextlib.suppress(OSError):
             one.send(sent)
 
 
 def held(port: int) -> int:
-    """How many connections a server of this machine has taken at a port and not closed."""
+    """Count the connections that a server of this machine has accepted at a port and not closed."""
     count = 0
     for line in Path("/proc/net/tcp").read_text().splitlines()[1:]:
         _, local, _, state, *rest = line.split()
-        # One that waits to be accepted, or is gone, has no inode.
+        # A connection in the backlog, or a closed one, has no inode.
         count += int(local.rpartition(":")[2], 16) == port and state != LISTENS and rest[5] != "0"
     return count

@@ -1,4 +1,4 @@
-"""The picture of the console in its documentation: a push reaches a hand that has let go.
+"""Picture of the console for its documentation: a push reaches a hand that has let go.
 
 python -m tests.view.console.screenshot docs/images/console.png
 """
@@ -10,7 +10,7 @@ from tests.view.console.browser import chromium, hold
 
 
 def main(path: str) -> None:
-    """Write a PNG of a scene that runs."""
+    """Write a PNG of a running scene."""
     with subprocess.Popen(
         [sys.executable, "-m", "haptether", "console", "--scene", "remote_push"], stdout=subprocess.PIPE, text=True
     ) as console:
@@ -22,7 +22,7 @@ def main(path: str) -> None:
             page.wait_for_selector("#side-slave .headline")
             page.wait_for_timeout(4e3)
             hold(page, 1.3)
-            # It trips when the hand lets go.
+            # The controller trips when the hand lets go.
             page.wait_for_selector("#side-master .tripped")
             page.wait_for_timeout(700)
             page.screenshot(path=path)

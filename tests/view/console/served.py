@@ -1,4 +1,4 @@
-"""Two live sides and a console in this process, as tests need them."""
+"""Two live sides and a console in this process."""
 
 import contextlib
 import json
@@ -17,7 +17,7 @@ from haptether.view.console.server import Console
 
 @dataclass
 class Served:
-    """What runs."""
+    """The running sides and their console."""
 
     master: LiveMaster
     slave: LiveSlave
@@ -32,7 +32,7 @@ class Served:
 
 @contextlib.contextmanager
 def served(folder: Path, *, controlled: bool = True, of: Scene | None = None) -> Iterator[Served]:
-    """Two sides whose start presses nothing, and the console that shows them."""
+    """Yield two sides whose start presses nothing, and the console that shows them."""
     scene = scene_json(override_scene(of or two_sides(), ["operator.clutch=once"]))
     slave = LiveSlave(
         scene, listen="127.0.0.1:0", run_id=2, insecure=True, telemetry=folder / "s.sock", control=folder / "s.ctl"
@@ -53,7 +53,7 @@ def served(folder: Path, *, controlled: bool = True, of: Scene | None = None) ->
         runs.console_stopped.set()
         thread.join(20.0)
         for side in (master, slave):
-            # A test may have seen to the end of one.
+            # A test may have finished one of them.
             with contextlib.suppress(RuntimeError):
                 side.finish()
     assert not thread.is_alive()
@@ -67,7 +67,7 @@ def wait_for(condition: Callable[[], bool], within_s: float = 30.0) -> None:
 
 
 def http(port: int, method: str, path: str, headers: dict[str, str]) -> tuple[int, dict[str, str], bytes]:
-    """Status, headers and body; with exactly these headers."""
+    """Send a request with exactly these headers; return status, headers and body."""
     lines = [f"{method} {path} HTTP/1.1", *(f"{name}: {value}" for name, value in headers.items()), "Connection: close"]
     with socket.create_connection(("127.0.0.1", port), 10.0) as connection:
         connection.sendall("\r\n".join([*lines, "", ""]).encode())

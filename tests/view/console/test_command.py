@@ -1,4 +1,4 @@
-"""`haptether console` itself: what it refuses, and the sides of a scene that begin and end with it."""
+"""`haptether console` itself: its refusals, and the sides of a scene that start and end with it."""
 
 import re
 import signal
@@ -37,7 +37,7 @@ PATH = Path("side")
 def test_what_cannot_be_is_refused(
     console: Console, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Where no side of another test runs.
+    # A folder in which no side of another test runs.
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     with pytest.raises(ValueError, match=re.escape(said)):
         console.run()
@@ -60,7 +60,7 @@ def test_the_sides_of_a_scene_wait_for_a_person_and_end_with_it() -> None:
             time.sleep(1.0)
             with TelemetryReader(paths[0]) as telemetry:
                 sample = next(message for message in telemetry if isinstance(message, TelemetrySample))
-            # Answered long since, and not pressed.
+            # The peer has answered long ago, and the clutch is open.
             assert (sample.signals["state"], sample.signals["clutch"]) == ("disengaged", False)
             with Control(Path(paths[1])) as control:
                 assert control.ask("status")["side"] == "master"

@@ -24,7 +24,7 @@ SHADES = """station => {
     for (let n = 0; n < pixels.length; n += 4) shades.add(pixels[n] << 16 | pixels[n + 1] << 8 | pixels[n + 2]);
     return shades.size;
 }"""
-"""How many colours a picture has."""
+"""Returns the number of colours of a picture."""
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def test_page_draws_both_ends_and_nothing_while_it_is_hidden(browser: "Browser",
     page = context.new_page()
     errors: list[Any] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
-    # Of the page itself: it reads nothing from elsewhere.
+    # Requests of the page: it reads from its own server only.
     asked: set[str] = set()
     page.on("request", lambda request: asked.add(request.url))
     page.goto(runs.console.address)
@@ -46,7 +46,7 @@ def test_page_draws_both_ends_and_nothing_while_it_is_hidden(browser: "Browser",
     wait_for(lambda: all(page.evaluate(SHADES, station) > 20 for station in ("hand", "robot")))
     assert {url.partition("/" + runs.token)[0] for url in asked} == {f"http://127.0.0.1:{runs.console.port}"}
     drawn = count_draws(page)
-    # Turned by a person.
+    # A person turns the view.
     box = page.locator("#end-robot canvas").bounding_box()
     assert box is not None
     page.mouse.move(box["x"] + 100, box["y"] + 100)
@@ -99,7 +99,7 @@ def test_what_comes_faster_than_it_is_drawn_waits_for_nobody(runs: Served) -> No
     with TelemetryReader(runs.folder / "m.sock") as reader:
         hello: TelemetryHello = reader.hello
         message = next(iter(reader))
-    # No thread takes anything.
+    # No thread takes from the queue.
     bodies = Bodies()
     for _ in range(2 * WAITING):
         bodies.take(hello, message)

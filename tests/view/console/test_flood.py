@@ -1,4 +1,4 @@
-"""A console that is flooded: STOP works, pages are served, and Ctrl-C ends it."""
+"""A flooded console: STOP works, pages are served, and Ctrl-C ends it."""
 
 import contextlib
 import gc
@@ -29,12 +29,12 @@ from haptether.view.console.server import BACKLOG, Console
 pytestmark = pytest.mark.live
 
 DESCRIPTORS = 256
-"""Limit of the console: a flood exhausts it fast."""
+"""Limit of the console's descriptors: a flood exhausts it fast."""
 FLOOD = 300
 HALF = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 WHOLE = HALF + b"\r\n"
 MOST = MAX_UNKNOWN + MAX_KNOWN + 4 * BACKLOG
-"""Connections that the console holds, those of a moment included."""
+"""Largest number of connections of the console, short-lived ones included."""
 UPGRADE = (
     HALF + b"Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
     b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
@@ -42,14 +42,14 @@ UPGRADE = (
 
 
 def command(descriptors: int, *arguments: str) -> list[str]:
-    """A command that may have so many descriptors, and the processes that it starts."""
+    """Return a command that limits the descriptors of itself and of its child processes."""
     limited = f'ulimit -n {descriptors} && exec "$@"'
     return ["sh", "-c", limited, "sh", sys.executable, "-m", "haptether", *arguments]
 
 
 @contextlib.contextmanager
 def console(said: Path) -> Iterator[tuple[subprocess.Popen[str], int, str]]:
-    """Both sides of a scene with a console of few descriptors: its process, port and token; its errors go to `said`."""
+    """Start both sides of a scene with a console of few descriptors; yield process, port, token; log errors."""
     console = command(DESCRIPTORS, "console", "--scene", "remote_push")
     with said.open("w") as errors, subprocess.Popen(
         console, stdout=subprocess.PIPE, stderr=errors, text=True
@@ -70,7 +70,7 @@ def page(port: int, token: str) -> ClientConnection:
 
 
 def stopped(one: ClientConnection) -> list[bool]:
-    """Send STOP; for each side, true if it was stopped."""
+    """Send STOP; return for each side whether it stopped."""
     one.send('{"do":"stop"}')
     end_s = time.monotonic() + 5.0
     while time.monotonic() < end_s:
@@ -118,16 +118,16 @@ def test_without_a_token_few_connections_stay_and_none_for_long(runs: Served) ->
         opened = [other for sent in kinds for other in stack.enter_context(flood(port, FLOOD // len(kinds), sent))]
         begun_s = time.monotonic()
         assert held(port) <= MOST
-        # A page that is open, and one that is opened.
+        # An open page, and a new one.
         assert json.loads(one.recv(timeout=5.0))["kind"] == "rows"
         status, _, body = http(port, "GET", f"/{runs.token}/uplot.js", {"Host": f"127.0.0.1:{port}"})
         assert (status, len(body) > 10_000) == (200, True)
-        # Single bytes gain no time.
+        # Single bytes do not extend the time limit.
         while time.monotonic() < begun_s + TOKEN_S + 0.2:
             send(opened, b"x")
             time.sleep(0.1)
             assert held(port) <= MOST
-        # That of the page.
+        # The remaining connection is that of the page.
         wait_for(lambda: held(port) <= 1, 5.0)
         assert json.loads(one.recv(timeout=5.0))["kind"] == "rows"
 
@@ -136,7 +136,7 @@ def test_with_the_token_connections_have_a_bound_and_pages_stay(runs: Served) ->
     port = runs.console.port
     request = f"GET /{runs.token}/uplot.js HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode()
     with page(port, runs.token) as one, flood(port, 3 * MAX_KNOWN, request * 40):
-        # None of them reads.
+        # None of the connections reads.
         time.sleep(1.0)
         for _ in range(10):
             assert json.loads(one.recv(timeout=5.0))["kind"] == "rows"
@@ -155,7 +155,7 @@ def test_a_stop_without_a_page_works_under_a_flood(tmp_path: Path) -> None:
 
 
 def test_a_stop_works_while_others_fill_the_control_sockets(tmp_path: Path) -> None:
-    """They close every connection that the console had."""
+    """The flood closes every connection of the console."""
     with served(tmp_path) as runs, page(runs.console.port, runs.token) as one, contextlib.ExitStack() as stack:
         for name in ("m.ctl", "s.ctl"):
             fill(runs.folder / name, 80, stack)
@@ -205,7 +205,7 @@ def test_the_end_leaves_no_connection_to_a_side_that_hangs(tmp_path: Path) -> No
         thread = threading.Thread(target=one.serve, args=(ended.is_set,))
         thread.start()
         try:
-            # A request of the console is under way nearly all the time.
+            # A request of the console is nearly always in progress.
             time.sleep(2.0)
         finally:
             ended.set()
@@ -218,7 +218,7 @@ def test_the_end_leaves_no_connection_to_a_side_that_hangs(tmp_path: Path) -> No
 
 
 class StandIn:
-    """In the place of a transport: whether it was closed."""
+    """Stand-in of a transport; it records whether it was closed."""
 
     def __init__(self) -> None:
         self.is_closed = False
@@ -240,7 +240,7 @@ def test_who_is_closed_for_whom_and_when() -> None:
         return sum(not one.is_closed for one in of)
 
     first, *others = made[: MAX_UNKNOWN + 1]
-    # With the token, in time.
+    # It has the token, in time.
     connections.add(first, 0.0)
     connections.admit(first, 0.1)
     for number, one in enumerate(others):
@@ -252,7 +252,7 @@ def test_who_is_closed_for_whom_and_when() -> None:
     assert [one.is_closed for one in others[:3]] == [True, True, False]
     connections.close_late(TOKEN_S + 1.0)
     assert (open_now(others), made[50].is_closed, first.is_closed) == (0, True, False)
-    # A page stays, whatever others with the token do, until it ends.
+    # A page stays until it ends, whatever other clients with the token do.
     connections.keep(first)
     for number, one in enumerate(made[60:150]):
         connections.add(one, 5.0)

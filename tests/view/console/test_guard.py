@@ -1,4 +1,4 @@
-"""Who reaches the console: its own page, and no page of another origin, whatever its browser sends."""
+"""Access to the console: its own page, and no page of another origin, whatever its browser sends."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -42,7 +42,7 @@ def test_the_page_is_whole_and_bound_to_itself(runs: Served) -> None:
         assert (status, headers["cache-control"], headers["referrer-policy"]) == (200, "no-store", "no-referrer")
         assert "default-src 'none'" in headers["content-security-policy"]
         assert len(body) > 1000
-        # Offline: nothing of it is elsewhere.
+        # The page works offline: it refers to no other host.
         assert b"//cdn" not in body
         assert b'src="http' not in body
 
@@ -84,7 +84,7 @@ def test_a_websocket_of_another_origin_is_refused(runs: Served) -> None:
         (own, "haptether.example", None),
         (own, None, "wrong"),
     ):
-        # A second Host is refused by the server itself, as no request at all.
+        # The server itself refuses a second Host as an invalid request.
         with pytest.raises(InvalidStatus) as refused:
             live(runs, origin=origin, host=host, token=token).close()
         assert refused.value.response.status_code in {400, 403}

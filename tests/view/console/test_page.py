@@ -1,4 +1,4 @@
-"""The console in Chromium, against two live sides: every button, and pages that are closed, stalled, hidden, second."""
+"""The console in Chromium, with two live sides: every button, and pages that close, stall, hide, or are the second."""
 
 import contextlib
 import os
@@ -15,7 +15,7 @@ from tests.view.console.served import Served, served, wait_for
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-# They draw on all processors: beside loops in real time these would be late.
+# The browser draws on all processors and would delay real-time loops beside it.
 pytestmark = pytest.mark.alone
 
 
@@ -49,11 +49,11 @@ def coupled(runs: Served, page: "Page") -> None:
 def test_every_button(runs: Served, page: "Page") -> None:
     errors: list[Any] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
-    # A short click, and a hold that is let go of.
+    # A short click, and a hold that is released.
     page.click("#engage")
     hold(page, 0.7)
     said(page, "let go too early")
-    # Events of a script are no person's.
+    # Script events do not count as input of a person.
     page.evaluate("""() => { for (const name of ['pointerdown', 'mousedown', 'click'])
         document.getElementById('engage').dispatchEvent(
             new PointerEvent(name, {bubbles: true, button: 0, pointerId: 1})); }""")
@@ -61,7 +61,7 @@ def test_every_button(runs: Served, page: "Page") -> None:
     assert runs.master.state == "disengaged"
     coupled(runs, page)
     page.wait_for_selector("#side-master .headline .engaged")
-    # Those of the scene, until a person types.
+    # The scales are those of the scene until a person types.
     assert [page.input_value(f"#{name}-scale") for name in ("force", "position")] == ["1", "1"]
     for form, value, text in (
         ("force", "0.5", "master: the scale goes to 0.5"),
@@ -71,7 +71,7 @@ def test_every_button(runs: Served, page: "Page") -> None:
     ):
         change(page, form, value)
         said(page, text)
-    # Asked, and answered by a script or by Cancel: nothing is sent.
+    # The page asks, and a script or Cancel answers: nothing is sent.
     before = page.inner_text("#said")
     page.fill("#force-scale", "0.9")
     page.click("#set-force")
@@ -102,7 +102,7 @@ def test_every_button(runs: Served, page: "Page") -> None:
 
 def test_pages_that_are_closed_stalled_hidden_or_second(browser: "Browser", runs: Served, page: "Page") -> None:
     second = opened(browser, runs)
-    # Only one holds at a time; the other is told so.
+    # Only one page holds at a time; the other gets a message.
     press(page)
     press(second)
     said(second, "another page")
@@ -111,7 +111,7 @@ def test_pages_that_are_closed_stalled_hidden_or_second(browser: "Browser", runs
     page.click("#release")
     said(page, "the clutch is released")
     wait_for(lambda: runs.master.state != "engaged")
-    # A hidden page lets go.
+    # A hidden page releases its hold.
     press(page)
     page.evaluate("""() => { Object.defineProperty(document, 'hidden', {value: true, configurable: true});
         document.dispatchEvent(new Event('visibilitychange')); }""")
@@ -119,7 +119,7 @@ def test_pages_that_are_closed_stalled_hidden_or_second(browser: "Browser", runs
     page.mouse.up()
     assert runs.master.state != "engaged"
     page.evaluate("() => delete document.hidden")
-    # A page whose script hangs in the middle of a hold: what it sends late is no hold.
+    # The page's script hangs during a hold: beats sent late do not count as a hold.
     press(page)
     page.wait_for_timeout(200)
     page.evaluate("() => { const end = performance.now() + 1100; while (performance.now() < end); }")
@@ -127,7 +127,7 @@ def test_pages_that_are_closed_stalled_hidden_or_second(browser: "Browser", runs
     page.mouse.up()
     assert runs.master.state != "engaged"
     coupled(runs, page)
-    # Closed in a hold, stalled, and killed: the loop goes on, coupled.
+    # A page closes during a hold, stalls, and is killed: the loop stays coupled.
     skipped = runs.master.ticks
     press(second)
     second.wait_for_timeout(300)
@@ -135,26 +135,26 @@ def test_pages_that_are_closed_stalled_hidden_or_second(browser: "Browser", runs
     renderers = renderers_of(os.getpid())
     assert renderers
     for renderer in renderers:
-        # That of the page that was closed may just be ending.
+        # The renderer of the closed page may be ending at this moment.
         with contextlib.suppress(ProcessLookupError):
             os.kill(renderer, signal.SIGSTOP)
     begun_s, ticks = time.monotonic(), runs.master.ticks
     time.sleep(1.0)
     rate = (runs.master.ticks - ticks) / (time.monotonic() - begun_s)
     for renderer in renderers:
-        # That of the page that was closed may just be ending.
+        # The renderer of the closed page may be ending at this moment.
         with contextlib.suppress(ProcessLookupError):
             os.kill(renderer, signal.SIGCONT)
     assert runs.master.state == "engaged"
     assert rate > 500.0
     assert runs.master.ticks > skipped
     for renderer in renderers:
-        # That of the page that was closed may just be ending.
+        # The renderer of the closed page may be ending at this moment.
         with contextlib.suppress(ProcessLookupError):
             os.kill(renderer, signal.SIGKILL)
     time.sleep(0.5)
     assert runs.master.state == "engaged"
-    # Another still stops.
+    # Another page can still stop.
     third = opened(browser, runs)
     third.click("#stop")
     said(third, "no force, no motion")
@@ -163,11 +163,11 @@ def test_pages_that_are_closed_stalled_hidden_or_second(browser: "Browser", runs
 
 
 def test_another_origin_reads_and_commands_nothing(browser: "Browser", runs: Served, tmp_path: Path) -> None:
-    """A page that even knows the token."""
+    """Use a page that even knows the token."""
     folder = tmp_path / "other"
     folder.mkdir()
     with served(folder) as attacker:
-        # Nothing of its own policy keeps it back: it is what the console refuses that is tested.
+        # Bypass the attacker's own policy: the test is about the console's refusals.
         context = browser.new_context(bypass_csp=True)
         page = context.new_page()
         page.goto(attacker.console.address)
@@ -187,7 +187,7 @@ def test_another_origin_reads_and_commands_nothing(browser: "Browser", runs: Ser
             runs.console.address,
         )
         context.close()
-    # An answer of which it is told nothing.
+    # The page cannot read the answer.
     assert found["stop"] in {"opaque", "refused"}
     assert found["read"] == "refused"
     assert found["live"] == "refused"
@@ -196,7 +196,7 @@ def test_another_origin_reads_and_commands_nothing(browser: "Browser", runs: Ser
 
 
 def renderers_of(pid: int) -> list[int]:
-    """Renderers of Chromium among the descendants of a process."""
+    """Return the Chromium renderers among the descendants of a process."""
     parents: dict[int, int] = {}
     renderers: list[int] = []
     for entry in Path("/proc").iterdir():

@@ -1,4 +1,4 @@
-"""The flight recorder on the page: its words and ticks are those of the file, and a file that is none is named."""
+"""The flight recorder on the page: its words and ticks match the file, and an invalid file is named."""
 
 import re
 from pathlib import Path
@@ -27,7 +27,7 @@ def test_page_says_why_the_master_stopped_and_scales_rotation(browser: "Browser"
         page.goto(runs.console.address)
         page.wait_for_selector("#side-slave .headline")
         assert page.locator(".flight").count() == 0
-        # Each at its side, where the sides are of kind pose.
+        # Each acts at its side, if the sides are of kind pose.
         for name, side in (("torque", "master"), ("rotation", "slave")):
             change(page, name, "0.7")
             said(page, f"{side}: the scale goes to 0.7")
@@ -36,7 +36,7 @@ def test_page_says_why_the_master_stopped_and_scales_rotation(browser: "Browser"
         runs.slave.stop()
         wait_for(lambda: runs.master.cause() is not None)
         page.click("#stop")
-        # The file of a side comes with its end.
+        # The file of a side appears at its end.
         runs.master.finish()
         text = runs.master.flight()
         assert text is not None

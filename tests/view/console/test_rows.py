@@ -1,4 +1,4 @@
-"""The rows of the charts: each page goes along by itself."""
+"""The rows of the charts: each page advances by itself."""
 
 from haptether.view.console.rows import Rows
 

@@ -1,4 +1,4 @@
-"""From the click on STOP to both loops at rest: at most 100 ms."""
+"""Time from the click on STOP to both loops at rest: at most 100 ms."""
 
 import contextlib
 import threading
@@ -22,7 +22,7 @@ WATCH = """() => { for (const name of ['pointerdown', 'keydown'])
 
 
 def at_rest(runs: Served, into: list[float]) -> None:
-    """When both loops are at rest, on the clock that a page has: a control socket is closed then."""
+    """Store the time at which both loops are at rest, on the clock of a page; a control socket closes then."""
     with Control(runs.folder / "m.ctl") as master, Control(runs.folder / "s.ctl") as slave:
         for side in (master, slave):
             with contextlib.suppress(OSError):

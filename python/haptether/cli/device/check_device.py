@@ -23,17 +23,18 @@ RECENT = 200
 class CheckDevice(DriverOptions):
     """Open the driver of a device by itself, and say what is right with it and what is to be mended.
 
-    A haptic device is written zero force all the time, an arm is not moved, and the jaws of a gripper are held. Nothing
-    is coupled: there is no other side. Move the device by hand while it runs, along every axis: what does not move
-    shows no velocity. It is opened a second time, to see that it is closed after an exception. Its loop has real time
-    where the system gives it. One that exerts by itself as soon as it is open, such as a leader arm against its weight,
-    is opened only after a person's yes on the terminal, and so is a gripper that is to be activated.
+    A haptic device gets zero force all the time, an arm is not moved, and the jaws of a gripper are held. Nothing is
+    coupled: there is no other side. Move the device by hand along every axis while it runs; an axis that does not move
+    shows no velocity. The device is opened a second time, to check that it is closed after an exception. The loop runs
+    in real time where the system permits it. Some devices exert force as soon as they are open, such as a leader arm
+    against its weight. They are opened only after a person's yes on the terminal, and so is a gripper that is to be
+    activated.
 
-    --push-n has a haptic device push once, with at most 1 N (0.1 N m of joints), up and down a ramp within 1.5 s. A
-    person is asked on the terminal first. It ends at once by Ctrl-C, a motion too far or too fast, a late sample or a
-    fault.
+    --push-n makes a haptic device push once, with at most 1 N (0.1 N m of joints), up and down a ramp within 1.5 s. A
+    person is asked on the terminal first. Ctrl-C, a motion too far or too fast, a late sample or a fault ends it at
+    once.
 
-    Exit status 0 says that nothing is to be mended, 1 that something is.
+    Exit status 0: nothing is to be mended; 1: something is.
 
     Examples:
 
@@ -43,22 +44,22 @@ class CheckDevice(DriverOptions):
     """
 
     side: Literal["master", "slave", "gripper"] | None = None
-    """Which of these, where there are several by that name."""
+    """Side of the driver, where several have this name."""
     duration_s: float = 5.0
-    """For how long it is looked at, in s, at most 600."""
+    """Duration of the check in s, at most 600."""
     push_n: float | None = None
-    """Have a haptic device push with this force in N (joints: N m) once, after a person's yes; 0.5 is felt."""
+    """Push once with this force in N (joints: N m), after a person's yes, for a haptic device; 0.5 is felt."""
     push_axis: int = 0
-    """Along which axis."""
+    """Axis of the push."""
     yes: bool = False
-    """Do not ask before the push, nor before a device is opened that exerts by itself: whoever gives this flag stands
-    beside the device, and holds it."""
+    """Do not ask before the push, nor before opening a device that exerts by itself. Give this flag only while standing
+    beside the device and holding it."""
 
     def run(self) -> int:
-        """Checks, and says what was found.
+        """Check the device and print the findings.
 
         Raises:
-            ValueError: A driver that there is not, or an option out of its bounds.
+            ValueError: No such driver, or an option out of its bounds.
         """
         from haptether.bridge.devices.check.finding import Finding
         from haptether.bridge.devices.check.report import DeviceCheck, kind_of
@@ -104,7 +105,7 @@ class CheckDevice(DriverOptions):
             if stopped:
                 if not check.ended:
                     print(f"{self.name}: the driver does not return: {KEEPS.rstrip(': ')}", file=sys.stderr, flush=True)
-                # Of a part of what was requested there is no verdict.
+                # A check that was cut short gives no verdict.
                 raise KeyboardInterrupt
             found += check.findings()
             said = check.messages
@@ -123,7 +124,7 @@ class CheckDevice(DriverOptions):
     def _again(
         self, check: "DeviceCheck", side: Literal["master", "slave"], stopped: "Stopped"
     ) -> "tuple[Finding, list[str]]":
-        """Open it a second time, and has an exception end that run; also the driver's texts of what was wrong."""
+        """Open the device again and end that run by an exception; return the finding and the driver's error texts."""
         from haptether.bridge import DeviceError
         from haptether.bridge.devices.check.finding import Finding, messages
         from haptether.bridge.devices.check.report import SecondRun
@@ -137,7 +138,7 @@ class CheckDevice(DriverOptions):
         except (DeviceError, ValueError) as error:
             return Finding(name, "mend", f"it cannot be made a second time: {error}"), []
         try:
-            # Anew: whoever held it for the first time has read meanwhile that its force has ended.
+            # Ask again: the person who held it has meanwhile read that its force has ended.
             ask_before_open(self.name, device, stopped, yes=self.yes, again=True)
         except RuntimeError as error:
             return Finding(name, "unseen", str(error)), []
@@ -151,7 +152,7 @@ class CheckDevice(DriverOptions):
         return found, messages(second.run.watched.failed)
 
     def _check(self, side: str) -> None:
-        """Refuse what cannot be, before anything is opened."""
+        """Refuse invalid options before anything is opened."""
         from haptether.cli.device.consent import check_terminal
 
         if not 0.1 <= self.duration_s <= MAX_DURATION_S:
@@ -180,7 +181,7 @@ class CheckDevice(DriverOptions):
             raise ValueError(message)
 
     def _push(self, check: "DeviceCheck", stopped: "Stopped") -> str | None:
-        """Asks, and has it push; returns why it did not."""
+        """Ask, then push; return why the device did not push."""
         from haptether.cli.device.consent import consents
         from haptether.cli.device.options import is_over
         from haptether.cli.shared.stop import wait
@@ -235,7 +236,7 @@ class CheckDevice(DriverOptions):
 
 
 def print_findings(console: "Screen", name: str, found: "list[Finding]") -> None:
-    """One line a property."""
+    """Print one line a property."""
     from haptether.cli.shared.table import Rows
 
     table = Rows("", "check", f"{name}: what was seen", keys=2)
@@ -246,7 +247,7 @@ def print_findings(console: "Screen", name: str, found: "list[Finding]") -> None
 
 
 def print_verdict(console: "Screen", found: "list[Finding]") -> int:
-    """What was not seen, and whether it passes; returns how many are to be mended."""
+    """Print the checks without a result and the verdict; return the number of findings to be mended."""
     wrong = sum(finding.verdict == "mend" for finding in found)
     unseen = [finding.check for finding in found if finding.verdict == "unseen"]
     if unseen:
@@ -256,10 +257,10 @@ def print_verdict(console: "Screen", found: "list[Finding]") -> int:
 
 
 def check_gripper(command: CheckDevice) -> int:
-    """Opens, holds, reads and closes a gripper, and says what was found.
+    """Open, hold, read and close a gripper, and print the findings.
 
     Raises:
-        ValueError: A driver that there is not, or one that is opened with its arm.
+        ValueError: No such driver, or a gripper that is opened with its arm.
         RuntimeError: Nobody said yes to an activation.
         KeyboardInterrupt: Ctrl-C.
     """
@@ -301,7 +302,7 @@ def check_gripper(command: CheckDevice) -> int:
 
 
 def _status(check: "DeviceCheck") -> str:
-    """Position, velocity, force and rate of now."""
+    """Return the current position, velocity, force and rate."""
     ticks, readings = check.run.ticks, check.lead.readings
     blocked = check.run.blocked_in(0.5)
     if blocked is not None:

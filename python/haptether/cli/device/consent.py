@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from haptether.cli.shared.stop import Stopped
 
 WAITS_S = 60.0
-"""For an answer; then it is no."""
+"""Time in s to answer; then the answer is no."""
 POLL_S = 0.02
 PROMPT_S = 0.5
 """Largest uncertainty of when an answer was typed; beyond it the answer does not count."""
@@ -25,7 +25,7 @@ def check_terminal(what: str, *, yes: bool) -> None:
     """Refuse a force where nobody can be asked.
 
     Raises:
-        ValueError: Standard input is no terminal, and `--yes` was not given.
+        ValueError: Standard input is not a terminal, and `--yes` was not given.
     """
     if not yes and not sys.stdin.isatty():
         message = (
@@ -35,12 +35,12 @@ def check_terminal(what: str, *, yes: bool) -> None:
 
 
 def consents(question: str, stopped: "Stopped", *, yes: bool) -> bool:
-    """Whether a person says yes to what is asked, now: what was typed before the question does not count.
+    """Ask a person, and return true for a yes typed after the question.
 
     Args:
         question: What the device will do.
         stopped: Ends the wait.
-        yes: Given as a flag: the question is shown and not asked.
+        yes: `--yes` was given: show the question without asking.
     """
     print(question, file=sys.stderr, flush=True)
     if yes:
@@ -61,13 +61,13 @@ def can_ask() -> bool:
 
 
 def says_yes(prompt: str, is_over: Callable[[], bool]) -> bool:
-    """Asks on the terminal; true if a person types yes after `prompt`, now.
+    """Ask on the terminal; return true if a person types yes after `prompt`.
 
-    An answer from before the prompt does not count. After a standstill of the process the time of an answer is unknown:
-    it asks again.
+    An answer from before the prompt does not count. After a standstill of the process the time of an answer is unknown,
+    so it asks again.
 
     Args:
-        prompt: What to type.
+        prompt: The text that says what to type.
         is_over: Ends the wait; it is called at least every 20 ms.
     """
     import termios
@@ -100,14 +100,14 @@ def says_yes(prompt: str, is_over: Callable[[], bool]) -> bool:
 
 
 def ask_before_open(name: str, device: object, stopped: "Stopped", *, yes: bool, again: bool = False) -> None:
-    """Say what a device will exert by itself as soon as it is open, and asks; nothing of one that does not.
+    """Announce a device that exerts force as soon as it is open, and ask; do nothing for other devices.
 
     Args:
-        name: Of the driver.
+        name: Name of the driver.
         device: The driver.
         stopped: Ends the wait.
-        yes: Given as a flag: it is said and not asked.
-        again: It was open before, and is closed.
+        yes: `--yes` was given: announce without asking.
+        again: The device was open before, and is closed.
 
     Raises:
         ValueError: Nobody can be asked.
@@ -133,10 +133,10 @@ def ask_before_open(name: str, device: object, stopped: "Stopped", *, yes: bool,
 
 @contextmanager
 def announced(name: str, device: object) -> Iterator[list["StandaloneRun"]]:
-    """Say before a device is opened that it exerts by itself, and at the end whether it does not any more.
+    """Announce before a device is opened that it exerts by itself, and at the end if its force has ended.
 
     Yields:
-        Where the run that opens it is to be put.
+        A list for the run that opens the device.
     """
     runs: list[StandaloneRun] = []
     if not exerts_by_itself(device):
@@ -146,7 +146,7 @@ def announced(name: str, device: object) -> Iterator[list["StandaloneRun"]]:
     try:
         yield runs
     finally:
-        # One whose end was waited for in vain has `failed_at`.
+        # A run whose end was awaited in vain has `failed_at`.
         closed = all(
             (run.finished or (run.failed_at is None and run.end())) and "close" not in run.watched.failed
             for run in runs

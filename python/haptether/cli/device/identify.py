@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from haptether.studies.identification.fit import IdentifiedAxis
 
 MARGIN_S = 5.0
-"""Beyond its motions, after which a run is ended."""
+"""Time in s beyond the motions after which a run is ended."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,16 +21,16 @@ class Identify(DriverOptions):
     """Identify mass, viscous and Coulomb friction of a haptic device, and print its [master] table.
 
     The device moves by itself, one axis after the other, while NOBODY HOLDS IT: sinusoidal forces of 1.3 to 11.9 Hz
-    that grow until a bound of travel or speed is near. The force of a hand is not measured, and would be taken for the
-    device's own mass and friction; for the same reason nothing is learned from motions that a hand makes. The model is
-    `m A + b V + c sign(V) = F(t - delay) + F_0` of each axis, fitted by least squares, with 95 % intervals. A mass is
-    that of this posture, at the tool. Of a device of kind "pose" only the translation is identified.
+    grow until a bound of travel or speed is near. The force of a hand is not measured: it would be taken for the
+    device's own mass and friction. Motions that a hand makes teach nothing for the same reason. The model of each axis
+    is `m A + b V + c sign(V) = F(t - delay) + F_0`, fitted by least squares, with 95 % intervals. A mass is that of
+    this posture, at the tool. For a device of kind "pose" only the translation is identified.
 
-    A person is asked on the terminal first; of a device that exerts by itself, such as a leader arm against its weight,
-    also before it is opened, and it is supported until it is. Force, travel and speed are bounded; the motion ends by
-    itself, and at once by Ctrl-C, beyond a bound, by a late sample or a fault. About 25 s an axis.
+    A person is asked on the terminal first. A device that exerts by itself, such as a leader arm against its weight,
+    must be supported until it is open; a person is asked before that, too. Force, travel and speed are bounded. The
+    motion ends by itself, and at once by Ctrl-C, beyond a bound, by a late sample or a fault. About 25 s an axis.
 
-    Exit status 0 says that mass and friction of every axis were found, 1 that something of it was not.
+    Exit status 0: mass and friction of every axis were found; 1: some were not.
 
     Examples:
 
@@ -40,21 +40,21 @@ class Identify(DriverOptions):
     """
 
     axes: Annotated[tyro.conf.UseAppendAction[tuple[int, ...]], tyro.conf.arg(metavar="AXIS")] = ()
-    """Which axes, from 0 on; may be given often, by default all."""
+    """Axes from 0 on; may be given often, by default all."""
     max_force: float | None = None
     """Largest force in N (joints: N m), at most 5 (2); by default 1 (0.1)."""
     travel: float | None = None
-    """Farthest in m (rad) from where it is at the begin, at most 0.1 (1); by default 0.02 (0.3)."""
+    """Largest distance in m (rad) from the first position, at most 0.1 (1); by default 0.02 (0.3)."""
     max_speed: float | None = None
-    """Fastest in m/s (rad/s), at most 1 (10); by default 0.3 (3)."""
+    """Largest speed in m/s (rad/s), at most 1 (10); by default 0.3 (3)."""
     yes: bool = False
-    """Do not ask before it is opened or moves: whoever gives this flag stands beside it, and nobody holds it."""
+    """Do not ask before it is opened or moves. Give this flag only while standing beside it, with nobody holding it."""
 
     def run(self) -> int:
-        """Move it, and say what was found.
+        """Move the device and print the findings.
 
         Raises:
-            ValueError: A driver that there is not, or an option out of its bounds.
+            ValueError: No such driver, or an option out of its bounds.
             RuntimeError: The motion did not come to its end.
         """
         from haptether.bridge.devices.standalone import StandaloneRun, wait_until
@@ -104,10 +104,10 @@ class Identify(DriverOptions):
         return self._report(kind, results, lead, driver_options(self, "master"))
 
     def _bounds(self, kind: str) -> "Bounds":
-        """Of force, travel and speed.
+        """Return the bounds of force, travel and speed.
 
         Raises:
-            ValueError: One that is not above 0 or too large.
+            ValueError: A bound that is not above 0 or too large.
         """
         from haptether.studies.identification.excitation import DEFAULT_BOUNDS, LARGEST_BOUNDS, Bounds
 
@@ -144,7 +144,7 @@ class Identify(DriverOptions):
         )
 
     def _check_end(self, lead: "Excitation", run: "StandaloneRun", *, ended: bool) -> None:
-        """Raise what the motion ended by, unless it came to its end."""
+        """Raise the reason of an early end; do nothing if the motion came to its end."""
         if not ended:
             at = run.failed_at or "a call"
             message = f"{self.name}: {at}() does not return: its device keeps its last command, switch it off"
@@ -225,7 +225,7 @@ class Identify(DriverOptions):
 
 
 def _fitted(lead: "Excitation", run: "StandaloneRun", axes: tuple[int, ...]) -> "list[IdentifiedAxis | str]":
-    """The model of each axis, from the time in which it was moved; or why there is none."""
+    """Return the fitted model of each axis, from the time in which it moved, or why there is none."""
     import numpy as np
 
     from haptether.studies.identification.fit import NotDeterminedError, fit_axis
@@ -251,7 +251,7 @@ def _fitted(lead: "Excitation", run: "StandaloneRun", axes: tuple[int, ...]) -> 
 
 
 def _status(lead: "Excitation", run: "StandaloneRun") -> str:
-    """Where it stands."""
+    """Return the state of the motion as one line."""
     ticks = run.ticks
     reading = lead.readings[-1] if lead.readings else None
     if run.blocked_in(0.5) is not None:

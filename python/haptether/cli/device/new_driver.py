@@ -20,14 +20,14 @@ FILES = {
     "@SIDE@/driver.py.txt": "src/@PACKAGE@/driver.py",
     "@SIDE@/test_driver.py.txt": "tests/test_driver.py",
 }
-"""Which template becomes which file."""
+"""Target file of each template."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NewDriver:
     """Write a package with a driver of your own: it can be installed, runs with a model, and has a test.
 
-    docs/new_device.md goes through it. What is to be filled in is marked in src/.../driver.py.
+    docs/new_device.md explains each step. Marks in src/.../driver.py show the places to fill in.
 
     Examples:
 
@@ -39,15 +39,15 @@ class NewDriver:
     side: Annotated[Literal["master", "slave"], tyro.conf.Positional]
     """A haptic device (master) or an arm (slave)."""
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
-    """Of the driver and of its package: small letters, digits, and dashes between."""
+    """Name of the driver and of its package: small letters, digits, and dashes between."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Where to write it, a folder that is empty or not there; by default NAME, here."""
+    """Target folder, empty or new; by default NAME, here."""
 
     def run(self) -> int:
         """Write the files.
 
         Raises:
-            ValueError: A name that no package can have, or a folder with something in it.
+            ValueError: A name that no package can have, or a folder that is not empty.
             OSError: The folder cannot be written.
         """
         package = checked_package(self.name)
@@ -74,7 +74,7 @@ class NewDriver:
 
 
 def install_line(folder: Path) -> str:
-    """The command that installs a package into the environment of this process, with pip or, where that is not, uv."""
+    """Return the command that installs a package into this process's environment, with pip or else uv."""
     if importlib.util.find_spec("pip") is not None:
         return shlex.join([sys.executable, "-m", "pip", "install", "-e", str(folder)])
     of_clone = Path(sys.prefix).parent / ".tools" / "uv" / "bin" / "uv"
@@ -83,10 +83,10 @@ def install_line(folder: Path) -> str:
 
 
 def checked_package(name: str) -> str:
-    """The package of a driver of that name.
+    """Return the package name of a driver.
 
     Raises:
-        ValueError: No package can have it, or another has.
+        ValueError: An invalid name, or the name of another package.
     """
     from haptether.bridge import MASTERS, SLAVES, device_names
 

@@ -1,4 +1,4 @@
-"""Which driver a command is about, what it is called with, and how it is opened."""
+"""The driver that a command opens, its options, and how it is opened."""
 
 import os
 import sys
@@ -21,23 +21,23 @@ Kind = Literal["linear", "joints", "pose"]
 
 MAX_OPEN_S = 600.0
 BLOCKED_S = 2.0
-"""A call that has not returned for so long ends a run."""
+"""A call that has not returned for this time in s ends a run."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriverOptions(FileOptions):
-    """A driver by its name, and what it is called with."""
+    """A driver by its name, and its options."""
 
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
-    """Of the driver, as `haptether list` has it."""
+    """Name of the driver, as in `haptether list`."""
     options: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
-    """What the driver is called with, as in [master.options] and [slave.options] of a scene; may be given often."""
+    """Option of the driver, as in [master.options] and [slave.options] of a scene; may be given often."""
     kind: Kind | None = None
-    """What its coordinates are, as in a scene; by default the first of the driver's own kinds."""
+    """Kind of its coordinates, as in a scene; by default the first of the driver's own kinds."""
     period_s: float = 1e-3
     """Period of the loop in s, for a driver that does not pace it."""
     open_s: float = 60.0
-    """How long it may take to open, in s."""
+    """Longest time in s that it may take to open."""
     debug: bool = False
     """Show the traceback of a driver's exception."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -45,15 +45,15 @@ class DriverOptions(FileOptions):
 
 
 DrivenPart = Literal["master", "slave", "gripper"]
-"""What a driver is one of."""
+"""Side that a driver is for."""
 
 
 def check_options(command: DriverOptions) -> None:
     """Refuse numbers out of their bounds, and a file that cannot be written.
 
     Raises:
-        ValueError: A number.
-        OSError: The file.
+        ValueError: A number out of its bounds.
+        OSError: The file cannot be written.
     """
     from haptether.cli.shared.output import check_target
 
@@ -68,10 +68,10 @@ def check_options(command: DriverOptions) -> None:
 
 
 def side_of(name: str, side: DrivenPart | None) -> DrivenPart:
-    """What a driver is one of.
+    """Return the side that a driver is for.
 
     Raises:
-        ValueError: There is none of that name, or several.
+        ValueError: No driver has that name, or several have.
     """
     from difflib import get_close_matches
 
@@ -95,10 +95,10 @@ def side_of(name: str, side: DrivenPart | None) -> DrivenPart:
 
 
 def driver_options(command: DriverOptions, side: DrivenPart) -> dict[str, Any]:
-    """What the driver is called with, as `[master.options]` of a scene has it.
+    """Return the options of the driver, as in `[master.options]` of a scene.
 
     Raises:
-        ValueError: No `=`, or a value that TOML does not know.
+        ValueError: An option without `=`, or a value that is not TOML.
     """
     from haptether.bridge.scene.load import overridden
 
@@ -113,11 +113,11 @@ def driver_options(command: DriverOptions, side: DrivenPart) -> dict[str, Any]:
 
 
 def loaded_device(command: DriverOptions, side: Literal["master", "slave"]) -> object:
-    """The driver, called with its options.
+    """Return the driver, called with its options.
 
     Raises:
-        ValueError: No such driver, options that it does not have, or a kind that it is not of.
-        DeviceError: What makes it raised an exception.
+        ValueError: No such driver, options that it does not have, or a kind that it does not support.
+        DeviceError: Its constructor raised an exception.
     """
     from haptether.bridge import load_master, load_slave
     from haptether.bridge.devices.open import POINT_KINDS
@@ -132,10 +132,10 @@ def loaded_device(command: DriverOptions, side: Literal["master", "slave"]) -> o
 
 
 def certain_kind(command: DriverOptions, device: object) -> Kind:
-    """The kind of a device that is to exert a force, whose bounds are others in N and in N m.
+    """Return the kind of a device that is to exert a force; the bounds differ between N and N m.
 
     Raises:
-        ValueError: The driver may be of joints as well as not, and the command does not say.
+        ValueError: The driver supports joints and other kinds, and the command does not choose.
     """
     from haptether.bridge.devices.check.report import kind_of
     from haptether.bridge.devices.open import POINT_KINDS
@@ -150,10 +150,10 @@ def certain_kind(command: DriverOptions, device: object) -> Kind:
 
 
 def await_open(command: DriverOptions, run: "StandaloneRun", stopped: "Stopped") -> bool:
-    """Waits until a driver is open and returns whether it is.
+    """Wait until a driver is open and return true if it is.
 
     Raises:
-        KeyboardInterrupt: Ctrl-C meanwhile; it is closed.
+        KeyboardInterrupt: Ctrl-C meanwhile; the driver is closed.
     """
     from haptether.cli.shared.output import deliver_output
     from haptether.cli.shared.own_force import announce_end, exerts_by_itself
@@ -165,7 +165,7 @@ def await_open(command: DriverOptions, run: "StandaloneRun", stopped: "Stopped")
             time.sleep(0.01)
     if stopped:
         if not run.end():
-            # Threads of a vendor's library that still connects would end an orderly exit with an abort.
+            # A vendor's library whose threads still connect would abort an orderly exit.
             if exerts_by_itself(run.watched.device):
                 announce_end(command.name, closed=False)
             deliver_output()
@@ -175,12 +175,12 @@ def await_open(command: DriverOptions, run: "StandaloneRun", stopped: "Stopped")
 
 
 def is_over(run: "StandaloneRun") -> bool:
-    """Whether a run has ended, or its driver has not returned for so long that nothing more is to come of it."""
+    """Return true if a run has ended, or if a call of its driver has not returned for `BLOCKED_S`."""
     return run.finished or run.blocked_in(BLOCKED_S) is not None
 
 
 def show_tracebacks(command: DriverOptions, run: "StandaloneRun") -> None:
-    """With `--debug`, on standard error what a driver's methods raised."""
+    """Print the exceptions of a driver's methods on standard error, with `--debug`."""
     if command.debug:
         for error in run.watched.failed.values():
             lines = "".join(traceback.format_exception(error)).splitlines()

@@ -12,28 +12,28 @@ if TYPE_CHECKING:
 SEE_ABOVE = "see above"
 CONTROL = frozenset("\r\x1b")
 MIN_MESSAGE = 8
-"""Characters; a shorter message may be a part of any text."""
+"""Least length of a message in characters; a shorter one may be a part of any text."""
 
 
 class Told:
-    """A stream that keeps what is written to it, and passes it on; a line of the driver only once.
+    """A stream that records what is written to it and passes it on; each line of the driver only once.
 
-    The driver is opened a second time, and would repeat its checklist and its faults. Its threads are others than that
-    of the command; the status line, which has a thread as well, is known by its control characters.
+    The driver is opened a second time, and would repeat its checklist and its faults. Its lines come from other threads
+    than the main thread. The status line, which also has its own thread, is known by its control characters.
 
     Args:
-        stream: Takes it as well.
+        stream: Receives the text.
     """
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
         self._lines: set[str] = set()
         self._skipped: int | None = None
-        """Thread whose line was left out, and whose end of line follows."""
+        """Thread whose line was skipped, and whose end of line follows."""
         self.text = ""
 
     def write(self, text: str) -> int:
-        """Writes to both."""
+        """Write to the stream and record the text."""
         thread, line = threading.get_ident(), text.rstrip("\n")
         is_drivers = thread != threading.main_thread().ident and CONTROL.isdisjoint(text)
         if is_drivers and not line and self._skipped == thread:
@@ -48,7 +48,7 @@ class Told:
         return len(text)
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401  # of the stream
-        """All else is that of the stream."""
+        """Delegate everything else to the stream."""
         return getattr(self._stream, name)
 
     def shortened(self, found: "Iterable[Finding]", messages: Iterable[str]) -> "list[Finding]":
@@ -72,13 +72,13 @@ class Told:
 
 
 def _squeezed(text: str) -> str:
-    """Without white space: a terminal may have broken its lines anywhere."""
+    """Remove white space: a terminal may have broken the lines anywhere."""
     return "".join(text.split())
 
 
 @contextlib.contextmanager
 def listening() -> Iterator[Told]:
-    """Within it, what is printed to standard error is kept as well."""
+    """Record standard error within this context, and pass it on."""
     told = Told(sys.stderr)
     with contextlib.redirect_stderr(told):
         yield told

@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 class Calibrate(FileOptions):
     """Find where the zero of an arm is, which way its joints turn, and how far; a person moves it, without torque.
 
-    It writes the file of the arm, for the options of the drivers. Of each servo it keeps id, model, direction, offset
-    of the zero, and limits. A servo knows one turn: an offset counts from the mechanical centre of its output, with the
-    homing offset that it has, and the limits say which turn is meant. A joint that may turn more than once is to be
-    near the calibration's pose when its supply comes on. Shadows of a joint and the ends of a gripper are not
-    found: write `shadows` into the file, and `open_rad` and `closed_rad` into the scene.
+    It writes the file of the arm, for the options of the drivers. For each servo it stores id, model, direction, offset
+    of the zero, and limits. A servo knows one turn: an offset counts from the mechanical centre of its output, with its
+    homing offset, and the limits select the turn. Switch the supply on with every joint that can turn more than once
+    near the pose of the calibration. Shadows of a joint and the ends of a gripper are not found: write `shadows` into
+    the file, and `open_rad` and `closed_rad` into the scene.
 
-    With --weigh it measures the torque constant of one servo of a file that is there, by a known weight: published
+    With --weigh it measures the torque constant of one servo of an existing file, by a known weight: published
     constants of a servo differ by up to a factor of two.
 
     Examples:
@@ -38,28 +38,28 @@ class Calibrate(FileOptions):
     port: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PORT")]
     """The serial port; also as --port PORT."""
     path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """Where the file of the arm is written."""
+    """File of the arm."""
     baud: int | None = None
     """Rate of the servos in bit/s; by default all are tried."""
     ids: tuple[int, ...] = ()
-    """The servos in the order of the joints; by default all of ids 1 to 20 that answer."""
+    """Servos in the order of the joints; by default all of ids 1 to 20 that answer."""
     pose: Annotated[tuple[float, ...], tyro.conf.arg(metavar="Q")] = ()
-    """Angles in rad of the pose that the arm is put into; by default 0."""
+    """Angles in rad of the pose into which the arm is put; by default 0."""
     round: bool = False
-    """Round offsets to multiples of pi/2, where the horns are mounted so."""
+    """Round offsets to multiples of pi/2, if the horns are mounted so."""
     margin: float = 0.05
-    """By which the limits are inside of what is shown, in rad."""
+    """Distance in rad of the limits inside the shown range."""
     weigh: Annotated[int | None, tyro.conf.arg(metavar="ID")] = None
     """Measure the torque constant of this servo of FILE instead: the arm holds its joints, with torque, and moves this
     one by 0.1 rad up and down, without a weight and with it."""
     mass: Annotated[float | None, tyro.conf.arg(metavar="KG")] = None
-    """Of the weight."""
+    """Mass of the weight in kg."""
     lever: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
-    """Level distance from the axis of the joint to the weight."""
+    """Horizontal distance in m from the axis of the joint to the weight."""
     tolerance: float = 0.02
-    """How far mass times lever may be wrong, as a share."""
+    """Relative error of mass times lever."""
     yes: bool = False
-    """A person answers, though standard input is no terminal."""
+    """A person answers, although standard input is not a terminal."""
 
     def run(self) -> int:
         """Ask step by step, and write the file."""
@@ -174,10 +174,10 @@ class Calibrate(FileOptions):
         return 0
 
     def _weighed(self, servos: "tuple[ServoSettings, ...]") -> int:
-        """Which of the servos is weighed.
+        """Return the index of the weighed servo.
 
         Raises:
-            ValueError: An option that is missing or cannot be, or a servo without current control.
+            ValueError: An option that is missing or invalid, or a servo without current control.
         """
         for name, value, most, unit in (("mass", self.mass, 20.0, "kg"), ("lever", self.lever, 2.0, "m")):
             if value is None or not 0.0 < value <= most:
@@ -203,7 +203,7 @@ class Calibrate(FileOptions):
         return ids.index(self.weigh)
 
     def _servos(self) -> "list[FoundServo]":
-        """Those that answer, all of known models and of one rate."""
+        """Return the answering servos, all of known models and of one rate."""
         from haptether.cli.dynamixel.search import found_servos
 
         servos = found_servos(self.port, self.baud, self.ids or range(1, 21))

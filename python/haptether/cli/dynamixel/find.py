@@ -8,7 +8,7 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class Find:
-    """Say which servos answer on a port, at every rate that they can have. Nothing is set.
+    """Print which servos answer on a port, at every rate that they can have. Nothing is set.
 
     Examples:
 
@@ -20,12 +20,12 @@ class Find:
     port: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="PORT")]
     """The serial port; also as --port PORT."""
     baud: int | None = None
-    """This rate alone, in bit/s; by default all."""
+    """Only this rate in bit/s; by default all rates."""
     ids: tuple[int, ...] = tuple(range(1, 21))
-    """The ids that are asked."""
+    """Ids to query."""
 
     def run(self) -> int:
-        """Print a line per servo; 1 if there is none."""
+        """Print a line per servo; return 1 if there is none."""
         from haptether.cli.dynamixel.search import found_servos
 
         servos = found_servos(self.port, self.baud, self.ids)

@@ -1,4 +1,4 @@
-"""A person at a terminal, or a program in its place."""
+"""A person at a terminal, or a program instead."""
 
 import os
 import select
@@ -10,23 +10,23 @@ MAX_READS: Final = 100
 
 
 class Operator:
-    """Reads lines of standard input without waiting for them."""
+    """Reads lines of standard input without blocking."""
 
     def __init__(self) -> None:
         self._received = b""
 
     def say(self, line: str) -> None:
-        """Print a line; one that begins with a carriage return replaces the last, and is for terminals alone."""
+        """Print a line; a line that begins with a carriage return replaces the last one, and is for terminals only."""
         if not line.startswith("\r"):
             print(line, flush=True)
         elif sys.stdout.isatty():
             print(line, end="", flush=True)
 
     def answer(self, patience_s: float) -> str | None:
-        """The next line within so many seconds; none yet: none.
+        """Return the next line within `patience_s`; None if none has come yet.
 
         Raises:
-            RuntimeError: There will be none.
+            RuntimeError: Standard input has ended.
         """
         if b"\n" not in self._received:
             readable, _, _ = select.select([0], [], [], patience_s)
@@ -44,10 +44,10 @@ class Operator:
         return line.decode(errors="replace")
 
     def forget(self) -> None:
-        """Drop what was typed so far: it answers no question that is asked next.
+        """Drop earlier input: it must not answer the next question.
 
         Raises:
-            RuntimeError: There is no end of it.
+            RuntimeError: The input does not end.
         """
         self._received = b""
         for _ in range(MAX_READS):
@@ -57,7 +57,7 @@ class Operator:
         raise RuntimeError(message)
 
     def wait(self) -> str:
-        """The next line."""
+        """Wait for the next line and return it."""
         while True:
             line = self.answer(1.0)
             if line is not None:

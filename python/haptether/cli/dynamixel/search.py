@@ -1,4 +1,4 @@
-"""Servos on a port, for the commands."""
+"""Search for servos on a port, for the commands."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -8,7 +8,7 @@ if TYPE_CHECKING:
 
 
 def found_servos(port: str, baud: int | None, ids: Sequence[int]) -> "list[FoundServo]":
-    """Those that answer, in the order of the ids.
+    """Return the answering servos, in the order of the ids.
 
     Raises:
         OSError: The port cannot be opened.

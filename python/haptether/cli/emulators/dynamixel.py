@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from haptether.dynamixel.emulator import ArmLoad, Bus, Server, Servo, StreamLine
 
 MAX_CONSTANT = 20.0
-"""N m/A."""
+"""Largest torque constant in N m/A."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,8 +20,8 @@ class DynamixelEmulator(FileOptions):
     """Emulate a bus of Dynamixel servos behind a pseudo-terminal, for the real client libraries.
 
     Servos of the X series speak Protocol 2.0 with the control tables of their models: EEPROM that is locked while
-    torque is on, operating modes, limits, bus watchdog, hardware errors. Behind each turns an inertia with friction.
-    docs/dynamixel.md has what is modelled, and the lines of --control that push a joint and make things go wrong.
+    torque is on, operating modes, limits, bus watchdog, hardware errors. Each servo turns an inertia with friction.
+    docs/dynamixel.md has the model, and the lines of --control that push a joint and cause faults.
 
     Examples:
 
@@ -39,44 +39,43 @@ class DynamixelEmulator(FileOptions):
     )  # fmt: skip
     """The servos, as ID=MODEL."""
     arm: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
-    """The servos of this description of an arm instead, which gravity pulls at; `--start` are then its joint angles."""
+    """Use the servos of this description of an arm, under gravity; `--start` are then its joint angles."""
     mass_scale: float = 1.0
-    """What the masses of `--arm` weigh, of what its description says."""
+    """Factor on the masses of the description of `--arm`."""
     mount_offsets: Annotated[tuple[float, ...], tyro.conf.arg(metavar="RAD")] = ()
-    """By how much the servo of each joint of `--arm` is built in otherwise than described; a client learns it by
-    calibration alone."""
+    """Offset in rad of each joint's servo of `--arm` from the description; a client learns it only by calibration."""
     mount_signs: Annotated[tuple[int, ...], tyro.conf.arg(metavar="SIGN")] = ()
-    """1 of each joint whose servo turns as described, -1 of one that turns the other way."""
+    """1 for each joint whose servo turns as described, -1 if it turns the other way."""
     baud: int = 4_000_000
-    """Rate that the servos are set to, in bit/s: a client of another rate gets no answer."""
+    """Rate of the servos in bit/s: a client at another rate gets no answer."""
     any_rate: bool = False
     """Let the servos understand every rate."""
     firmware: int = 52
-    """Version that they report; fast reads are known from 45 on, by 330 models from 46 on."""
+    """Reported firmware version; fast reads exist from 45 on, in 330 models from 46 on."""
     start: Annotated[tuple[float, ...], tyro.conf.arg(metavar="Q")] = ()
-    """Joint angles at the begin, in rad from the mechanical centre; by default 0."""
+    """Initial joint angles in rad from the mechanical centre; by default 0."""
     stops: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID=A:B")] = ()
-    """Something rigid stops the output of a servo at two angles from its mechanical centre, such as jaws or an object
-    between them, as ID=A:B in rad."""
+    """Rigid stops of the output of a servo at two angles in rad from its mechanical centre, such as jaws or an object
+    between them, as ID=A:B."""
     constants: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID=NM_PER_A")] = ()
     """Torque constants in N m/A of servos, as ID=NM_PER_A; by default the likely one of each model."""
     return_delay: int = 0
-    """Return Delay Time that they begin with, in 2 us; out of the box it is 250."""
+    """Initial Return Delay Time in 2 us; the factory setting is 250."""
     wire_time: bool = False
-    """Have answers take as long as on a wire, with the return delay."""
+    """Make answers take as long as on a wire, with the return delay."""
     latency_ms: float = 0.0
-    """Latency timer of the adapter, in ms: 16 is what many have out of the box."""
+    """Latency timer of the adapter in ms; a common factory setting is 16."""
     link: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """A symbolic link to the terminal, which stays the same when it is unplugged and plugged."""
+    """A symbolic link to the terminal, which stays the same when the terminal is unplugged and plugged."""
     tcp: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
-    """The same bus over TCP besides, raw bytes for one client at a time; port 0 is any free one."""
+    """Also offer the bus over TCP, raw bytes for one client at a time; port 0 is any free one."""
     socket: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """The same bus behind a Unix socket besides, which `port` of a driver may name: a pseudo-terminal hands bytes on by
-    threads of the kernel without priority, late where others compute."""
+    """Also offer the bus on a Unix socket, which `port` of a driver may name. A pseudo-terminal forwards bytes by
+    kernel threads without priority, which are late on a busy machine."""
     seed: int = 0
-    """Seed of which bytes are lost or wrong."""
+    """Seed of the choice of lost or wrong bytes."""
     control: Annotated[str | None, tyro.conf.arg(metavar="-|127.0.0.1:PORT|PATH")] = None
-    """Where control lines come from: standard input, TCP of this machine, or a Unix socket."""
+    """Source of control lines: standard input, TCP of this machine, or a Unix socket."""
     realtime: Literal["auto", "off", "require"] = "auto"
     """Ask for SCHED_FIFO and go on without (auto), do not ask (off), or fail without (require)."""
     duration_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
@@ -85,7 +84,7 @@ class DynamixelEmulator(FileOptions):
     """Write state and figures as JSON at the end; - for standard output."""
 
     def run(self) -> int:
-        """Serves until it is stopped."""
+        """Serve until it is stopped."""
         import time
 
         from haptether.cli.emulators.serving import serve
@@ -131,10 +130,10 @@ class DynamixelEmulator(FileOptions):
         return bus
 
     def _stream(self) -> "StreamLine | None":
-        """The second way to the bus.
+        """Return the second line to the bus.
 
         Raises:
-            ValueError: Two of them.
+            ValueError: Both of them are given.
             OSError: An address or a path that cannot be used.
         """
         from haptether.dynamixel.emulator import TcpLine, UnixLine

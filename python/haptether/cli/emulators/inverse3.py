@@ -16,9 +16,9 @@ class Inverse3Emulator(FileOptions):
     """Emulate the vendor's service of a Haply Inverse3 with a VerseGrip, for the driver and other clients.
 
     It speaks the WebSocket and JSON of version 3.5, on this machine only: a frame on connection, then one for each
-    message, and events on a port of their own. Behind it a mass with friction moves, that a hand holds: `haptether
-    identify inverse3` needs the control line `release` first.
-    docs/haptic_devices.md has what is modelled, and the lines of --control that move the hand and make things go wrong.
+    message, and events on a port of their own. It simulates a mass with friction that a hand holds: `haptether identify
+    inverse3` needs the control line `release` first. docs/haptic_devices.md has the model, and the lines of --control
+    that move the hand and cause faults.
 
     Examples:
 
@@ -28,26 +28,26 @@ class Inverse3Emulator(FileOptions):
     """
 
     port: int = 10001
-    """Of the states; 0 for any that is free, which the first line names."""
+    """Port of the states; 0 for any free one, which the first line names."""
     event_port: int = 10020
-    """Of the events; 0 for any that is free."""
+    """Port of the events; 0 for any free one."""
     no_grip: bool = False
-    """Leave the VerseGrip away."""
+    """Emulate no VerseGrip."""
     mass_kg: float = 0.157
-    """m in kg. The device's own numbers are not published: these are a stand-in."""
+    """m in kg. The device's own numbers are not published: these are placeholders."""
     viscous: float = 0.0
     """b in N s/m."""
     coulomb: float = 0.038
     """c in N."""
     control: Annotated[str | None, tyro.conf.arg(metavar="-|127.0.0.1:PORT|PATH")] = None
-    """Where control lines come from: standard input, TCP of this machine, or a Unix socket."""
+    """Source of control lines: standard input, TCP of this machine, or a Unix socket."""
     duration_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
     """End after this time in s; without it, run until Ctrl-C."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write state and figures as JSON at the end; - for standard output."""
 
     def run(self) -> int:
-        """Serves until it is stopped."""
+        """Serve until it is stopped."""
         from haptether.cli.emulators.serving import serve
         from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.output import check_target, write_report

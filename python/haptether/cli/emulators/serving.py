@@ -1,4 +1,4 @@
-"""How an emulated device is served until it is stopped, with its control line beside it."""
+"""Serving of an emulated device until it is stopped, with its control line."""
 
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -17,10 +17,10 @@ class ServedDevice(Protocol):
     channel: "ControlChannel | None"
 
     def run(self, ended: Callable[[], bool]) -> None:
-        """Serves until it is so."""
+        """Serve until `ended` returns true."""
 
     def close(self) -> None:
-        """Close all that is open."""
+        """Close everything that is open."""
 
 
 def serve(
@@ -34,21 +34,21 @@ def serve(
     json: Path | None,
     realtime: Literal["auto", "off", "require"] | None = None,
 ) -> Figures:
-    """Serves until Ctrl-C, a control line or the time ends it, and returns what `finish` does before all is closed.
+    """Serve until Ctrl-C, a control line or the time ends it; return the result of `finish`, called before the close.
 
     Args:
-        server: What is run.
+        server: The server to run.
         line: Its control line.
-        headline: Begins the first line of output, which names where it is reached, once it is.
+        headline: Start of the first line of output, which names the address once the server is reachable.
         finish: Takes the figures of the run.
-        control: Where control lines come from, if from anywhere.
-        duration_s: The time, in s; without it, none.
-        json: Where figures go: to standard output the headline does not.
-        realtime: Whether it runs in real time; without it, that is not looked at.
+        control: Source of control lines; None for none.
+        duration_s: Duration in s; None for no limit.
+        json: Target of the figures; if it is standard output, the headline goes to standard error.
+        realtime: Request for real time; None to leave the scheduling as it is.
 
     Raises:
         ValueError: A control port out of its bounds.
-        OSError: A control line that cannot be had, or real time that is required and not granted.
+        OSError: A control line that cannot be opened, or real time that is required and not granted.
     """
     import gc
     import sys
@@ -71,11 +71,11 @@ def serve(
                     raise ValueError(message) from None
             with nullcontext() if realtime is None else requested(realtime) as granted:
                 controlled = "" if channel is None else f", controlled by {channel.address}"
-                # What is there lives as long as the process; a collection that visited it would take 10 ms.
+                # These objects live as long as the process; a collection that visits them takes 10 ms.
                 gc.collect()
                 gc.freeze()
                 in_real_time = "" if granted is None else f", real time: {granted}"
-                # Whoever started this process reads the line to learn where it is reached.
+                # The parent process reads the address from this line.
                 stream = sys.stderr if table_goes_to_stderr(json) else sys.stdout
                 print(f"{headline}{controlled}{in_real_time}", file=stream, flush=True)
                 server.run(lambda: bool(stopped) or line.quit or time.monotonic() >= end_s)

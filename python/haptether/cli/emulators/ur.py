@@ -21,10 +21,10 @@ MAX_PORT = 65535
 class UrEmulator(FileOptions):
     """Emulate the controller of a UR arm, for the real client libraries.
 
-    It serves RTDE on port 30004, the dashboard on 29999 and scripts on 30001 to 30003 of one address; these ports are
-    fixed by the protocol, so several emulators need several addresses, 127.0.0.2, 127.0.0.3 and so on. Behind it an arm
-    follows servoj, speedj, speedl, moves and force mode, and touches what a scene says. docs/ur_emulator.md has what is
-    modelled, and the lines of --control that push the tool and make things go wrong.
+    It serves RTDE on port 30004, the dashboard on 29999 and scripts on 30001 to 30003 of one address. The protocol
+    fixes these ports, so several emulators need several addresses, 127.0.0.2, 127.0.0.3 and so on. The simulated arm
+    follows servoj, speedj, speedl, moves and force mode, and touches the objects of a scene. docs/ur_emulator.md has
+    the model, and the lines of --control that push the tool and cause faults.
 
     Examples:
 
@@ -44,15 +44,15 @@ class UrEmulator(FileOptions):
     version: Annotated[str, tyro.conf.arg(metavar="X.Y[.Z[.BUILD]]")] = "5.11"
     """Version of the controller: 3.15 (CB3, 125 Hz) or 5.4 to 5.26 (500 Hz)."""
     scene: Annotated[str | None, tyro.conf.arg(metavar="SCENE")] = None
-    """What the tool touches: [environment] of a shipped scene or of a scene file; by default nothing."""
+    """Environment of the tool: [environment] of a shipped scene or of a scene file; by default nothing."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
     """Change the scene, as in `haptether simulate`; may be given often."""
     start: Annotated[tuple[float, float, float, float, float, float], tyro.conf.arg(metavar="Q")] = (
         -1.6, -1.7, -2.2, -0.8, 1.6, 0.0,
     )  # fmt: skip
-    """Joint angles at the begin, in rad."""
+    """Initial joint angles in rad."""
     tcp: Annotated[tuple[float, float, float, float, float, float], tyro.conf.arg(metavar="P")] = (0.0,) * 6
-    """The tool in the frame of the flange at the begin, x y z rx ry rz in m and rad."""
+    """Initial tool in the frame of the flange, x y z rx ry rz in m and rad."""
     noise: float = 0.0
     """Standard deviation of the force sensor in N; its torques have a tenth of it in N m."""
     bias: Annotated[tuple[float, float, float, float, float, float], tyro.conf.arg(metavar="W")] = (0.0,) * 6
@@ -62,17 +62,17 @@ class UrEmulator(FileOptions):
     gripper: Literal["2f-85", "2f-140", "hand-e"] | None = None
     """A Robotiq gripper on the flange, and the server of its URCap; by default none."""
     gripper_port: int = 63352
-    """Of that server; 0 for any that is free, which the first line names."""
+    """Port of the gripper's server; 0 for any free one, which the first line names."""
     gripper_object_mm: float | None = None
-    """Width of what is between its jaws, in mm; by default nothing."""
+    """Width in mm of the object between its jaws; by default none."""
     gripper_active: bool = False
-    """Begin with the gripper activated, rather than as after its power is switched on."""
+    """Begin with the gripper activated, rather than freshly powered."""
     local: bool = False
-    """Begin in local control, in which scripts are refused, rather than in remote control."""
+    """Begin in local control, which refuses scripts, rather than in remote control."""
     unlock_after_s: float = 5.0
-    """How long after a protective stop it cannot be unlocked, in s."""
+    """Time in s after a protective stop during which it cannot be unlocked."""
     control: Annotated[str | None, tyro.conf.arg(metavar="-|127.0.0.1:PORT|PATH")] = None
-    """Where control lines come from: standard input, TCP of this machine, or a Unix socket."""
+    """Source of control lines: standard input, TCP of this machine, or a Unix socket."""
     realtime: Literal["auto", "off", "require"] = "auto"
     """Ask for SCHED_FIFO and go on without (auto), do not ask (off), or fail without (require)."""
     duration_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
@@ -81,7 +81,7 @@ class UrEmulator(FileOptions):
     """Write state and figures as JSON at the end; - for standard output."""
 
     def run(self) -> int:
-        """Serves until it is stopped."""
+        """Serve until it is stopped."""
         from haptether.cli.emulators.serving import serve
         from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.output import check_target, write_json

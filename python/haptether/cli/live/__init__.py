@@ -1,1 +1,1 @@
-"""Commands of live sides: `master`, `slave`, `check-link`, and `explain` of what they wrote."""
+"""Commands of live sides: `master`, `slave`, `check-link`, and `explain` for their files."""

@@ -13,20 +13,20 @@ if TYPE_CHECKING:
 
 MAX_STIFFNESS = 1e7
 MAX_DURATION_S = 600.0
-"""The records of all of it are kept."""
+"""Records of the whole duration are kept in memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckLink(FileOptions):
     """Measure the link to a running slave, and say whether the coupling can bear it.
 
-    Nothing moves: it is a master whose clutch nobody presses. It takes the slave's one place for a master, and gives it
-    back within 0.2 s. Fails if the link is not good enough.
+    Nothing moves: it is a master whose clutch nobody presses. The slave has one place for a master; this command takes
+    it and gives it back within 0.2 s. Fails if the link is not good enough.
 
-    What is bearable follows from what is touched: the least sum of both delays at which device, hand, arm and wall
-    begin to oscillate, the intervals beyond it in which they do not, and the longest silence at which the ladder does
-    not hold. Device, hand, arm, wall, coupling and ladder are those of `--scene`, without it those of `master` and
-    `slave` without a scene.
+    The limits follow from the touched object. The first is the least sum of both delays at which device, hand, arm and
+    wall begin to oscillate, with the intervals beyond it in which they do not. The second is the longest silence at
+    which the ladder does not hold. Device, hand, arm, wall, coupling and ladder are those of `--scene`. Without it they
+    are those of `master` and `slave` without a scene.
 
     Examples:
 
@@ -38,19 +38,20 @@ class CheckLink(FileOptions):
     """
 
     peer: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
-    """Where the slave, or netsim before it, listens."""
+    """Address of the slave, or of netsim before it."""
     key: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Key file of the secure session, the same at both sides."""
     insecure: bool = False
-    """Go without a key, to a slave that goes without."""
+    """Go without a key, to a slave without a key."""
     duration_s: float = 5.0
-    """For how long in s, at most 600."""
+    """Duration in s, at most 600."""
     scene: Annotated[str | None, tyro.conf.arg(metavar="SCENE")] = None
-    """Judge the coupling of a scene, a shipped one or a TOML file; it has a [slave], and as many axes as the slave."""
+    """Judge the coupling of a scene, a shipped one or a TOML file; it must have a [slave], and as many axes as the
+    slave."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
     """Change a field of the scene; may be given often."""
     wall_stiffness: float | None = None
-    """Stiffness of what will be touched, in N/m; by default 100, or with a scene what is stiffest in it."""
+    """Stiffness of the touched object in N/m; by default 100, or with a scene the stiffest in it."""
     force_scale: float = 1.0
     """Rendered force over the force that the slave measures; a scene has its own."""
     realtime: Literal["auto", "off", "require"] = "auto"
@@ -59,7 +60,7 @@ class CheckLink(FileOptions):
     """Write the result as JSON at the end; - for standard output."""
 
     def run(self) -> int:
-        """Measures, and says what was found.
+        """Measure the link and print the findings.
 
         Raises:
             RuntimeError: No slave answered.
@@ -96,7 +97,7 @@ class CheckLink(FileOptions):
             raise ValueError(message)
         scene = live_scene(self, ("force_scale",)) or baseline_scene(force_scale=self.force_scale)
         loops, (period_s, hold_s) = scene_loops(scene, self.wall_stiffness), scene_times(scene)
-        # What is touched instead of the scene's own is one spring.
+        # A given wall stiffness replaces the scene's objects by one spring.
         beyond = touched(scene, scene_numbers(scene)).beyond if self.wall_stiffness is None else ()
         worst = min(loops, key=largest_delay_s)
         bearable_s = largest_delay_s(worst)
@@ -109,7 +110,7 @@ class CheckLink(FileOptions):
                     run_id=secrets.randbits(64),
                     key=key,
                     insecure=self.insecure,
-                    # Never engages, so this is when it ends.
+                    # The run never engages, so it ends after this time.
                     patience_s=self.duration_s,
                     keep_s=self.duration_s + 1.0,
                     realtime=self.realtime,
@@ -128,7 +129,7 @@ class CheckLink(FileOptions):
             trace, report = master.finish()
             print_security(master.security_events())
         if stopped:
-            # Of a part of what was requested there is no verdict.
+            # A measurement that was cut short gives no verdict.
             raise KeyboardInterrupt
         if not np.isfinite(trace.age_s).any():
             message = (

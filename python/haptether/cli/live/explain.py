@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Explain(FileOptions):
-    """Say why a side held or stopped: print what `--flight` or `--record` of master or slave wrote.
+    """Say why a side held or stopped: print the file of `--flight` or `--record` of master or slave.
 
-    Prints the last 32 steps of the ladder with their reasons, the causes in the words of the side that had them, the
-    last 16 interventions of the safety controllers with what tripped them, and the last 10 of the 50 ticks that are
-    kept until the last hold and until the end. A recording has all steps and causes of the run.
+    Prints the last 32 steps of the ladder with their reasons, and the causes in the words of the side that had them.
+    Prints the last 16 interventions of the safety controllers with what tripped them, and the last 10 of the 50 ticks
+    that are kept until the last hold and until the end. A recording has all steps and causes of the run.
 
     Examples:
 
@@ -31,9 +31,9 @@ class Explain(FileOptions):
     """
 
     file: Annotated[Path, tyro.conf.Positional]
-    """What `--flight` or `--record` wrote."""
+    """File of `--flight` or `--record`."""
     ticks: int = 10
-    """How many ticks until the last hold, and until the end, are printed; 50 of each are kept."""
+    """Number of printed ticks until the last hold, and until the end; 50 of each are kept."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the same as JSON; - for standard output."""
 
@@ -41,7 +41,7 @@ class Explain(FileOptions):
         """Print the file.
 
         Raises:
-            ValueError: The file is none of a flight recorder, and no recording.
+            ValueError: The file is neither a flight recorder's file nor a recording.
         """
         from haptether.bridge import flight_of_file
         from haptether.cli.recording.files import check_files
@@ -84,7 +84,7 @@ class Explain(FileOptions):
 
 
 def _intervention_lines(flight: "Flight") -> list[str]:
-    """Who intervened when, and by what."""
+    """Return a line for each intervention: controller, time and cause."""
     if not flight.interventions:
         # A slave has no controllers.
         return ["no safety controller intervened"] if flight.side == "master" else []
@@ -112,7 +112,7 @@ def _ladder_columns(side: str, ticks: "list[Tick]") -> dict[str, list[str]]:
 
 
 def _value_columns(side: str, ticks: "list[Tick]") -> dict[str, list[str]]:
-    """Position, command and force, one column for each axis."""
+    """Return position, command and force, one column for each axis."""
     columns = {}
     command = "device force [N]" if side == "master" else "command [m]"
     of_axes = {
@@ -133,7 +133,7 @@ def _number(value: float | None) -> str:
 
 
 def _print_causes(flight: "Flight", console: "Screen") -> None:
-    """Each cause with its steps."""
+    """Print each cause with its remedies."""
     if flight.causes:
         console.print(f"{flight.side}: why the two sides were not coupled", style="italic")
     for cause in flight.causes:

@@ -19,23 +19,23 @@ if TYPE_CHECKING:
 Controller = Literal["none", "vfc", "hsc", "wsc"]
 
 ALONE_S = 0.2
-"""A slave that ends no longer before the master than this has ended with it."""
+"""A slave that ends at most this long before the master has ended with it, in s."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Master(LiveOptions):
     """Run the side of the hand: a simulated haptic device held by a simulated hand that can let go.
 
-    Times count from the moment the two sides engage. Starting this command presses the clutch. Where its loop begins
-    more than 5 s later, and the device has no button, it asks on the terminal for another press; without a terminal it
-    ends. No press waits for more than 5 s: a slave that answers later needs another. When the slave falls silent for
-    20 ms, the force on the hand fades to zero within 75 ms and stays away until the clutch is released and pressed
-    again: `kill -USR1` does that, and so does --clutch auto. After a fault `kill -USR2` says first that it is mended.
+    Times count from the moment the two sides engage. Starting this command presses the clutch. A loop that begins more
+    than 5 s later, on a device without a button, asks on the terminal for another press; without a terminal it ends. No
+    press waits for more than 5 s: a slave that answers later needs another. When the slave falls silent for 20 ms, the
+    force on the hand fades to zero within 75 ms. It stays away until the clutch is released and pressed again: `kill
+    -USR1` does that, and so does --clutch auto. After a fault, first acknowledge with `kill -USR2` that it is mended.
     Figures and trace hold the last --keep-s.
 
-    Exit status 1 says that the start was too long ago, that no slave answered, that the run ended in fault or, without
-    Ctrl-C, in hold, in stop or after the slave, or that a driver failed. Where the two sides are not coupled, the
-    screen says where that happened, in the driver's own words, and what to do in order.
+    Exit status 1: the start was too long ago, no slave answered, a driver failed, or the run ended in fault. Without
+    Ctrl-C it is also 1 for an end in hold, in stop or after the slave. If the two sides are not coupled, the screen
+    names the cause, in the driver's own words, and the remedies in order.
 
     Examples:
 
@@ -47,7 +47,7 @@ class Master(LiveOptions):
     """
 
     peer: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
-    """Where the slave, or netsim before it, listens."""
+    """Address of the slave, or of netsim before it."""
     controller: Controller = "wsc"
     """Safety controller: velocity and force (vfc), windowed energy (wsc), grasp (hsc), or none. One of your own runs
     in `simulate`, `sweep` and `evaluate` only: docs/own_controller.md."""
@@ -59,34 +59,33 @@ class Master(LiveOptions):
     insecure: bool = False
     """Go without a key: frames travel in the clear, and anybody who can send can steer."""
     depth: float = 0.045
-    """How deep in m into the wall the hand's target lies."""
+    """Depth in m of the hand's target inside the wall."""
     release_at_s: float | None = None
-    """When the hand lets go, in s; never if not given."""
+    """Time in s at which the hand lets go; never if not given."""
     force_scale: float = 1.0
     """Rendered force over the force that the slave measures."""
     encoder_quantum: float = 2.3e-5
     """Resolution of the device in m; 0 measures position and velocity exactly."""
     clutch: Literal["once", "open", "auto"] = "once"
-    """Pressed at the start and held; open until somebody presses it; or worked by a simulated person, who presses again
-    0.5 s after a hold. A scene's
-    "auto" counts only where it stands here as well, for a device with a driver, too: else only its button or SIGUSR1
-    presses that."""
+    """Pressed at the start and held (once), open until somebody presses it (open), or worked by a simulated person who
+    presses again 0.5 s after a hold (auto). A scene's "auto" counts only with --clutch auto, also for a device with a
+    driver; otherwise only its button or SIGUSR1 presses the clutch."""
     flight: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the last states and commands at a stop, at a fault and at the end; `haptether explain` prints them."""
     duration_s: float | None = None
-    """End this long after the two first engage, in s; without it, run until Ctrl-C."""
+    """End this long after the first engagement, in s; without it, run until Ctrl-C."""
     patience_s: float = 10.0
     """Give up if the slave has not answered after this time in s."""
     keep_s: float | None = None
-    """How much of the end of the run the figures and the trace hold, in s; its memory is taken at the start. By default
-    600 s with --trace, else 16 MiB: 87 s along one axis, 24 s of poses."""
+    """Time in s at the end of the run that figures and trace hold; its memory is taken at the start. By default 600 s
+    with --trace, else 16 MiB: 87 s along one axis, 24 s of poses."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the result as JSON at the end; - for standard output."""
     trace: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the ticks of the last --keep-s as NumPy arrays (.npz)."""
 
     def run(self) -> int:
-        """Runs until it is stopped; fails if the slave never answered."""
+        """Run until it is stopped; fail if the slave never answered."""
         import numpy as np
 
         from haptether.cli.live.options import handed_over, live_arguments, session_key
@@ -138,7 +137,7 @@ class Master(LiveOptions):
     def _judge(
         self, result: "PushResult", *, answered: bool, stopped: bool, refused: str | None, cause: "Cause | None"
     ) -> None:
-        """Raise what a run that did not end well ended by."""
+        """Raise the reason of a run that ended badly."""
         if result.final_state == "fault":
             message = f"the run ended in fault: {cause.text if cause is not None else result.fault}"
             raise RuntimeError(message)
@@ -175,7 +174,7 @@ class Master(LiveOptions):
         from haptether.cli.shared.screen import screen
 
         console = screen(self.json)
-        # A table of what was not measured is no table.
+        # Without an engagement nothing was measured.
         if result.engaged_s is not None:
             print_push(console, [result], joints=joints)
         if answered:
@@ -184,7 +183,7 @@ class Master(LiveOptions):
 
 
 def _uncoupled_s(trace: "MasterTrace") -> float:
-    """For how long in s the two sides have not been coupled at the end."""
+    """Return the time in s since the two sides were last coupled."""
     import numpy as np
 
     from haptether.bridge import ladder_state_name
@@ -195,7 +194,7 @@ def _uncoupled_s(trace: "MasterTrace") -> float:
 
 
 def _protection(scene: "Scene") -> tuple[str, float | None]:
-    """The controllers of a scene, and when its hand lets go."""
+    """Return the names of the controllers of a scene, and the time at which its hand lets go."""
     operator = scene.operator
     released = operator.release.at_s if operator is not None and operator.release is not None else None
     return ", ".join(scene.safety.controllers) or "none", released if scene.master.driver is None else None
@@ -205,12 +204,12 @@ def _protection(scene: "Scene") -> tuple[str, float | None]:
 
 
 def print_push(console: "Screen", results: "Sequence[PushResult]", *, joints: bool = False) -> None:
-    """One column a run, and below them the texts of faults, which fit no column.
+    """Print one column a run, and below the table the texts of faults, which fit no column.
 
     Args:
-        console: Where it is printed.
-        results: Of runs.
-        joints: Whether they are of joints: speeds in rad/s, torques in N m.
+        console: Output.
+        results: Results of the runs.
+        joints: True for runs of joints: speeds in rad/s, torques in N m.
     """
     from haptether.cli.shared.table import Column, Rows
 
@@ -218,7 +217,7 @@ def print_push(console: "Screen", results: "Sequence[PushResult]", *, joints: bo
     for name, show in ROWS.items():
         table.add(_of_joints(name) if joints else name, *(show(result) for result in results))
     if any(result.renewal is not None for result in results):
-        # A simulated device has none.
+        # A simulated device has no renewal.
         table.add("ticks with a new sample [%]", *(_figure(result.renewal, 0, 1e2) for result in results))
     console.print(table)
     for result in results:
@@ -227,7 +226,7 @@ def print_push(console: "Screen", results: "Sequence[PushResult]", *, joints: bo
 
 
 def _of_joints(label: str) -> str:
-    """The same of joints."""
+    """Return a label with the units of joints."""
     for linear, turning in (
         ("[m/s]", "[rad/s]"),
         ("[N]", "[N m]"),

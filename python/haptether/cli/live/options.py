@@ -1,4 +1,4 @@
-"""Options of the live commands, and what they become: keyword arguments of a side, and the key of its session."""
+"""Options of the live commands, with their conversion to keyword arguments of a side and the key of its session."""
 
 import sys
 from dataclasses import dataclass
@@ -14,43 +14,44 @@ if TYPE_CHECKING:
     from haptether.cli.live.slave import Slave
 
 INSECURE = "INSECURE: frames are neither encrypted nor authenticated, anybody who can send can steer"
-"""What the screen says of a run in the clear."""
+"""Warning on the screen for a run in the clear."""
 TRACE_S = 600.0
-"""How much of the end of a run is kept where its ticks are written."""
+"""Time in s at the end of a run that is kept if its ticks are written."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LiveOptions(FileOptions):
-    """The scene, real time and recording."""
+    """Options of scene, real time and recording."""
 
     scene: Annotated[str | None, tyro.conf.arg(metavar="SCENE")] = None
-    """Take everything but the network from a scene, the same at both sides, and drive the devices that it names."""
+    """Take everything but the network from a scene, the same at both sides, and drive its devices."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
     """Change the scene, as in `haptether simulate`; may be given often."""
     debug: bool = False
-    """Show the traceback of what ended the run, a driver's exception above all."""
+    """Show the traceback of the error that ended the run, such as a driver's exception."""
     realtime: Literal["auto", "off", "require"] = "auto"
     """Ask for SCHED_FIFO and locked memory and go on without (auto), do not ask (off), or fail without (require)."""
     priority: Annotated[int, tyro.conf.arg(metavar="1-99")] = 80
     """Priority under SCHED_FIFO."""
     cpu: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Processor that the loop stays on; without it the kernel chooses."""
+    """Processor of the loop; without it the kernel chooses."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="PATH.mcap")] = None
-    """Record every tick as MCAP, about 3 GB an hour; what a slow or full disk does not take is dropped and counted."""
+    """Record every tick as MCAP, about 3 GB an hour; ticks that a slow or full disk does not take are dropped and
+    counted."""
     min_free_bytes: Annotated[int, tyro.conf.arg(metavar="N")] = 1_000_000_000
-    """End the recording, and nothing else, when fewer bytes than this are free on its disk."""
+    """End only the recording when fewer free bytes than this are left on its disk."""
     telemetry: Annotated[Path | None, tyro.conf.arg(metavar="PATH|none")] = None
-    """Send samples and events to whoever reads them, at a Unix socket of this path, or nowhere (none); by default in
-    the user's folder for what runs, where `haptether watch` finds it. See docs/telemetry.md."""
+    """Send samples and events to readers at a Unix socket of this path, or nowhere (none); by default in the user's
+    folder of running sides, where `haptether watch` finds it. See docs/telemetry.md."""
     quiet: bool = False
-    """Show neither panel nor status line: only what is wrong, what is to be done, and the result."""
+    """Show neither panel nor status line: only problems, remedies and the result."""
     control: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Take a person's stop, press and scales at a Unix socket of this path, as `haptether console` sends them; see
+    """Accept a person's stop, press and scales at a Unix socket of this path, as `haptether console` sends them; see
     docs/console.md."""
 
 
 def live_arguments(command: "Master | Slave", key: bytearray | None) -> dict[str, Any]:
-    """The options that both sides have, as keyword arguments of `LiveMaster` and `LiveSlave`.
+    """Return the options of both sides as keyword arguments of `LiveMaster` and `LiveSlave`.
 
     Raises:
         ValueError: A number out of its bounds.
@@ -90,7 +91,7 @@ def live_arguments(command: "Master | Slave", key: bytearray | None) -> dict[str
 
 
 def telemetry_of(command: "Master | Slave") -> Path | None:
-    """Where a side sends its telemetry, if anywhere."""
+    """Return the telemetry socket of a side; None for none."""
     from haptether.cli.live.run_folder import default_telemetry
 
     if command.telemetry is None:
@@ -102,10 +103,10 @@ def telemetry_of(command: "Master | Slave") -> Path | None:
 
 
 def session_key(key: Path | None, *, insecure: bool) -> bytearray | None:
-    """The key of a secure session, or none for a run in the clear.
+    """Return the key of a secure session; None for a run in the clear.
 
     Raises:
-        ValueError: Both or neither were given, or the file cannot be read or holds no key.
+        ValueError: Both or neither were given, or the file cannot be read or does not hold a key.
     """
     from haptether.bridge import read_key
 
@@ -131,7 +132,7 @@ def session_key(key: Path | None, *, insecure: bool) -> bytearray | None:
 
 
 def handed_over(key: bytearray | None) -> None:
-    """Wipes a key that the live side has its copy of."""
+    """Wipe a key once the live side has its copy."""
     from haptether.bridge import wipe_key
 
     if key is not None:
@@ -139,5 +140,5 @@ def handed_over(key: bytearray | None) -> None:
 
 
 def marked(headline: str, *, insecure: bool) -> str:
-    """A headline that says so if the run is in the clear."""
+    """Return a headline that warns of a run in the clear."""
     return f"{headline} ({INSECURE})" if insecure else headline

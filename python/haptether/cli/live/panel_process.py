@@ -1,7 +1,7 @@
 """The panel of a side on its terminal, drawn by a process of its own that reads the side's telemetry.
 
-The side passes it what it has to say, line by line; the end of these is its end. What draws shares no interpreter with
-a driver at 1 kHz, and a terminal that takes nothing holds up this process and not the loop.
+The side sends its messages line by line; closing the pipe ends the process. The process shares no interpreter with a
+driver at 1 kHz. A terminal that accepts no output blocks this process and not the loop.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from haptether.cli.shared.screen import Screen
 
 END_S = 0.5
-"""How long the process may take to end once nothing more is said to it."""
+"""Time in s that the process may take to end after its last message."""
 SHOW_CURSOR = "\x1b[?25h"
 REFRESH_HZ = 10
 NICE = 10
@@ -32,10 +32,10 @@ POLL_S = 0.05
 
 
 class PanelProcess:
-    """The process that draws, as its side has it.
+    """The drawing process, as its side sees it.
 
     Args:
-        telemetry: The socket of the side, which may not be there yet.
+        telemetry: The socket of the side, which may not exist yet.
     """
 
     def __init__(self, telemetry: Path) -> None:
@@ -53,12 +53,12 @@ class PanelProcess:
 
     @property
     def draws(self) -> bool:
-        """Whether it is there, and takes what is said."""
+        """Return true if the process runs and accepts messages."""
         return self._writer.error is None and self._process.poll() is None
 
     @contextlib.contextmanager
     def says(self) -> Iterator[None]:
-        """Within it, what is printed stands above the panel; standard output, too, where that is a terminal."""
+        """Print above the panel within this context; standard output, too, if it is a terminal."""
         with contextlib.ExitStack() as stack:
             if sys.stdout.isatty():
                 stack.enter_context(contextlib.redirect_stdout(cast("TextIO", self._stream)))
@@ -66,7 +66,7 @@ class PanelProcess:
             yield
 
     def end(self) -> None:
-        """End it, whatever its terminal does."""
+        """End the process, even if its terminal blocks."""
         self._writer.end(time.monotonic())
         with contextlib.suppress(OSError):
             self._pipe.close()
@@ -74,7 +74,7 @@ class PanelProcess:
             self._process.wait(END_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
-            # One that the system holds is not waited for.
+            # A process that the system holds is not waited for.
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(END_S)
             print(SHOW_CURSOR, end="", file=sys.stderr, flush=True)
@@ -82,7 +82,7 @@ class PanelProcess:
 
 @contextlib.contextmanager
 def panel_process(telemetry: Path | None, *, quiet: bool) -> Iterator[PanelProcess | None]:
-    """The panel of a side, where standard error is a terminal that can show it, until the end of the block."""
+    """Yield the panel of a side until the end of the block; None where standard error cannot show it."""
     from haptether.cli.shared.screen import Screen
 
     screen = Screen(stderr=True)
@@ -92,7 +92,7 @@ def panel_process(telemetry: Path | None, *, quiet: bool) -> Iterator[PanelProce
     try:
         panel = PanelProcess(telemetry)
     except OSError:
-        # No room for another process: there is a line instead.
+        # Without a process there is a plain line instead.
         yield None
         return
     try:
@@ -105,7 +105,7 @@ def panel_process(telemetry: Path | None, *, quiet: bool) -> Iterator[PanelProce
 
 
 class _Said:
-    """What the side says, printed by a thread at once: also while no samples come, as of a driver that blocks."""
+    """The messages of the side, printed at once by a thread, even while a blocking driver sends no samples."""
 
     def __init__(self, screen: "Screen") -> None:
         self._screen = screen
@@ -115,21 +115,21 @@ class _Said:
     def _read(self) -> None:
         try:
             for line in sys.stdin.buffer:
-                # A console has a lock: the panel is drawn anew below it.
+                # The console has a lock: the panel is redrawn below the message.
                 self._screen.print(line.decode(errors="replace").rstrip("\n"), soft_wrap=True)
         finally:
             self.ended.set()
 
 
 def draw(telemetry: Path) -> None:
-    """Draw the panel until the side says nothing more."""
+    """Draw the panel until the side closes the pipe."""
     from rich.live import Live
 
     from haptether.bridge import TelemetryReader
     from haptether.cli.shared.screen import Screen
     from haptether.view import SideState, panel
 
-    # Ctrl-C is for the side, whose end this process shows.
+    # Ctrl-C is for the side; this process shows how the side ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(NICE)
     screen = Screen(stderr=True)
@@ -140,7 +140,7 @@ def draw(telemetry: Path) -> None:
         except (OSError, ValueError):
             said.ended.wait(POLL_S)
             continue
-        # The end of what is said ends the wait for a sample.
+        # The end of the messages ends the wait for a sample.
         threading.Thread(target=_close_after, args=(said.ended, reader), daemon=True).start()
         state, next_s = SideState(reader.hello), 0.0
         with reader, Live(console=screen, auto_refresh=False, transient=True) as live, contextlib.suppress(OSError):
@@ -151,7 +151,7 @@ def draw(telemetry: Path) -> None:
                 if state.ticks and (now_s := time.monotonic()) >= next_s:
                     next_s = now_s + 1.0 / REFRESH_HZ
                     live.update(panel(state, min(80, screen.width), screen.height), refresh=True)
-        # A driver that blocks sends no samples: it is waited for anew.
+        # A driver that blocks sends no samples: wait for it again.
         if state.has_ended:
             said.ended.wait()
 

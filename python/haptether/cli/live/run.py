@@ -1,4 +1,4 @@
-"""The main thread of a side that runs: what it shows, why nothing is coupled, the flight recorder's file."""
+"""The main thread of a running side: its status, why it is not coupled, the flight recorder's file."""
 
 import contextlib
 import os
@@ -25,20 +25,20 @@ if TYPE_CHECKING:
 
 
 SEEN_S = 0.2
-"""The loop has taken a press after this time, or has said why not."""
+"""Time in s after which the loop has taken a press, or has said why not."""
 OLD_START = "the start was more than 5 s ago when the loop began, and is no press of the clutch any more"
 
 
 class SideWatch:
-    """Shows how a side stands until its loop ends, and afterwards why it was not coupled.
+    """Show the status of a side until its loop ends, and afterwards why it was not coupled.
 
     Args:
         name: `master` or `slave`.
-        side: Whose loop.
-        stopped: What ends it.
+        side: The side whose loop runs.
+        stopped: Ends the wait.
         flight: Written at stops and faults.
-        insecure: Whether it goes without a key.
-        press: Presses the clutch, where the start is to do so; none where it is not.
+        insecure: True without a key.
+        press: Presses the clutch if the start is to do so; None otherwise.
     """
 
     SIGNALS: ClassVar = {
@@ -59,9 +59,9 @@ class SideWatch:
         press: Callable[[], None] | None = None,
     ) -> None:
         self.refused: str | None = None
-        """Why the slave refused this master, if it did."""
+        """Reason why the slave refused this master, if it did."""
         self.has_void_start = False
-        """The start, which was to press the clutch, was too long ago, and nobody has pressed instead: the run ended."""
+        """True if the run ended because its start was too long ago to press the clutch, and nobody pressed instead."""
         self._press = press
         self._has_asked = False
         self._name = name
@@ -74,9 +74,9 @@ class SideWatch:
         self._is_engaged = False
 
     def until_end(self, headline: str, panel: "PanelProcess | None", *, quiet: bool) -> None:
-        """Say `headline` and what real time there is, then shows the side until its loop has ended or is stopped.
+        """Print `headline` and the state of real time, then show the side until its loop has ended or is stopped.
 
-        Where the process that draws its panel is not there, or not any more, that is a line.
+        Without a panel process, or after its end, the status is a line.
         """
         headline = f"{marked(headline, insecure=self._insecure)}\nreal time: {self._side.realtime}"
         # The operator or a parent process reads this line to learn that the socket is open.
@@ -93,7 +93,7 @@ class SideWatch:
             panel.end()
             if self._is_over() or self._stopped:
                 return
-            # What it was passed may have been lost with it: said once more.
+            # The panel process may have lost the cause: print it again.
             self._cause = None
         wait("", self._status, self._is_over, self._stopped, None, shown=not quiet)
 
@@ -101,18 +101,18 @@ class SideWatch:
         return self._side.finished or self._start_is_void()
 
     def _start_is_void(self) -> bool:
-        """True if the start was to press the clutch, was too long ago, and nobody has been asked to press instead."""
+        """Return true if the start is too old to press the clutch, and nobody has been asked to press instead."""
         waits = self._press is not None and not self._has_asked and not self._stopped
         return waits and self._side.start_is_void and not self._side.finished
 
     def _is_pressed_again(self) -> bool:
-        """Asks for a press on the terminal; false if nobody presses, and the run ends."""
+        """Ask for a press on the terminal; return false if nobody presses, and the run ends."""
         self._has_asked = True
         self._ineffective_presses = self._side.ineffective_presses[0]
 
         def is_over() -> bool:
             self._status()
-            # A press elsewhere, as at the console, answers it, too.
+            # A press elsewhere, such as at the console, answers it, too.
             return bool(self._stopped) or self._side.finished or self._is_engaged
 
         if self._press is not None and can_ask():
@@ -121,7 +121,7 @@ class SideWatch:
                 before = self._ineffective_presses
                 self._press()
                 self._stopped.sleep(SEEN_S)
-                # It says why a press did nothing; then another one is the person's to make.
+                # The status says why a press did nothing; then it is the person's choice to press again.
                 self._status()
                 if self._ineffective_presses == before:
                     return True
@@ -129,10 +129,12 @@ class SideWatch:
         return self._is_engaged
 
     def after_end(self, report: "LoopReport") -> Cause | None:
-        """Why a side that has ended is not coupled; printed if a driver ended it, maybe before it was last shown.
+        """Return why a side that has ended is not coupled; print it if a driver ended the side.
+
+        The driver may have ended it before the status was last shown.
 
         Raises:
-            MemoryError: The loop was ended because no memory was left: what needs much of it must not follow.
+            MemoryError: The loop ended because no memory was left; nothing that needs much memory must follow.
         """
         if report.out_of_memory:
             message = "no memory was left: the run was ended, without force, and the other side was sent the end"
@@ -144,7 +146,7 @@ class SideWatch:
         return self._current_cause()
 
     def raise_error(self) -> None:
-        """Raise what ended the loop of a driver, if anything did."""
+        """Raise the error that ended the loop of a driver, if there is one."""
         if isinstance(self._side, DeviceRun) and self._side.error is not None:
             raise self._side.error
 
@@ -165,22 +167,22 @@ class SideWatch:
         return marked(status, insecure=self._insecure)
 
     def _acknowledge(self) -> None:
-        """Pass an acknowledgement on, and say whether there was anything to acknowledge."""
+        """Pass an acknowledgement on, and say if there was anything to acknowledge."""
         cause = self._current_cause()
         awaited = cause is not None and ("acknowledge", self._name) in {(step.remedy, step.at) for step in cause.steps}
-        # One that has ended meanwhile has nothing to acknowledge.
+        # A side that has ended meanwhile has nothing to acknowledge.
         with contextlib.suppress(RuntimeError):
             self._side.acknowledge()
         text = "acknowledged: what was wrong counts as mended" if awaited else "there was nothing to acknowledge here"
         print(f"{self._name}: {text}", file=sys.stderr, flush=True)
 
     def _print_security(self) -> None:
-        # A master that is refused tries again, and is refused again.
+        # A refused master tries again and is refused again.
         if self._name == "slave" or self.refused is None:
             self.refused = print_security(self._side.security_events())
 
     def _print_changes(self) -> None:
-        """Says on standard error what is new: why nothing is coupled, what to do, and why a press does nothing."""
+        """Print changes on standard error: why nothing is coupled, the remedies, and why a press does nothing."""
         cause, before = self._current_cause(), self._cause
         self._cause = cause
         if cause is not None and cause != before:
@@ -190,7 +192,7 @@ class SideWatch:
             self._ineffective_presses = presses
             is_open = self._name == "master" and self._press is None and self._side.start_is_void
             if is_open and presses == 1:
-                # The start of `--clutch open` is no press.
+                # The start of `--clutch open` does not press.
                 pass
             elif why is not None:
                 again = f"press anew by its button or kill -{self.SIGNALS['master', 'press']} {os.getpid()}"
@@ -219,14 +221,14 @@ class SideWatch:
 
 
 def print_kept(trace: "MasterTrace | SlaveTrace", report: "LoopReport") -> None:
-    """Says on standard error of which part of the run the figures are, unless it is all of it."""
+    """Print on standard error which part of the run the figures cover, unless they cover all of it."""
     if report.dropped_records and len(trace):
         kept_s = float(trace.time_s[-1] - trace.time_s[0])
         print(f"the figures cover the last {kept_s:.3g} s: --keep-s keeps more", file=sys.stderr, flush=True)
 
 
 def print_security(events: list[str]) -> str | None:
-    """Says on standard error what has happened to the session; returns why the slave refused, if it did."""
+    """Print the events of the session on standard error; return the reason if the slave refused."""
     refused = None
     for event in events:
         print(printable(event), file=sys.stderr, flush=True)
@@ -235,10 +237,10 @@ def print_security(events: list[str]) -> str | None:
 
 
 class FlightFile:
-    """A file with the last states and commands, written anew whenever there are others.
+    """A file with the last states and commands, rewritten when they change.
 
     Raises:
-        OSError: A symbolic link: whoever may make one would choose what is overwritten.
+        OSError: A symbolic link: its owner could choose which file is overwritten.
     """
 
     def __init__(self, path: Path | None) -> None:
@@ -248,14 +250,14 @@ class FlightFile:
         self._written: str | None = None
 
     def write(self, flight: str | None) -> None:
-        """Write them, if there are any and they are new; the file is never seen half written."""
+        """Write new states and commands; the file is replaced in one step and never seen half written."""
         if self._path is None or flight is None or flight == self._written:
             return
-        # Tried once: a disk that is full, at the very stop that the file is to explain, must not end the run.
+        # Try once: a full disk must not end the run at the stop that the file explains.
         self._written = flight
         try:
             if self._path.exists() and not self._path.is_file():
-                # A pipe or a device stays what it is; one that nobody reads is not waited for.
+                # A pipe or a device is not replaced, and a pipe without a reader is not waited for.
                 descriptor = os.open(self._path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
                 writer = QueuedWriter(descriptor, "flight")
                 writer.put(flight.encode())

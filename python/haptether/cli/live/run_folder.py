@@ -1,4 +1,4 @@
-"""The folder of this user in which sides that run have their telemetry, unless it is given another place."""
+"""This user's folder for the telemetry sockets of running sides, unless an option names another place."""
 
 import contextlib
 import os
@@ -11,16 +11,17 @@ from pathlib import Path
 from haptether.private_file import refuse_link
 
 MAX_PATH = 107
-"""Bytes of the path of a Unix socket; Linux, `struct sockaddr_un`."""
+"""Largest length in bytes of the path of a Unix socket; Linux, `struct sockaddr_un`."""
 LONGEST_NAME = "master-4194304.sock"
 """Longest name of a socket: Linux has no larger process number."""
 
 STALE_S = 60.0
-"""Until a socket at which nobody listens was left behind, and not just made by a process that is not seen from here."""
+"""Age in s at which a socket without a listener counts as left behind. A younger one may belong to a process that is
+not visible from here."""
 
 
 def run_folder() -> Path | None:
-    """`$XDG_RUNTIME_DIR/haptether`, or a folder of this user among temporary files; none where none can be private.
+    """Return `$XDG_RUNTIME_DIR/haptether`, or this user's temporary folder; None if no folder can be private.
 
     Another user with write access could replace a socket, so only this user may own and enter it. If `$TMPDIR` is too
     long for the path of a socket, the folder is in /tmp.
@@ -41,13 +42,13 @@ def run_folder() -> Path | None:
 
 
 def default_telemetry(side: str) -> Path | None:
-    """Where a side of this process sends its telemetry; none where there is no private folder."""
+    """Return the telemetry socket of a side of this process; None without a private folder."""
     folder = run_folder()
     return None if folder is None else folder / f"{side}-{os.getpid()}.sock"
 
 
 def running_sides() -> list[Path]:
-    """Sockets of the run folder at which somebody sends; those that killed runs have left behind are removed."""
+    """Return the sockets of the run folder that have a sender, and remove those left behind by killed runs."""
     folder = run_folder()
     found = []
     for path in sorted(folder.glob("*.sock")) if folder is not None else ():
@@ -72,6 +73,6 @@ def _age_s(path: Path) -> float:
 
 
 def _lives(path: Path) -> bool:
-    """Whether the process that the name of a socket ends with is there: it may be about to listen."""
+    """Return true if the process whose number ends the socket's name exists: it may be about to listen."""
     number = path.stem.rpartition("-")[2]
     return number.isdecimal() and Path(f"/proc/{number}").exists()

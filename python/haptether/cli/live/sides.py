@@ -1,4 +1,4 @@
-"""Live sides, begun as a scene or the options say: their device is a model, or real with a driver."""
+"""Live sides of a scene or of options; the device is a model, or real with a driver."""
 
 import math
 import os
@@ -29,18 +29,18 @@ if TYPE_CHECKING:
     from haptether.cli.view.console import Console
 
 READY_S = 60.0
-"""How long a driver may take to open its device."""
+"""Time in s that a driver may take to open its device."""
 OLD_START_S = 60.0
-"""A start of so long ago presses no clutch: 5 s are the most."""
+"""Age in s of a start that presses no clutch; the limit is 5 s."""
 LOADED_S = time.monotonic()
-"""Where the system does not say when this process began: when this was loaded."""
+"""Load time of this module, where the system does not tell when the process began."""
 
 
 def live_scene(command: "Master | Slave | CheckLink | Console", instead: Iterable[str]) -> "Scene | None":
-    """The scene of a live command, if it names one; then its options `instead`, which say the same, must not be given.
+    """Return the scene of a live command, if it names one; then its options `instead` must not be given.
 
     Raises:
-        SceneError: A scene that cannot be.
+        SceneError: An invalid scene.
         ValueError: Options beside it, changes without it, or a scene of one side only.
     """
     from haptether.bridge import load_scene
@@ -65,10 +65,10 @@ def live_scene(command: "Master | Slave | CheckLink | Console", instead: Iterabl
 
 
 def with_clutch(scene: "Scene", clutch: str) -> "Scene":
-    """The scene with the clutch of the command line: no default of a scene may move an arm again after a hold.
+    """Return the scene with the clutch of the command line: no default of a scene may move an arm again after a hold.
 
     Raises:
-        ValueError: "auto", where the scene has times of its own, or a simulated device that nobody holds.
+        ValueError: "auto" for a scene with times of its own, or with a simulated device that nobody holds.
     """
     from haptether.bridge import override_scene
 
@@ -90,16 +90,16 @@ def with_clutch(scene: "Scene", clutch: str) -> "Scene":
 def start_master(
     command: "Master", scene: "Scene | None", stopped: "Stopped", arguments: dict[str, Any]
 ) -> "LiveMaster | MasterRun":
-    """The master of a scene, or of the command's options without one, begun.
+    """Start the master of a scene, or without one, of the command's options.
 
     Args:
         command: Its `clutch` is that of a real device without a button.
-        scene: What `with_clutch` returned.
-        stopped: What its loop is attached to.
-        arguments: Of `live_arguments`.
+        scene: The result of `with_clutch`.
+        stopped: Stops the loop, which is attached to it.
+        arguments: The result of `live_arguments`.
 
     Raises:
-        ValueError: A driver or an option that there is not.
+        ValueError: No such driver or option.
         OSError: An address that cannot be used.
         KeyboardInterrupt: Ctrl-C while the device opened; it is closed.
         RuntimeError: The device did not open in time; it is closed.
@@ -110,7 +110,7 @@ def start_master(
     arguments = {**arguments, "peer": command.peer, "started_s": started_s()}
     clutch: Literal["once", "auto"] = "auto" if command.clutch == "auto" else "once"
     if command.clutch == "open":
-        # Too old a start to be a press.
+        # A start that is too old to be a press.
         arguments["started_s"] = max(0.0, time.monotonic() - OLD_START_S)
     if scene is None:
         scene = baseline_scene(
@@ -122,7 +122,7 @@ def start_master(
             clutch=clutch,
         )
     if scene.master.driver is not None and arguments["started_s"] is None:
-        # A driver may take its time to be loaded: the start counts from here.
+        # A driver may take long to load: the start counts from here.
         arguments["started_s"] = time.monotonic()
     scene, device = master_driver(scene)
     spec = scene_json(scene)
@@ -144,7 +144,7 @@ def start_master(
 def start_slave(
     command: "Slave", scene: "Scene | None", stopped: "Stopped", arguments: dict[str, Any]
 ) -> "LiveSlave | SlaveRun":
-    """The slave of a scene, or of the command's options without one, begun; see `start_master`."""
+    """Start the slave of a scene, or without one, of the command's options; see `start_master`."""
     from haptether.bridge import LiveSlave, SlaveLoop, SlaveRun, scene_json, unusual_numbers
     from haptether.bridge.devices.scene import slave_drivers, slave_period_s
 
@@ -171,14 +171,15 @@ def start_slave(
 
 
 def started_s() -> float | None:
-    """When a person started this process, by `time.monotonic()`; none where the command is not the process's own.
+    """Return when a person started this process, by `time.monotonic()`; None if the process is not the command's own.
 
     A process that was stopped while it loaded, or a machine that slept, does not make the start younger.
     """
     if not INTERRUPTS.begun:
         return None
     try:
-        # Field 22, in ticks since the machine started, its sleep included; the name before it may have any characters.
+        # Field 22 is in ticks since the machine started, its sleep included. The name before it may have any
+        # characters.
         values = Path("/proc/self/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
         age_s = time.clock_gettime(time.CLOCK_BOOTTIME) - int(values[19]) / os.sysconf("SC_CLK_TCK")
     except (OSError, AttributeError, ValueError, IndexError):
@@ -192,7 +193,7 @@ def _say(lines: Iterable[str]) -> None:
 
 
 def _announce(name: str, device: object) -> None:
-    """Say before it is opened that a device will exert by itself."""
+    """Announce before a device is opened that it will exert force by itself."""
     from haptether.cli.shared.own_force import exerts_by_itself
 
     if exerts_by_itself(device):
@@ -207,7 +208,7 @@ Run = TypeVar("Run", bound="DeviceRun")
 
 
 def _opened(run: Run, device: object, name: str, stopped: "Stopped") -> Run:
-    """Waits until the device is open."""
+    """Wait until the device is open."""
     from haptether.cli.shared.output import deliver_output
     from haptether.cli.shared.own_force import announce_end, exerts_by_itself
     from haptether.cli.shared.screen import Screen
@@ -223,11 +224,11 @@ def _opened(run: Run, device: object, name: str, stopped: "Stopped") -> Run:
     if not run.finished and exerts_by_itself(device):
         announce_end(name, closed=False)
     if not late and run.error is not None:
-        # It was never open: there is nothing to say of a run.
+        # The device was never open: there is no run to report.
         raise run.error
     if stopped:
         if not run.finished:
-            # Threads of a vendor's library that still connects would end an orderly exit with an abort.
+            # A vendor's library whose threads still connect would abort an orderly exit.
             deliver_output()
             os._exit(130)
         raise KeyboardInterrupt
@@ -238,7 +239,7 @@ def _opened(run: Run, device: object, name: str, stopped: "Stopped") -> Run:
 # ----------------------------------------------------------------------------------------- both sides without `--scene`
 
 START_M = 0.02
-"""Where hand and arm begin, in m in front of the wall."""
+"""First distance in m of hand and arm from the wall."""
 PRESS_S = 1.2
 """Time in s in which the hand reaches its target in the wall."""
 HAND_STIFFNESS = 300.0
@@ -254,7 +255,7 @@ RANGES: dict[str, Callable[[float], bool]] = {
     "finite and 0 or more": lambda number: number >= 0.0,
     "at least 0 s": lambda number: number >= 0.0,
 }
-"""What an option may be, in the words of its refusal."""
+"""Permitted values of an option, by the words of its refusal."""
 
 
 def baseline_scene(
@@ -270,10 +271,10 @@ def baseline_scene(
     push_force_n: float = 3.5,
     push_duration_s: float = 2.0,
 ) -> "Scene":
-    """The scene of `haptether master` and `haptether slave` without `--scene`.
+    """Return the scene of `haptether master` and `haptether slave` without `--scene`.
 
-    A PHANTOM Desktop in a hand that presses `depth` m deep and lets go at `release_at_s` (never if none), and a
-    position-controlled arm in front of a wall at x = 0 that is shoved at `push_at_s` (never if none).
+    A PHANTOM Desktop is in a hand that presses `depth` m deep and lets go at `release_at_s`. A position-controlled arm
+    in front of a wall at x = 0 is shoved at `push_at_s`. None means never for both times.
 
     Raises:
         ValueError: A parameter out of its bounds.

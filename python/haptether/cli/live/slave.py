@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 class Slave(LiveOptions):
     """Run the side of the robot: a simulated position-controlled arm in front of a wall.
 
-    The arm starts 0.02 m in front of the wall (at x = 0, which fills x < 0). Times count from the moment the
-    two sides engage. When the master falls silent for 20 ms the arm holds, and after 200 ms it stops, until the
-    master's clutch is released and pressed again or a master is started anew. One master has the lease until it
-    ends; when it has vanished without an end, `kill -USR1` lets another begin after 2 s of silence. After a fault of
-    this side `kill -USR2` says that it is mended.
+    The arm starts 0.02 m in front of the wall (at x = 0, which fills x < 0). Times count from the moment the two sides
+    engage. When the master falls silent for 20 ms the arm holds, and after 200 ms it stops, until the master's clutch
+    is released and pressed again or a master is restarted. One master has the lease until it ends. If it has vanished
+    without an end, `kill -USR1` lets another begin after 2 s of silence. After a fault of this side, acknowledge with
+    `kill -USR2` that it is mended.
 
-    Exit status 1 says that no master came in time, that this side ended in a fault, or that its driver failed; how the
-    master ended does not count.
+    Exit status 1: no master came in time, this side ended in a fault, or its driver failed; the end of the master does
+    not count.
 
     Examples:
 
@@ -36,7 +36,7 @@ class Slave(LiveOptions):
     """
 
     listen: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
-    """Where to listen; answers go where the master's frames come from."""
+    """Address to listen on; answers go to the source of the master's frames."""
     key: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Key file of the secure session, the same at both sides; `haptether keygen` makes one."""
     insecure: bool = False
@@ -44,32 +44,32 @@ class Slave(LiveOptions):
     wall_stiffness: float = 100.0
     """Stiffness of the wall in N/m."""
     push_at_s: float | None = None
-    """When something shoves the arm, in s; never if not given."""
+    """Time in s at which something shoves the arm; never if not given."""
     push_force_n: float = 3.5
-    """With which force in N, positive towards the hand; it rises within 0.5 s."""
+    """Force of the shove in N, positive towards the hand; it rises within 0.5 s."""
     push_duration_s: float = 2.0
-    """For how long in s."""
+    """Duration of the shove in s."""
     duration_s: float | None = None
-    """End this long after the two first engage, in s; without it, run until Ctrl-C. The wait for a master is not
-    counted: --patience-s bounds it."""
+    """End this long after the first engagement, in s; without it, run until Ctrl-C. The wait for a master does not
+    count: --patience-s bounds it."""
     patience_s: float | None = None
     """Give up if no master has come after this time in s; without it, wait for one."""
     flight: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the last states and commands at a stop, at a fault and at the end; `haptether explain` prints them."""
     keep_s: float | None = None
-    """How much of the end of the run the figures hold, in s; its memory is taken at the start. By default 16 MiB: 174 s
+    """Time in s at the end of the run that the figures hold; its memory is taken at the start. By default 16 MiB: 174 s
     along one axis, 72 s of poses."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the result as JSON at the end; - for standard output."""
 
     def run(self) -> int:
-        """Runs until it is stopped."""
+        """Run until it is stopped."""
         from haptether.cli.live.sides import live_scene
 
         return self.run_scene(live_scene(self, ("wall_stiffness", "push_at_s", "push_force_n", "push_duration_s")))
 
     def run_scene(self, scene: "Scene | None") -> int:
-        """The same with a scene that is there already; none has the options say what there is."""
+        """Run a loaded scene; without one, the options define it."""
         import numpy as np
 
         from haptether.cli.live.options import handed_over, live_arguments, session_key
@@ -103,7 +103,7 @@ class Slave(LiveOptions):
         return 0
 
     def _ending(self) -> str:
-        """When it ends by itself, where that is not as soon as it seems."""
+        """Return the headline's remark on the end, if it may come later than expected."""
         if self.duration_s is None or self.patience_s is not None:
             return ""
         return f", waits for a master, and ends {self.duration_s:g} s after engaging; --patience-s bounds the wait"

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Netsim:
-    """Impair a network: live between two processes, or as a table of what happens to each packet.
+    """Impair a network: live between two processes, or as a table with the fate of each packet.
 
     Delay with jitter that keeps the order, loss in bursts, outages, a bottleneck with a queue, reordering, copies,
-    damage, recordings, presets of measured networks. The same seed does the same to the same packets, live and in
-    virtual time; a real network can be measured and replayed. Each command has help of its own.
+    damage, recordings, presets of measured networks. The same seed treats the same packets alike, live and in virtual
+    time. A real network can be measured and replayed. Each command has help of its own.
 
     Examples:
 

@@ -11,10 +11,10 @@ from haptether.cli.shared.output import FileOptions
 
 @dataclass(frozen=True, kw_only=True)
 class Compare(FileOptions):
-    """Set what `tc netem` was asked for beside what it does and what netsim does for the same request.
+    """Compare a request to `tc netem` with its effect in netem and in netsim.
 
-    netem is reproduced with its quirks, as by the setting netem of a link; ours are the settings that do what was asked
-    for, written with --json. Below the table stands which quirks acted.
+    netem is reproduced with its quirks, as by the setting netem of a link. Ours are the settings that fulfil the
+    request; --json writes them. The active quirks stand below the table.
 
     Examples:
 
@@ -26,7 +26,7 @@ class Compare(FileOptions):
     arguments: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ARGUMENTS")]
     """Arguments of `tc netem`, as one word in quotes; with or without the command before them."""
     packets: int = 100_000
-    """How many packets."""
+    """Number of packets."""
     rate: Annotated[float, tyro.conf.arg(metavar="HZ")] = 1000.0
     """Packets per second."""
     size: Annotated[int, tyro.conf.arg(metavar="BYTES")] = 92

@@ -21,14 +21,14 @@ class Echo(FileOptions):
     """
 
     listen: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
-    """Where the probes arrive."""
+    """Address for the probes."""
     duration_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
     """End after this time in s; without it, run until Ctrl-C."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the counts as JSON at the end; - for standard output."""
 
     def run(self) -> int:
-        """Answers until it is stopped."""
+        """Answer until it is stopped."""
         import msgspec
 
         from haptether.cli.shared.numbers import check_duration

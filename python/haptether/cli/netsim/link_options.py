@@ -1,4 +1,4 @@
-"""Flags that say what a link does, the same for every command that has one."""
+"""Flags of a link, the same for every command that has one."""
 
 import tomllib
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ FLAGS = (
 
 @dataclass(frozen=True, kw_only=True)
 class LinkOptions:
-    """What the network does; what is not given is not done."""
+    """Settings of the network; a setting that is not given has no effect."""
 
     preset: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """A network of `haptether netsim list`."""
@@ -29,7 +29,7 @@ class LinkOptions:
     jitter_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
     """Standard deviation of the delay in s."""
     jitter_correlation_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
-    """Time in s over which the delay forgets itself."""
+    """Correlation time of the delay in s."""
     distribution: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """normal, uniform, exponential, gamma, lognormal, pareto, or the path of a .dist file."""
     loss: Annotated[float | None, tyro.conf.arg(metavar="P")] = None
@@ -52,15 +52,15 @@ class LinkOptions:
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
     """Any setting of a link, in both directions; may be given often. Values are TOML, bare words are strings."""
     backward_set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
-    """The same in the backward direction alone, also as --backward.KEY VALUE; else it is as forward."""
+    """The same in the backward direction alone, also as --backward.KEY VALUE; by default it is as forward."""
     seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Seed of all draws, by default that of SCENE or 0: the same seed treats the same packets alike."""
+    """Seed of all draws, by default that of SCENE or 0; the same seed gives the same packets the same fate."""
 
     def links(self, scene: str | None) -> "Links":
-        """Both directions and the seed; what the flags say counts instead of what the scene says.
+        """Return both directions and the seed; flags take precedence over the scene.
 
         Raises:
-            SceneError: A scene, flag or setting that cannot be.
+            SceneError: An invalid scene, flag or setting.
         """
         from haptether.bridge.scene.load import of_working_folder, overridden
         from haptether.bridge.scene.unusual import unusual_values
@@ -83,16 +83,16 @@ class LinkOptions:
         return _typed(raw, folder, seed, unusual_values(raw))
 
     def _refuse_twice(self) -> None:
-        """Refuse a setting that is given twice, be it by a flag of its own and by `--set`: the last would count.
+        """Refuse a setting that is given twice, also by its own flag and by `--set`: the last would count.
 
         Raises:
-            ValueError: With both.
+            ValueError: A setting is given twice; the message names both.
         """
         flags = (name for name in (*FLAGS, "trace") if getattr(self, name) is not None)
         given = {name: f"--{name.replace('_', '-')}" for name in flags}
         for setting in self.set:
             key = setting.partition("=")[0].strip().replace("-", "_")
-            # A key of a table is given by the flag of the table, too.
+            # The flag of a table also gives the keys of that table.
             table = key.partition(".")[0]
             refuse_twice(given, table if table in given else key, f"--set {key[:80]}")
 
@@ -109,7 +109,7 @@ class Links:
 
 
 def _read(scene: str | None) -> tuple[dict[str, Any], int, Path]:
-    """The tables of a scene's links, its seed, and the folder that its files lie in."""
+    """Return the tables of a scene's links, its seed, and the folder of its files."""
     from haptether.bridge import SceneError, load_scene, scene_names
 
     if scene is None:
@@ -119,7 +119,7 @@ def _read(scene: str | None) -> tuple[dict[str, Any], int, Path]:
         path = _shipped(scene)
     raw = _toml(path)
     if "master" in raw:
-        load_scene(scene)  # refuses all that is wrong with it
+        load_scene(scene)  # refuses an invalid scene
         return {"link": raw.get("link", {})}, raw.get("run", {}).get("seed", 0), path.parent
     for key in raw.keys() - {"schema", "title", "shows", "seed", "link"}:
         message = f"{path.name}: {key}: a file of links has only schema, title, shows, seed and [link.*]"
@@ -174,7 +174,7 @@ def _typed(raw: dict[str, Any], folder: Path, seed: int, unusual: list[str]) -> 
     except msgspec.ValidationError as error:
         raise explained(error, raw) from None
     links = embedded_links(links, folder)
-    spec_of_links(links)  # refuses what does not go together
+    spec_of_links(links)  # refuses settings that contradict each other
     return Links(
         links.forward or LinkSettings(), links.backward or LinkSettings(), seed, unusual + estimated_delays(links)
     )

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class List(FileOptions):
-    """Say which presets there are, with their numbers and where these come from.
+    """List the presets with their numbers and sources.
 
     Examples:
 

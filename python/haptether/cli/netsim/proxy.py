@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Proxy(LinkOptions, FileOptions):
-    """Impair a live UDP link: forward datagrams between two processes, and do to them what the link says.
+    """Impair a live UDP link: forward datagrams between two processes under the settings of the link.
 
-    Datagrams that arrive at --listen go to --forward, and the answers back to whoever sent them. Clients of this
-    machine are served, and those that --allow names, up to 64 at a time. It never releases a datagram early; at the
-    end it says how late it was, and a run in which p99 of that is above --max-error-s is INVALID: status 1.
+    Datagrams that arrive at --listen go to --forward, and the answers back to their senders. It serves clients of this
+    machine and those of --allow, up to 64 at a time. It never releases a datagram early. At the end it reports its
+    lateness; a run whose p99 exceeds --max-error-s is INVALID: status 1.
 
     Examples:
 
@@ -42,17 +42,18 @@ class Proxy(LinkOptions, FileOptions):
     """
 
     listen: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
-    """Where the master sends to."""
+    """Address to which the master sends."""
     forward: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
-    """Where the slave listens."""
+    """Address of the slave."""
     scene: Annotated[str | None, tyro.conf.arg(metavar="SCENE")] = None
-    """A shipped scene, a scene file, or a TOML file with only [link.*]; flags count instead of what it says."""
+    """A shipped scene, a scene file, or a TOML file with only [link.*]; flags take precedence over it."""
     allow: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="IP[:PORT]")] = ()
-    """Also serve this source; may be given often. Those of this machine are served anyway."""
+    """Also serve this source; may be given often. Sources on this machine are always served."""
     control: Annotated[str | None, tyro.conf.arg(metavar="PATH|127.0.0.1:PORT")] = None
-    """Where `haptether netsim set` changes the link while it runs: a Unix socket, or TCP of this machine only."""
+    """Address at which `haptether netsim set` changes the link while it runs: a Unix socket, or TCP of this machine
+    only."""
     log: Annotated[Path | None, tyro.conf.arg(metavar="PATH.csv|PATH.parquet")] = None
-    """Write what became of each datagram, a row each: when it came, was due and left, or why it did not."""
+    """Write a row for each datagram: when it came, was due and left, or why it did not."""
     no_realtime: bool = False
     """Do not ask for real-time scheduling."""
     max_error_s: Annotated[float, tyro.conf.arg(metavar="S")] = 1e-3
@@ -63,7 +64,7 @@ class Proxy(LinkOptions, FileOptions):
     """Write the counts as JSON at the end; - for standard output."""
 
     def run(self) -> int:
-        """Forwards until it is stopped."""
+        """Forward until it is stopped."""
         from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.output import check_target
         from haptether.cli.shared.stop import Stopped
@@ -121,21 +122,21 @@ class Proxy(LinkOptions, FileOptions):
 
 @dataclass(frozen=True)
 class Log:
-    """The ground truth of a run: CSV, or Parquet made of it at the end."""
+    """Ground truth of a run: CSV, or Parquet that is converted from it at the end."""
 
     target: Path
-    """Where the user wants it."""
+    """Target path of the user."""
     csv: Path
-    """What the proxy writes while it runs: the same, or for Parquet a file beside it."""
+    """CSV file that the proxy writes while it runs: the target, or for Parquet a file beside it."""
 
     @classmethod
     def checked(cls, target: Path, *, force: bool) -> Self:
-        """Refuse early what could not be written after the run.
+        """Refuse early a log that could not be written after the run.
 
         Raises:
             ValueError: Neither .csv nor .parquet.
             ImportError: Parquet without polars.
-            OSError: No place to write to.
+            OSError: The file cannot be written.
         """
         from haptether.cli.shared.output import check_target
 
@@ -154,10 +155,10 @@ class Log:
         return cls(target, csv)
 
     def end(self) -> None:
-        """Convert what was written, in pieces, and leave only the target.
+        """Convert the CSV in slices, and leave only the target.
 
         Raises:
-            OSError: No place to write to; the CSV stays.
+            OSError: The target cannot be written; the CSV stays.
         """
         if self.csv == self.target:
             return
@@ -165,7 +166,7 @@ class Log:
 
         from haptether.private_file import begin_private
 
-        # Named, because a column that is empty at the top would be taken for text.
+        # Column types are given, because a column that is empty at the top would be read as text.
         numbers = dict.fromkeys(("index", "t_in_ns", "t_due_ns", "t_out_ns", "error_ns", "size"), pl.Int64)
         texts = dict.fromkeys(("direction", "kind", "cause"), pl.String)
         try:
@@ -189,12 +190,12 @@ OVERALL = (
 
 
 def statistics_report(statistics: "ProxyStatistics") -> dict[str, Any]:
-    """All counts, as JSON has them."""
+    """Return all counts, as in JSON."""
     directions = {"forward": statistics.forward, "backward": statistics.backward}
     return {
         **{direction: {**_counts(of), "dropped": _dropped(of)} for direction, of in directions.items()},
         **{name: getattr(statistics, name) for name in OVERALL},
-        # An error of nothing is none.
+        # Without a released datagram there is no scheduling error.
         **({} if _released(statistics) else {name: None for name in OVERALL if name.startswith("scheduling_error")}),
     }
 

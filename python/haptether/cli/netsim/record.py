@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from haptether.netsim import Recording
 
 MIN_PROGRESS_S = 2.0
-"""A measurement no longer than this shows no progress bar."""
+"""Time in s; a measurement that takes no longer shows no progress bar."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class Record(FileOptions):
     """Measure a real network to a `haptether netsim echo` and back, and write a file that netsim replays.
 
     The probes leave at a constant rate, each is answered, and the answer tells when the probe arrived. Only the round
-    trip is certain: how it divides into the two ways follows from taking the quickest probes to be alike both ways.
+    trip is certain. Its split into the two ways assumes that the quickest probes take the same time both ways.
 
     `sample` and `proxy` replay the file with --trace, a scene with `trace = { file = "network.csv" }` in [link.forward]
     and [link.backward]; each direction takes the delays of its own.
@@ -37,11 +37,11 @@ class Record(FileOptions):
     """
 
     peer: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="HOST:PORT")]
-    """Where the echo listens."""
+    """Address of the echo."""
     rate: Annotated[float, tyro.conf.arg(metavar="HZ")] = 1000.0
     """Probes per second, at most 1000."""
     duration_s: Annotated[float, tyro.conf.arg(metavar="S")] = 10.0
-    """For how long in s."""
+    """Duration in s."""
     csv: Annotated[Path | None, tyro.conf.arg(metavar="PATH.csv")] = None
     """Write time_s, forward_delay_s, backward_delay_s, a row per probe; an empty cell is a loss."""
     no_realtime: bool = False
@@ -50,7 +50,7 @@ class Record(FileOptions):
     """Write the summary as JSON; - for standard output."""
 
     def run(self) -> int:
-        """Measures, and says what was found."""
+        """Measure the network and print the findings."""
         from haptether.cli.shared.output import check_target, write_report
         from haptether.netsim import record
         from haptether.private_file import begin_private
@@ -111,7 +111,7 @@ class Record(FileOptions):
 
 
 def summarised(recording: "Recording") -> "dict[str, float | int | None]":
-    """Figures of a measurement; `None` where nothing arrived."""
+    """Return the figures of a measurement; `None` where nothing arrived."""
     import numpy as np
 
     forward, backward = recording.forward_delay_s, recording.backward_delay_s
@@ -144,7 +144,7 @@ def summarised(recording: "Recording") -> "dict[str, float | int | None]":
 
 @contextlib.contextmanager
 def _progress(peer: str, duration_s: float) -> Iterator[None]:
-    """Show how far a measurement is, which goes on in this thread."""
+    """Show the progress of a measurement that runs in this thread."""
     if not MIN_PROGRESS_S < duration_s < float("inf"):
         yield
         return
@@ -158,7 +158,7 @@ def _progress(peer: str, duration_s: float) -> Iterator[None]:
     begun = time.monotonic()
 
     def follow() -> None:
-        # What is refused is refused by then.
+        # After this time a refusal has been raised.
         if ended.wait(1.0):
             return
         with bar:

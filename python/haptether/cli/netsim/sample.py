@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Sample(LinkOptions, PictureOptions):
-    """Send packets at a constant rate through one direction of a link, in no time, and say what becomes of each.
+    """Send packets at a constant rate through one direction of a link in virtual time, and print the fate of each.
 
-    The table sets what was asked for beside what came out. With --csv, a row per packet: index, t_in_ns, t_out_ns
-    (empty if it does not arrive), cause (empty if it arrives as it was sent); a copy has a row directly after its
-    packet. The same seed gives the same bytes.
+    The table compares the request with the result. With --csv, a row per packet: index, t_in_ns, t_out_ns (empty if it
+    does not arrive), cause (empty if it arrives as it was sent); a copy has a row directly after its packet. The same
+    seed gives the same bytes.
 
     Examples:
 
@@ -36,21 +36,21 @@ class Sample(LinkOptions, PictureOptions):
     """
 
     scene: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")] = None
-    """A shipped scene, a scene file, or a TOML file with only [link.*]; flags count instead of what it says."""
+    """A shipped scene, a scene file, or a TOML file with only [link.*]; flags take precedence over it."""
     packets: int = 10_000
-    """How many packets."""
+    """Number of packets."""
     rate: Annotated[float, tyro.conf.arg(metavar="HZ")] = 1000.0
     """Packets per second."""
     size: Annotated[int, tyro.conf.arg(metavar="BYTES")] = 92
     """Payload of a packet in bytes; by default a frame of one axis."""
     direction: Literal["forward", "backward"] = "forward"
-    """Which direction of the link."""
+    """Direction of the link."""
     csv: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write a row per packet; - for standard output."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the figures as JSON; - for standard output."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
-    """Draw the delay of each packet over time, and how often each occurs, as .png, .pdf or .svg."""
+    """Draw the delay of each packet over time, and its distribution, as .png, .pdf or .svg."""
 
     def run(self) -> int:
         """Judge all packets."""

@@ -12,11 +12,10 @@ from haptether.cli.shared.output import FileOptions
 
 @dataclass(frozen=True, kw_only=True)
 class Set(FileOptions):
-    """Change the link of a proxy that runs with --control, from its next packets on, and say what each setting was.
+    """Change the link of a proxy that runs with --control, from its next packets on, and print the previous settings.
 
     KEY=VALUE changes a setting in both directions, forward.KEY=VALUE and backward.KEY=VALUE in one. Values are TOML,
-    bare words are strings; KEY= puts a setting back to what it is if nobody gives it. All is changed or, if something
-    cannot be, nothing.
+    bare words are strings; KEY= restores the default. If one setting is invalid, nothing changes.
 
     Examples:
 
@@ -26,16 +25,16 @@ class Set(FileOptions):
     """
 
     settings: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="KEY=VALUE")] = ()
-    """What changes."""
+    """Settings to change."""
     control: Annotated[str, tyro.conf.arg(metavar="PATH|127.0.0.1:PORT")]
-    """Where the proxy is controlled: what it was given as --control."""
+    """Control socket of the proxy: the value of its --control."""
     show: bool = False
-    """Say what the link is afterwards, and what the proxy has done so far."""
+    """Print the link afterwards, and what the proxy has done so far."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write settings and statistics as JSON; - for standard output."""
 
     def run(self) -> int:
-        """Send the request and say what was answered."""
+        """Send the request and print the answer."""
         from haptether.bridge.scene.unusual import unusual_values
         from haptether.cli.shared.output import check_target, write_report
         from haptether.cli.shared.screen import screen
@@ -80,11 +79,11 @@ def _shown(value: object) -> str:
 
 
 def requested(settings: tuple[str, ...]) -> dict[str, dict[str, Any]]:
-    """The request that assignments stand for.
+    """Return the request of the assignments.
 
     Raises:
-        ValueError: One twice.
-        SceneError: One that is none, a setting that there is not, or a value that TOML does not know.
+        ValueError: A setting is given twice.
+        SceneError: No assignment, an unknown setting, or a value that is not TOML.
     """
     from haptether.bridge.scene.errors import SceneError
     from haptether.bridge.scene.load import path_of, toml_value
@@ -93,7 +92,7 @@ def requested(settings: tuple[str, ...]) -> dict[str, dict[str, Any]]:
     given: dict[str, str] = {}
     for setting in settings:
         name, equals, text = setting.partition("=")
-        # Of both directions, and then of one, is what was meant.
+        # A setting for both directions and then for one is permitted.
         refuse_twice(given, name, name.strip()[:80])
         first, dot, key = name.strip().partition(".")
         directions, key = (

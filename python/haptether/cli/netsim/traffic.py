@@ -1,4 +1,4 @@
-"""What `sample` and `compare` share: packets at a constant rate, and a table of what became of them."""
+"""Packets at a constant rate and the table of their fates, for `sample` and `compare`."""
 
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,7 @@ def check_traffic(packets: int, rate_hz: float, size: int) -> None:
     """Refuse packets that nobody can send.
 
     Raises:
-        ValueError: With the bounds.
+        ValueError: A value out of its bounds; the message names them.
     """
     for key, seen, low, high in (
         ("packets", packets, 1, MAX_PACKETS),
@@ -30,7 +30,7 @@ def check_traffic(packets: int, rate_hz: float, size: int) -> None:
 
 
 def sending_times(packets: int, rate_hz: float) -> "npt.NDArray[np.int64]":
-    """When packets are sent at a constant rate, in ns."""
+    """Return the sending times of packets at a constant rate, in ns."""
     import numpy as np
 
     times: npt.NDArray[np.int64] = np.rint(np.arange(packets) * (1e9 / rate_hz)).astype(np.int64)
@@ -42,7 +42,7 @@ SHARES = {"loss": "loss", "reordered": "reordered", "duplicates": "duplicates", 
 
 
 def shown(name: str, value: float | None) -> str:
-    """A figure with its unit, "-" for one that is not known."""
+    """Return a figure with its unit, "-" for an unknown one."""
     if value is None:
         return "-"
     if name in MILLISECONDS:
@@ -51,7 +51,7 @@ def shown(name: str, value: float | None) -> str:
 
 
 def figures_table(title: str, columns: "dict[str, LinkFigures]") -> Rows:
-    """A row per figure, a column per set of them."""
+    """Return a table with a row per figure and a column per set of figures."""
     table = Rows(title, *(Column(name, numbers=True) for name in columns))
     for name, label in {**MILLISECONDS, "loss": "loss", "mean_burst": "mean burst", **SHARES}.items():
         table.add(label, *(shown(name, getattr(figures, name)) for figures in columns.values()))

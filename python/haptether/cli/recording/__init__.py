@@ -1,1 +1,1 @@
-"""What `--record` of master and slave wrote: described, drawn, and exported."""
+"""Commands that describe, draw and export the recordings of master and slave."""

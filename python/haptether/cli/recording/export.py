@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from haptether.bridge import Run
 
 ROWS_AT_ONCE = 100_000
-"""Of a table as text."""
+"""Rows of a text table that are written at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Export(FileOptions):
     """Write a recorded run as Parquet, CSV or NumPy arrays, a column an axis and a row a tick, or for Foxglove.
 
-    The two sides tick at times of their own, so that a table has one side; NumPy files have both.
+    The two sides tick at different times, so a table has one side; NumPy files have both.
 
     Examples:
 
@@ -35,13 +35,13 @@ class Export(FileOptions):
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """What `--record` of master or slave wrote."""
+    """File of `--record` of master or slave."""
     other: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="OTHER")] = None
-    """What the other side wrote."""
+    """File of the other side."""
     slave_begun_s: float | None = None
-    """When the slave's run began after the master's in s, where the clocks of two machines differ."""
+    """Time in s from the beginning of the master's run to that of the slave's, if the clocks of two machines differ."""
     side: Literal["master", "slave"] | None = None
-    """Of which side the table of --parquet and --csv is; by default the master where it was recorded."""
+    """Side of the table of --parquet and --csv; by default the master if it was recorded."""
     parquet: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write a Parquet file."""
     csv: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
@@ -55,8 +55,8 @@ class Export(FileOptions):
         """Write the files.
 
         Raises:
-            ValueError: No recording, nothing to write, a binary format for standard output, a side of no table, or one
-                that was not recorded.
+            ValueError: No recording, nothing to write, a binary format for standard output, a side without a table, or
+                a side that was not recorded.
         """
         from haptether.cli.recording.files import read_run
         from haptether.cli.shared.output import check_distinct, check_target
@@ -99,10 +99,10 @@ class Export(FileOptions):
         return 0
 
     def _check_binary(self) -> None:
-        """Refuse standard output for what is no text.
+        """Refuse standard output for binary formats.
 
         Raises:
-            ValueError: With the option.
+            ValueError: A binary format for standard output; the message names the option.
         """
         for option, target in (("--parquet", self.parquet), ("--npz", self.npz), ("--foxglove", self.foxglove)):
             if str(target) == "-":
@@ -127,7 +127,7 @@ def _write_parquet(target: Path, table: "pl.DataFrame") -> None:
         with private_file(target) as file:
             table.write_parquet(file)
     except pl.exceptions.ComputeError as error:
-        # What Polars makes of an error of the disk: its number is in the text.
+        # Polars reports a disk error as text that contains its number.
         if number := re.search(r"os error (\d+)", str(error)):
             raise OSError(int(number[1]), os.strerror(int(number[1])), str(target)) from None
         message = f"{target}: cannot be written: {error}"
@@ -135,7 +135,7 @@ def _write_parquet(target: Path, table: "pl.DataFrame") -> None:
 
 
 def _write_csv(target: Path, table: "pl.DataFrame") -> None:
-    """Some rows at a time, by Python's own files: an error of theirs is that of the disk, or of a closed pipe."""
+    """Write in slices through Python's own file: its errors are those of the disk, or of a closed pipe."""
     import contextlib
     import sys
 

@@ -1,4 +1,4 @@
-"""The files that commands of recordings take."""
+"""Files of the recording commands."""
 
 import os
 from pathlib import Path
@@ -9,10 +9,10 @@ if TYPE_CHECKING:
 
 
 def check_files(*files: Path | None, what: str | None = None) -> None:
-    """Refuse what is no file that can be read; `what` is what to give, by default a recording.
+    """Refuse files that cannot be read; `what` names the expected file, by default a recording.
 
     Raises:
-        ValueError: With what to give.
+        ValueError: A file that cannot be read; the message names the expected one.
     """
     from haptether.bridge.recording.read import RECORDED
 
@@ -25,7 +25,7 @@ def check_files(*files: Path | None, what: str | None = None) -> None:
 
 
 def read_run(file: Path, other: Path | None, slave_begun_s: float | None) -> "Run":
-    """The run of one file or of both sides', with a line on standard error while it takes long.
+    """Return the run of one file or of both sides', with a line on standard error if it takes long.
 
     Raises:
         ValueError: No file, no recording, two of one side or of different runs, or one without a tick.

@@ -28,7 +28,7 @@ class Info(FileOptions):
     """
 
     files: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE [FILE ...]")]
-    """What `--record` wrote."""
+    """Files of `--record`."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the same as JSON, with the scene; - for standard output."""
 
@@ -36,7 +36,7 @@ class Info(FileOptions):
         """Print each file.
 
         Raises:
-            ValueError: A file is no recording.
+            ValueError: A file is not a recording.
         """
         from haptether.bridge import load, read_recording
         from haptether.cli.recording.files import check_files
@@ -69,7 +69,7 @@ class Info(FileOptions):
 
 
 def described(recording: "Recording") -> dict[str, Any]:
-    """What a recording is, as numbers and names for JSON."""
+    """Return the contents of a recording as numbers and names for JSON."""
     import numpy as np
 
     signals = recording.signals

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 class Playback(FileOptions):
     """Play the remote force of a recording back to a hand, under safety layer, limiter and ladder.
 
-    The force is what it is, whatever the hand does: an active force. Without --listen it acts on hand and device of the
+    The force does not depend on the hand: it is an active force. Without --listen it acts on hand and device of the
     recorded scene in virtual time. With --listen this is the side of the robot, to which a master with any device
-    engages: a person presses the clutch there, the force fades in from zero and begins at its begin, and ends as any
-    run of two sides does. Ctrl-C on either side takes it to zero.
+    engages: a person presses the clutch there, and the force fades in from zero, from the beginning of the recording.
+    It ends like any run of two sides. Ctrl-C on either side fades it to zero.
 
-    Exit status 1 says that the loop diverged, or that the live side failed; 2 that it cannot be played back.
+    Exit status 1: the loop diverged, or the live side failed; 2: the recording cannot be played back.
 
     Examples:
 
@@ -33,17 +33,17 @@ class Playback(FileOptions):
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """What `--record` of master or slave wrote."""
+    """File of `--record` of master or slave."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
-    """Change a field of the scene; may be given often. Of a live master, its own command says what is set there."""
+    """Change a field of the scene; may be given often. A live master sets its own fields by its own command."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="DIR|PICTURE")] = None
     """In virtual time: draw the run into this folder or as this .png, .pdf or .svg."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.npz")] = None
     """In virtual time: write every signal as a NumPy array."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Write what came of it as JSON; - for standard output."""
+    """Write the result as JSON; - for standard output."""
     listen: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
-    """Play it back live: where to listen for the master."""
+    """Play it back live: address to listen on for the master."""
     key: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Live: key file of the secure session, the same at both sides; `haptether keygen` makes one."""
     insecure: bool = False
@@ -52,10 +52,10 @@ class Playback(FileOptions):
     """Live: give up if no master has come after this time in s; without it, wait for one."""
 
     def run(self) -> int:
-        """Plays it back.
+        """Play the recording back.
 
         Raises:
-            ValueError: No recording that can be played back, or options of the other way to do it.
+            ValueError: A recording that cannot be played back, or options of the other mode.
         """
         from haptether.bridge import playback_scene
         from haptether.cli.recording.files import check_files

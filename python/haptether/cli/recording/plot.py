@@ -12,15 +12,15 @@ if TYPE_CHECKING:
     from haptether.bridge import Signals
 
 MARGIN_S = 0.5
-"""Drawn before the two engage and after they part."""
+"""Time in s that is drawn before the first engagement and after the last coupling."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plot(PictureOptions):
-    """Draw a recorded run: positions, forces, what turns, the ladder and trips, with the events marked.
+    """Draw a recorded run: positions, forces, rotations, the ladder and trips, with the events marked.
 
-    With the recordings of both sides, both are in the picture, on the master's time as the clocks of the two machines
-    have it. The picture shows the part in which the two were engaged; --whole shows all of it.
+    With the recordings of both sides, both are in the picture, on the master's time, by the clocks of the two machines.
+    The picture shows the part in which the two were engaged; --whole shows all of it.
 
     Examples:
 
@@ -30,13 +30,13 @@ class Plot(PictureOptions):
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """What `--record` of master or slave wrote."""
+    """File of `--record` of master or slave."""
     other: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="OTHER")] = None
-    """What the other side wrote."""
+    """File of the other side."""
     slave_begun_s: float | None = None
-    """When the slave's run began after the master's in s, where the clocks of two machines differ."""
+    """Time in s from the beginning of the master's run to that of the slave's, if the clocks of two machines differ."""
     whole: bool = False
-    """Draw all that was recorded, also before the two engaged and after they parted."""
+    """Draw the whole recording, also before the two engaged and after they parted."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
     """The picture: .png, .pdf or .svg; by default FILE with .png or --format."""
 
@@ -44,7 +44,7 @@ class Plot(PictureOptions):
         """Draw the picture.
 
         Raises:
-            ValueError: No recording, or the name of no picture.
+            ValueError: A file that is not a recording, or a path that is not a picture's.
         """
         from msgspec.structs import replace
 
@@ -67,9 +67,9 @@ class Plot(PictureOptions):
 
 
 def coupled_span(signals: "Signals") -> tuple[float, float] | None:
-    """From when to when a run is drawn, in s: a margin before the two engage and after they part.
+    """Return the drawn time span in s: a margin before the first engagement and after the last coupling.
 
-    None where they never engage, or where that is all of it.
+    None if they never engage, or if the span is the whole run.
     """
     import numpy as np
 

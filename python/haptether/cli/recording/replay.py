@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Replay(PictureOptions):
-    """Put a recorded master through other settings: what the hand would have felt, and where the two part.
+    """Replay a recorded master with other settings: what the hand would have felt, and where the two runs diverge.
 
     Motion, remote force, network and ladder are those of the recording, tick by tick. Without --set the forces are
-    those of the recording, bit for bit. With it, a model of the hand that is identified from the recording answers to
-    the force that differs (--hand modelled); where none can be identified, it moves as it was measured, which is said.
+    those of the recording, bit for bit. With --set, a model of the hand, identified from the recording, responds to the
+    changed force (--hand modelled). If none can be identified, the hand moves as measured, and the output says so.
 
-    --set takes keys of [safety], [coupling] and [master] that decide over the force on the hand. Exit status 1 says
-    that a recording was not reproduced under its own settings, 2 that something cannot be replayed.
+    --set takes keys of [safety], [coupling] and [master] that affect the force on the hand. Exit status 1: a recording
+    was not reproduced under its own settings; 2: it cannot be replayed.
 
     Examples:
 
@@ -34,22 +34,22 @@ class Replay(PictureOptions):
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """What `--record` of the master wrote."""
+    """File of `--record` of the master."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
     """Change a setting; may be given often. Values are TOML, bare words are strings."""
     hand: Literal["measured", "modelled"] | None = None
-    """Have the hand move as it was measured, or have a model of it answer to the force that differs; by default
-    modelled where settings differ and the hand can be identified."""
+    """Let the hand move as measured, or let a model of it respond to the changed force; by default modelled if settings
+    differ and the hand can be identified."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
     """Draw recorded and replayed into this file: .png, .pdf or .svg."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Write what came of it as JSON; - for standard output."""
+    """Write the result as JSON; - for standard output."""
 
     def run(self) -> int:
-        """Replays; 0, or 1 where a recording differs under its own settings.
+        """Replay; return 0, or 1 if a recording differs under its own settings.
 
         Raises:
-            ValueError: No recording that can be replayed, or settings that cannot be.
+            ValueError: A recording that cannot be replayed, or invalid settings.
         """
         from haptether.bridge import read_recording, replay
         from haptether.cli.recording.files import check_files
@@ -82,7 +82,7 @@ class Replay(PictureOptions):
 
 
 def reported(file: Path, done: "Replayed") -> dict[str, Any]:
-    """What came of a replay as numbers and names for JSON."""
+    """Return the result of a replay as numbers and names for JSON."""
     return {
         "file": str(file),
         "level": done.level,
@@ -136,9 +136,9 @@ ROWS = {
     "trips": "interventions",
     "intervention_s": "time under intervention [s]",
 }
-"""What each figure is called in the table."""
+"""Labels of the figures in the table."""
 LEVELS = {
     "as measured": "as measured, the hand moves as it did",
     "hand modelled": "hand modelled, it answers to the force that differs",
 }
-"""What each level means."""
+"""Meaning of each level."""

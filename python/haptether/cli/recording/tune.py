@@ -18,15 +18,15 @@ if TYPE_CHECKING:
 class Tune(PictureOptions):
     """Find thresholds of [safety] from recordings of normal operation: how often they trip falsely, what they miss.
 
-    Each recording is of a master whose hand holds throughout. The observers see it again, and the most sensitive
-    threshold is taken that is exceeded at most --false-trips-per-h times per hour, at a confidence: by the order
-    statistics of what the recordings show, whatever the law of the values. Then many simulated hands let go in the
-    scene, under the force that they press with or that pushes them. It prints a table [safety] with false trips per
-    hour, missed releases, their intervals, and the maximum ejection velocity (MEV). How, and how many recordings it
-    takes: docs/tune.md.
+    In each recording the master's hand holds throughout. The observers see it again. For each one the most sensitive
+    threshold is taken that is exceeded at most --false-trips-per-h times per hour, at a confidence. The threshold is an
+    order statistic of the recorded values, without an assumed distribution. Then many simulated hands let go in the
+    scene, under the force that they press with or that pushes them. The command prints a table [safety] with false
+    trips per hour, missed releases, their intervals, and the maximum ejection velocity (MEV). Method, and how many
+    recordings it takes: docs/tune.md.
 
-    Exit status 1 says that the recordings are too short for what was asked, 2 that they cannot be tuned by: a hand that
-    lets go in them or was never coupled, different devices.
+    Exit status 1: the recordings are too short for the request; 2: they cannot be used, because a hand lets go in them
+    or was never coupled, or the devices differ.
 
     Examples:
 
@@ -38,39 +38,39 @@ class Tune(PictureOptions):
     """
 
     recording: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING ...")]
-    """What `--record` of the master wrote, of hands that hold."""
+    """Files of `--record` of the master, with hands that hold."""
     scene: str | None = None
-    """In which hands let go: name of a bundled scene or path of a TOML file; by default the scene of the first
+    """Scene in which hands let go: name of a bundled scene or path of a TOML file; by default the scene of the first
     recording."""
     threshold: tuple[str, ...] | None = None
-    """Of energy_threshold_j, grasp_threshold, hsc_force_threshold_n and velocity_threshold, one of a controller; by
+    """One of energy_threshold_j, grasp_threshold, hsc_force_threshold_n and velocity_threshold for each controller; by
     default those of the recording's controllers."""
     false_trips_per_h: float = 60.0
-    """False trips per hour held, of each controller at most."""
+    """Largest number of false trips per hour held, of each controller."""
     confidence: float = 0.95
-    """That this is kept, 0.5 to 0.9999; also of all intervals."""
+    """Confidence that this is kept, 0.5 to 0.9999; also of all intervals."""
     round_trip_s: float | None = None
-    """Of the releases, in s; by default the median of the recordings."""
+    """Round trip of the releases in s; by default the median of the recordings."""
     hands: int = 16
-    """How many hands let go, 1 or more; each once."""
+    """Number of hands that let go, 1 or more; each once."""
     releases: int = 4
-    """At how many times, 1 or more."""
+    """Number of release times, 1 or more."""
     population: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE.toml")] = None
-    """A population whose hands let go, instead of hands of 200 to 600 N/m and 8 to 25 N s/m; those too soft for what
-    the scene lets them feel are passed over: docs/populations.md."""
+    """A population whose hands let go, instead of hands of 200 to 600 N/m and 8 to 25 N s/m. Hands too soft for the
+    scene's force are skipped: docs/populations.md."""
     seed: int = 1
-    """Of hands and links, 0 or more."""
+    """Seed of hands and links, 0 or more."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="safety.KEY=VALUE")] = ()
     """Change a setting of the observers first; may be given often."""
     threads: int | None = None
-    """Threads to run in; as many as there are processors if not given."""
+    """Number of threads; by default the number of processors."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write thresholds, ROC curves and events as JSON; - for standard output."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
     """Draw events over each observer's values and ROC curves as .png, .pdf or .svg."""
 
     def run(self) -> int:
-        """Tunes; 0, or 1 where the recordings are too short."""
+        """Tune; return 0, or 1 if the recordings are too short."""
         from haptether.cli.recording.files import check_files
         from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.numbers import check_random_seed
@@ -147,7 +147,7 @@ def _cells(point: "RocPoint", unit: str) -> tuple[str, ...]:
 
 
 def _remarks(each: "TunedThreshold", found: "Tuning") -> list[str]:
-    """What a threshold is worth, and what the recordings cannot say of it."""
+    """Return the remarks on a threshold, and on what the recordings cannot tell about it."""
     remarks = []
     if not each.reached:
         remarks.append(

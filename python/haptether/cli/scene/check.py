@@ -1,4 +1,4 @@
-"""`haptether check`."""
+"""a finding is bad. What each line computes: docs/check.md."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,14 +11,14 @@ from haptether.cli.shared.output import FileOptions
 
 @dataclass(frozen=True, kw_only=True)
 class Check(FileOptions):
-    """Hold a scene against what its loop, observers, limits and link bear by design, before anything moves.
+    """Check a scene against the limits of its loop, observers, bounds and link by design, before anything moves.
 
-    Drivers that it names, with their options, as master and slave take them at their start; no device is opened.
-    Delay margin of contact and the intervals beyond it, stiffness of rendered walls, how fast a device may become once
-    it is let go and what of that no threshold lowers, thresholds against limits and against the hand's own motion,
-    losses against the ladder: each with this scene's numbers and what would mend it. What is changed by a remedy was
-    tried: the finding is better with it, and no other worse. Linear where it says stable; what that does not cover is
-    not judged. Exit status 1 says that something is bad. What each line computes: docs/check.md.
+    Named drivers are checked with their options, as master and slave take them at their start; no device is opened. The
+    findings cover the delay margin of contact and the intervals beyond it, and the stiffness of rendered walls. They
+    cover the speed of a released device and the part that no threshold lowers. They compare thresholds with limits and
+    with the hand's own motion, and losses with the ladder. Each has this scene's numbers and a remedy. Remedies were
+    tried: each improves its finding and worsens no other. "Stable" is a linear result; cases beyond that are not
+    judged. Exit status
 
     Examples:
 
@@ -34,8 +34,8 @@ class Check(FileOptions):
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
     """Change a field first; may be given often."""
     speed: float | None = None
-    """Speed above which a device that was let go has been thrown, above 0: in m/s, by default 0.5, of joints in rad/s,
-    by default none."""
+    """Speed above which a released device counts as thrown, above 0: in m/s, by default 0.5; for joints in rad/s, by
+    default none."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write all findings as JSON; - for standard output."""
 

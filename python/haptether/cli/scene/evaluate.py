@@ -17,21 +17,21 @@ QUICK_ROUND_TRIPS_S = (0.0, 0.1, 0.3)
 QUICK_CONTROLLERS = ("none", "hsc", "wsc", "hsc+wsc")
 QUICK_HANDS, QUICK_RELEASES = 2, 2
 PAGES = ("evaluation.html", "evaluation.md", "worst.toml")
-"""Written into the folder of --out."""
+"""Files in the folder of --out."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluate(FileOptions):
     """Say how safe a set-up is under delay: controllers over round trips and networks, in tasks done by many hands.
 
-    Hands hold throughout, where each intervention is a false trip, and let go under force, where a device faster than
-    the limit has been thrown. Device, arm, coupling, thresholds and release law are the scene's. It prints up to which
-    round trip each set of controllers is safe, and writes a page with numbers and their intervals, what was assumed,
-    and the worst release as a scene of its own. The same seed finds the same.
+    Some hands hold throughout: each intervention is a false trip. Others let go under force: a device faster than the
+    limit has been thrown. Device, arm, coupling, thresholds and release law are the scene's. The command prints up to
+    which round trip each set of controllers is safe. It writes a page with numbers and their intervals, the
+    assumptions, and the worst release as a scene of its own. The same seed gives the same result.
 
-    Few hands show what throws, trips falsely or uncouples: one such run makes a cell red or yellow. Many hands are
-    needed before a cell is safe: with few it is hatched, "safe? 35 hands", and names the --hands that would confirm
-    it. So compare with --quick, and take the number of the hatched cells before a person holds the device.
+    Few hands suffice to find a throw, a false trip or a loss of coupling: one such run makes a cell red or yellow. A
+    safe cell needs many hands: with few it is hatched, "safe? 35 hands", and names the --hands that would confirm it.
+    So compare with --quick, and use the number in the hatched cells before a person holds the device.
 
     Examples:
 
@@ -45,43 +45,44 @@ class Evaluate(FileOptions):
     """
 
     scene: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE ...|all")]
-    """Names of bundled scenes or paths of TOML files, or all bundled ones in which a hand works."""
+    """Names of bundled scenes or paths of TOML files, or all: every bundled scene in which a hand works."""
     quick: bool = False
-    """Few hands, round trips and networks, and of all scenes not those that turn: a first look, in a minute."""
+    """Few hands, round trips and networks, and with "all" no scenes that turn: a first look, in a minute."""
     controller: tuple[str, ...] | None = None
-    """Sets of controllers, the names of each joined by +, at most one of them in Python; none for nobody."""
+    """Sets of controllers, the names of each joined by +, at most one of them in Python; none for no controller."""
     round_trip_s: tuple[float, ...] | None = None
     """Round trips in s, of the networks without a delay of their own."""
     network: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME|PRESET|FILE ...")] = None
-    """What the network does: steady, jitter, loss or jitter+loss beside each round trip; or at a delay of its own a
-    preset of `haptether netsim list`, or a recording of `haptether netsim record` (.csv) or IRTT (.json)."""
+    """Network: steady, jitter, loss or jitter+loss at each round trip; or with a delay of its own, a preset of
+    `haptether netsim list` or a recording of `haptether netsim record` (.csv) or IRTT (.json)."""
     hands: int | None = None
-    """How many hands do each task, 1 or more; by default 8, with --quick 2. A hatched cell names how many it needs."""
+    """Number of hands for each task, 1 or more; by default 8, with --quick 2. A hatched cell names how many it
+    needs."""
     releases: int | None = None
-    """At how many places of what they feel hands let go, 1 or more; each hand lets go once."""
+    """Number of places on the felt path at which hands let go, 1 or more; each hand lets go once."""
     speed: float | None = None
     """Speed in m/s above which a release has thrown the device; by default 0.5."""
     false_trips_per_h: float | None = None
     """False trips per hour held above which a controller interferes with the task; by default 60."""
     thrown_share: float | None = None
-    """Share of releases that throw, which the 95 % interval must exclude before a cell is green; by default 0.1. Else
-    it is hatched, and has the hands that it needs."""
+    """Share of releases that throw, which the 95 % interval must exclude before a cell is green; by default 0.1.
+    Otherwise the cell is hatched and names the hands that it needs."""
     population: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE.toml")] = None
-    """A population whose hands do the tasks, instead of hands of 200 to 600 N/m and 8 to 25 N s/m; those too soft for
-    what a task lets them feel are passed over: docs/populations.md."""
+    """A population whose hands do the tasks, instead of hands of 200 to 600 N/m and 8 to 25 N s/m. Hands too soft for
+    the force of a task are skipped: docs/populations.md."""
     seed: int = 1
-    """Of hands and networks, 0 or more."""
+    """Seed of hands and networks, 0 or more."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
     """Change a field of all scenes first; may be given often."""
     threads: int | None = None
-    """Threads to run in; as many as there are processors if not given."""
+    """Number of threads; by default the number of processors."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Write evaluation.html, evaluation.md and worst.toml into this folder."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write all cells as JSON; - for standard output."""
 
     def run(self) -> int:
-        """Run all tasks; 0."""
+        """Run all tasks; return 0."""
         from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.controller_time import controller_timed
         from haptether.cli.shared.numbers import check_random_seed
@@ -149,7 +150,7 @@ class Evaluate(FileOptions):
 
         worst = next((release for release in found.worst if release.controllers != "none"), None)
         named = None
-        # That of an earlier run does not belong to these pages.
+        # A file of an earlier run does not belong to these pages.
         (folder / "worst.toml").unlink(missing_ok=True)
         if worst is not None:
             named = "worst.toml"
@@ -172,7 +173,7 @@ class Evaluate(FileOptions):
 
     @staticmethod
     def _write_cells(found: "Evaluation", path: Path) -> None:
-        """Write all cells, and what follows from them, as JSON."""
+        """Write all cells, and the results derived from them, as JSON."""
         from haptether.cli.shared.output import write_report
 
         worst = [
@@ -198,16 +199,16 @@ class Evaluate(FileOptions):
         hatched = {controllers: len(found.unconfirmed(controllers)) for controllers in found.controllers}
         fields = ("tasks", "networks", "limits", "hands", "releases", "seed", "version", "assumed", "cells")
         report = {name: getattr(found, name) for name in fields}
-        # Without the numbers of recordings.
+        # The numbers of recordings are left out.
         of_network = ("name", "jitter", "loss", "mean_burst", "title", "own_delay_s")
         report["networks"] = [{name: getattr(network, name) for name in of_network} for network in found.networks]
         write_report(path, {**report, "verdicts": verdicts, "hatched": hatched, **up_to, "worst": worst})
 
     def _networks(self) -> "list[Network]":
-        """Those that are named.
+        """Return the named networks.
 
         Raises:
-            ValueError: No such network or file, or round trips for networks that have their own.
+            ValueError: No such network or file, or round trips for networks that all have their own.
         """
         from haptether.studies import EVALUATED_NETWORKS, network_of
 
@@ -226,11 +227,11 @@ class Evaluate(FileOptions):
         return networks
 
     def _tasks(self) -> tuple[str, ...]:
-        """The scenes that are named.
+        """Return the names of the scenes.
 
         Raises:
-            SceneError: None is named.
-            ValueError: Others beside "all".
+            SceneError: No scene is named.
+            ValueError: Other names beside "all".
         """
         from haptether.bridge import SceneError, load_scene
         from haptether.studies import THRESHOLD_TASKS
@@ -250,7 +251,7 @@ class Evaluate(FileOptions):
         return tuple(name for name in THRESHOLD_TASKS if not self.quick or load_scene(name).master.kind != "pose")
 
     def _options(self) -> list[str]:
-        """What was given beside the scenes, as it may be given again."""
+        """Return the options of this run, apart from the scenes, for a repeat."""
         given: list[str] = ["--quick"] if self.quick else []
         for option, values in (
             ("controller", self.controller), ("round-trip-s", self.round_trip_s), ("network", self.network)

@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 class Falsify(FileOptions):
     """Search for the release after which a scene's device becomes fastest, and hold it to the bound on that speed.
 
-    Device, loop, link, arm and safety are the scene's. Searched for, within bounds: what the hand holds, how firmly and
-    how suddenly it lets go, the steps in which the push goes on, of several axes its direction, and delay, jitter and
-    loss of a link. The worst is made simple and written as a scene of its own. The same seed and number of tries find
-    the same; a search by time tries as many as the machine is quick. Ctrl-C ends the search and keeps the worst so far,
-    status 130. Exit status 1 says that the bound was exceeded.
+    Device, loop, link, arm and safety are the scene's. The search varies within bounds: the force that the hand holds,
+    how firmly and how suddenly it lets go, and the steps of the push after that. It varies delay, jitter and loss of a
+    link and, with several axes, the direction of the push. The worst release is simplified and written as a scene of
+    its own. The same seed and number of tries give the same result; a search by time tries as many as the machine can.
+    Ctrl-C ends the search and keeps the worst so far, status 130. Exit status 1: the bound was exceeded.
 
-    Needs cma, of the extra `analysis`. How the bound is derived, and what holds under it: docs/ejection_bound.md.
+    Needs cma, of the extra `analysis`. Derivation of the bound and its assumptions: docs/ejection_bound.md.
 
     Examples:
 
@@ -39,13 +39,13 @@ class Falsify(FileOptions):
     scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")]
     """Name of a shipped scene, or path of a TOML file."""
     controller: Annotated[str | None, tyro.conf.arg(metavar="NAME,...")] = None
-    """Who watches, separated by commas; by default the scene's."""
+    """Controllers, separated by commas; by default the scene's."""
     seconds: float = 60.0
-    """How long it searches, in s."""
+    """Duration of the search in s."""
     tries: int | None = None
-    """Releases after which it ends, also before."""
+    """Number of releases after which the search ends, even before its time."""
     seed: int = 1
-    """Of the search, 1 or more."""
+    """Seed of the search, 1 or more."""
     steps: int = 8
     """Steps of the push after the release, 1 to 40."""
     decay_s: float = 0.05
@@ -57,19 +57,19 @@ class Falsify(FileOptions):
     loss: float = 0.05
     """Largest share of packets that are lost."""
     push: Literal["auto", "any", "steady"] = "auto"
-    """Any push within the cap, or one that neither grows nor turns, as the bound of HSC takes it; auto is what the
-    bound holds for."""
+    """Any push within the cap, or a push that neither grows nor turns, as the bound of HSC assumes; auto is the push
+    for which the bound holds."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
     """Change a field of the scene first; may be given often."""
     threads: int | None = None
-    """Threads to run in; as many as there are processors if not given."""
+    """Number of threads; by default the number of processors."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
-    """Where the worst release goes as a scene; by default SCENE_worst.toml in this folder."""
+    """File of the worst release as a scene; by default SCENE_worst.toml in this folder."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write speeds, bound, margin and the release as JSON; - for standard output."""
 
     def run(self) -> int:
-        """Searches; 0, or 130 if it was ended before its time."""
+        """Search; return 0, or 130 if it was interrupted."""
         from haptether.bridge import load_scene, save_scene
         from haptether.cli.interrupts import INTERRUPTED
         from haptether.cli.scene.simulate import spinner
@@ -179,5 +179,5 @@ class Falsify(FileOptions):
 
 
 def unit_of(found: "Falsified") -> str:
-    """Of a speed of the scene's device."""
+    """Return the unit of the speed of the scene's device."""
     return "rad/s" if found.scene.master.kind == "joints" else "m/s"

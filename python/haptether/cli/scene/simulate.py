@@ -25,7 +25,7 @@ class Simulate(PictureOptions):
 
     SCENE is the name of a scene that comes with Haptether (--list) or the path of a TOML file. Any field can be
     changed, as --set table.key=value or as --table.key value. The same scene and seed give the same numbers. Exit
-    status 1 says that the loop diverged or was never engaged, 2 that the scene cannot be built.
+    status 1: the loop diverged or never engaged; 2: the scene cannot be built.
 
     Examples:
 
@@ -48,18 +48,18 @@ class Simulate(PictureOptions):
     ] = ()
     """Change a field; may be given often. Values are TOML, bare words are strings."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Write events, metrics, the bound on ejection speed and who gets the force back as JSON; - for standard output."""
+    """Write events, metrics, the bound on ejection speed and the return of the force as JSON; - for standard output."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="DIR|PICTURE")] = None
-    """Draw positions, forces, what turns and trips, into this folder or as this .png, .pdf or .svg."""
+    """Draw positions, forces, rotations and trips, into this folder or as this .png, .pdf or .svg."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.npz")] = None
     """Write every signal as a NumPy array."""
     record: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Record both sides as `--record` of live ones does: DIR/master.mcap and DIR/slave.mcap."""
+    """Record both sides like `--record` of live ones: DIR/master.mcap and DIR/slave.mcap."""
     list: bool = False
-    """Say which scenes there are, and end."""
+    """List the scenes, and end."""
 
     def run(self) -> int:
-        """Run the scene; 0, or 1 if it diverged or the two sides never engaged."""
+        """Run the scene; return 0, or 1 if it diverged or the two sides never engaged."""
         from haptether.bridge import SceneError, load_scene, simulate
         from haptether.cli.shared.controller_time import controller_timed
         from haptether.cli.shared.output import check_target, make_folder
@@ -108,13 +108,13 @@ class Simulate(PictureOptions):
         return self.report(console, run, picture, scene)
 
     def report(self, console: "Console", run: "Run", picture: Path | None, scene: "Scene | None" = None) -> int:
-        """Prints, writes and draws what came of a run; 0.
+        """Print, write and draw the results of a run; return 0.
 
         Args:
-            console: Where it is printed.
-            run: What is reported.
-            picture: Where it is drawn; none for nowhere.
-            scene: What was run, whose bound is said too; none for a run whose hand has been recorded.
+            console: Output.
+            run: The run.
+            picture: Path of the picture; None for none.
+            scene: Scene of the run, for its bound; None for a run with a recorded hand.
 
         Raises:
             RuntimeError: It diverged, or the two sides never engaged.
@@ -177,10 +177,10 @@ class Simulate(PictureOptions):
             console.print(f"  and {len(events) - EVENTS_SHOWN} more; --json has all events")
 
     def _check_list(self) -> None:
-        """Refuse what `--list` would pass over.
+        """Refuse options that `--list` would ignore.
 
         Raises:
-            ValueError: With the first of it.
+            ValueError: An option beside `--list`; the message names the first.
         """
         for field in fields(self):
             if field.name != "list" and (value := getattr(self, field.name)) != field.default:
@@ -216,13 +216,13 @@ METRICS = {
     "ticks": "ticks",
     "wall_time_s": "computed in [s]",
 }
-"""What each metric is called in the table."""
+"""Labels of the metrics in the table."""
 OF_ROTATION = {"max_ejection_rate", "peak_device_torque", "orientation_rmse_rad", "torque_rmse_n_m"}
-"""Metrics that only what turns has, and that no other's table shows."""
+"""Metrics of rotations, which other tables do not show."""
 
 
 def shown(value: object) -> str:
-    """A metric as text for the screen."""
+    """Return a metric as text for the screen."""
     if value is None:
         return "-"
     if isinstance(value, bool):
@@ -232,7 +232,7 @@ def shown(value: object) -> str:
 
 @contextlib.contextmanager
 def spinner(text: str) -> Iterator[Callable[[str], None]]:
-    """Says on standard error that something goes on, after two seconds. Yields what changes the text."""
+    """Show a spinner on standard error after two seconds; yield a function that changes its text."""
     import threading
 
     from haptether.cli.shared.screen import Screen, plain

@@ -34,15 +34,15 @@ FAILED_ROWS = frozenset({"refused", "diverged", "never-engaged"})
 class Sweep(PictureOptions):
     """Run a scene for many values of some of its fields, every combination once.
 
-    scene=A.toml,"B,1.toml" are whole scenes, each with what --set changes. A range a:b:n is n values from a to b, both
-    included; a list is v1,v2,... of numbers or of whatever else the field takes, as --set has it (none is an empty
-    list). The last path varies fastest. --samples runs each combination for so many seeds and draws, the same for all
-    combinations. Prints the first rows; --out and --json have all. Exit status 2 says that the scene cannot be, or no
-    row of it; 1 that every row was refused, diverged or never engaged.
+    scene=A.toml,"B,1.toml" are whole scenes; --set changes each of them. A range a:b:n is n values from a to b, both
+    included. A list is v1,v2,... of numbers or of other values of the field, as in --set (none is an empty list). The
+    last path varies fastest. --samples runs each combination for so many seeds and draws, the same for all
+    combinations. Prints the first rows; --out and --json have all. Exit status 2: the scene, or every row of it, is
+    invalid; 1: every row was refused, diverged or never engaged.
 
-    The outcome of a row is complete, settled, diverged, not-released (it ended before the release), never-engaged,
-    refused (a scene that cannot be built: the reason is printed), or the state of the ladder where the two were coupled
-    no more at the end. What was not measured is - here, null in JSON, empty in CSV and NaN in .npz: never 0.
+    The outcome of a row is complete, settled, diverged, not-released (it ended before the release), never-engaged, or
+    refused (an invalid scene: the reason is printed). If the sides were no longer coupled at the end, it is the state
+    of the ladder. A value that was not measured is - here, null in JSON, empty in CSV and NaN in .npz: never 0.
 
     Examples:
 
@@ -71,50 +71,52 @@ class Sweep(PictureOptions):
         tyro.conf.UseAppendAction[tuple[str, ...]],
         tyro.conf.arg(metavar="PATH=A:B:N|V1,V2"),
     ] = ()
-    """What varies; may be given often."""
+    """Paths and values to vary; may be given often."""
     tie: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="PATH[=PATH]")] = ()
-    """A field that takes the values of one that varies: the second path, or the one of the same name."""
+    """A field that takes the values of a varied field: the second path, or the field of the same name."""
     samples: int | None = None
-    """How many samples each combination has; of all --draw, and of run.seed unless that varies."""
+    """Number of samples of each combination; they cover all --draw, and run.seed unless it varies."""
     draw: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="PATH=LAW:A:B")] = ()
-    """What is drawn in each sample: uniform:a:b, loguniform:a:b, normal:mean:deviation, lognormal:mean:deviation,
+    """Law of a field in each sample: uniform:a:b, loguniform:a:b, normal:mean:deviation, lognormal:mean:deviation,
     quantiles:p=v:p=v (linear between them) or measured:FILE.csv:COLUMN; may be given often."""
     population: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE.toml")] = None
-    """A population of hands, of which each sample draws one: stiffness, damping and what else of [operator] it has and
-    the scene, too. Names: haptether list; docs/populations.md."""
+    """A population of hands; each sample draws one: stiffness, damping and other fields of [operator] that both the
+    population and the scene have. Names: haptether list; docs/populations.md."""
     seed: int | None = None
-    """Of what is drawn, 0 or more; by default 1."""
+    """Seed of the draws, 0 or more; by default 1."""
     sobol: bool = False
-    """Draw a scrambled Sobol sequence instead of independent numbers: means over many samples settle sooner, most so
-    with a power of two of them. Needs SciPy."""
+    """Draw a scrambled Sobol sequence instead of independent numbers: means over many samples settle sooner, best with
+    a power of two of them. Needs SciPy."""
     set: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]],
         tyro.conf.arg(metavar="TABLE.KEY=VALUE"),
     ] = ()
     """Change a field in all rows; may be given often."""
     metrics: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="METRIC,METRIC")] = ()
-    """Measure these columns alone, beside how each row ended; names are those of the columns of --out. By default all.
-    May be given often."""
+    """Measure only these columns, beside the outcome of each row; names are those of the columns of --out. By default
+    all. May be given often."""
     threads: int | None = None
-    """Threads to run in; as many as there are processors if not given."""
+    """Number of threads; by default the number of processors."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write all rows as JSON; - for standard output."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.csv|FILE.parquet|FILE.npz")] = None
-    """Write all rows as CSV, as Parquet or as NumPy arrays. They are kept in FILE.partial while the sweep runs."""
+    """Write all rows as CSV, as Parquet or as NumPy arrays. FILE.partial holds them while the sweep runs."""
     resume: bool = False
-    """Go on with the rows that an interrupted sweep has kept; all other options as they were."""
+    """Continue with the kept rows of an interrupted sweep; all other options as before."""
     engine: Literal["local", "dask"] = "local"
     """Where rows are computed, with --out: by threads here, or by the workers of a Dask cluster."""
     address: Annotated[str | None, tyro.conf.arg(metavar="tcp://HOST:PORT")] = None
-    """Of the cluster's scheduler, whose workers have this version; worker processes on this machine if not given."""
+    """Address of the cluster's scheduler, whose workers have this version; by default worker processes on this
+    machine."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
     """Draw the metrics as .png, .pdf or .svg: over one path as lines, with 95 % bands where run.seed varies, too; over
     two paths as maps."""
 
     summary: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="METRIC|CONDITION ...")] = None
-    """What the samples of each combination come to, with 95 %: metrics, or conditions: 'max_ejection_velocity>0.5'."""
+    """Summary of the samples of each combination, with 95 %: metrics, or conditions: 'max_ejection_velocity>0.5'."""
     against: Annotated[str | None, tyro.conf.arg(metavar="PATH=VALUE")] = None
-    """With --summary: each combination less that with this value, sample by sample, as safety.controllers=none."""
+    """With --summary: each combination minus the combination with this value, sample by sample:
+    safety.controllers=none."""
 
     def run(self) -> int:
         """Run all rows."""
@@ -163,7 +165,7 @@ class Sweep(PictureOptions):
         return 0
 
     def _summarised(self, console: "Screen", whole: "SweepResult | None", by: list[str]) -> "tuple[SummaryRow, ...]":
-        """What each combination comes to, printed, where it was asked for."""
+        """Print the summary of each combination if requested, and return it."""
         from haptether.cli.scene.simulate import shown
         from haptether.cli.shared.table import Column, Rows
         from haptether.studies import sweep_summary
@@ -193,14 +195,14 @@ class Sweep(PictureOptions):
     def _run_rows(
         self, design: "Design", given: dict[str, Any], *, collect: bool
     ) -> "tuple[SweepResult | None, StoredSweep | None]":
-        """All rows, or the file that has them."""
+        """Return all rows, or the file that has them."""
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
         from haptether.bridge import load_scene, sweep, sweep_to_file
         from haptether.cli.shared.rate import RateColumn
         from haptether.cli.shared.screen import Screen
 
-        # One that cannot be is refused before a bar begins.
+        # An invalid scene is refused before a bar begins.
         load_scene(self.scene, self.set)
         bar = Progress(
             BarColumn(), MofNCompleteColumn(), RateColumn(), TimeRemainingColumn(), console=Screen(stderr=True)
@@ -209,7 +211,7 @@ class Sweep(PictureOptions):
 
         def progress(done: int) -> None:
             if not bar.tasks[0].started:
-                # Rows of an earlier run are not counted in the rate.
+                # Rows of an earlier run do not count in the rate.
                 bar.update(task, completed=done)
                 bar.reset(task, start=True, completed=done)
             bar.update(task, completed=done)
@@ -249,7 +251,7 @@ class Sweep(PictureOptions):
 
     @contextlib.contextmanager
     def _resume_hint(self, rows: int) -> "Iterator[None]":
-        """Prints at Ctrl-C how many rows a resume has already."""
+        """Print at Ctrl-C how many rows a resume would have."""
         from haptether.bridge.scene.sweeps.journal import kept_rows
         from haptether.cli.shared.screen import Screen
 
@@ -264,7 +266,7 @@ class Sweep(PictureOptions):
             raise
 
     def _varied(self) -> tuple[dict[str, list[Any]], dict[str, str]]:
-        """The values of each path that varies, and which path takes whose."""
+        """Return the values of each path that varies, and the tied paths with their leaders."""
         from haptether.bridge.scene.sweep import label
 
         if not self.vary and self.samples is None:
@@ -277,7 +279,7 @@ class Sweep(PictureOptions):
             if path in varied:
                 message = f"--vary {path}: given twice: give all its values at once, as {path}=v1,v2"
                 raise ValueError(message)
-            # Of what is no number, as tables show it: lists have no hash.
+            # Values other than numbers are compared by their label in tables: lists have no hash.
             names = [one if type(one) in {int, float} else label(one) for one in values]
             if len(set(names)) < len(names):
                 again = next(one for one, times in Counter(names).items() if times > 1)
@@ -302,7 +304,7 @@ class Sweep(PictureOptions):
         return varied, ties
 
     def _numbers(self, values: dict[str, Any], ties: dict[str, str]) -> "tuple[list[Scene], list[tuple[str, object]]]":
-        """The scenes, and of each path the largest number and whatever else it takes."""
+        """Return the scenes, and for each path the largest number and all values that are not numbers."""
         from haptether.bridge import load_scene
         from haptether.bridge.scene.sweeps.scenes import SCENE
 
@@ -316,7 +318,7 @@ class Sweep(PictureOptions):
         return scenes, sorted(found, key=lambda each: each[0])
 
     def _drawn(self, varied: dict[str, list[Any]]) -> dict[str, "npt.NDArray[np.float64]"]:
-        """The samples that each combination has."""
+        """Return the samples of each combination."""
         import numpy as np
 
         from haptether.bridge import load_population, load_scene
@@ -370,7 +372,7 @@ class Sweep(PictureOptions):
 
         check_distinct(json=self.json, out=self.out, plot=self.plot)
         check_target(self.json, force=self.force)
-        # A sweep that --force began replaces the file when it is resumed, too.
+        # A sweep that --force began also replaces the file when it is resumed.
         check_target(self.out, force=self.force or self.resume)
         if self.out is not None:
             check_suffix(self.out)
@@ -383,7 +385,7 @@ class Sweep(PictureOptions):
             raise ValueError(message)
 
     def _check_rows(self, *, collect: bool) -> None:
-        """Refuse more rows than can be, by the counts that are given, before a value is made."""
+        """Refuse too many rows, by the given counts, before a value is created."""
         from haptether.bridge.scene.sweeps.limits import check_rows
         from haptether.bridge.scene.sweeps.table_file import STREAMED
 
@@ -391,14 +393,14 @@ class Sweep(PictureOptions):
         check_rows({f"--vary {text}": count_of(text) for text in self.vary}, self.samples, stored=stored)
 
     def _asked(self) -> tuple[str, ...] | None:
-        """The columns that are measured; none for all."""
+        """Return the measured columns; None for all."""
         from haptether.bridge.scene.sweep import asked_metrics
 
         names = [name.strip() for text in self.metrics for name in text.split(",")]
         return asked_metrics(names or None)
 
     def _baseline(self) -> tuple[str, Any] | None:
-        """What --against names: a value as --vary takes it, or as tables show it."""
+        """Return the path and value of --against: a value as in --vary, or as in tables."""
         from haptether.bridge import SceneError
         from haptether.bridge.scene.sweep import label
 
@@ -412,7 +414,7 @@ class Sweep(PictureOptions):
         return path, value if isinstance(value, float) else label(value)
 
     def _check_columns(self, design: "Design") -> None:
-        """Refuse what cannot be measured, and what cannot be summed up or drawn of it, before a row is run."""
+        """Refuse unknown metrics, summaries and pictures before a row is run."""
         from haptether.bridge.scene.sweep import METRICS, labelled
         from haptether.studies.sampled import check_summary, metric_of
         from haptether.view.figures.sweep import METRICS as DRAWN
@@ -433,7 +435,7 @@ class Sweep(PictureOptions):
             raise ValueError(message)
 
     def _check_samples(self) -> None:
-        """Refuse a number of samples or a seed that cannot be, and what is drawn without samples."""
+        """Refuse an invalid number of samples or seed, and draws without samples."""
         from haptether.bridge.scene.sweep import thread_count
         from haptether.cli.shared.numbers import check_random_seed
 
@@ -488,7 +490,7 @@ class Sweep(PictureOptions):
             console.print(f"rows: {stored.path}" + (f", {stored.resumed} kept before" if stored.resumed else ""))
 
     def _columns(self, result: "SweepResult", stored: "StoredSweep | None") -> list[str]:
-        """What the table has: a metric that no row has is left out, and ticks are shown as time."""
+        """Return the columns of the table: without metrics that no row has, and with ticks as time."""
         import numpy as np
 
         floats = {name: column for name, column in result.columns.items() if column.dtype.kind == "f"}
@@ -500,17 +502,17 @@ class Sweep(PictureOptions):
 
 
 def outcomes_of(result: "SweepResult", stored: "StoredSweep | None") -> Counter[str]:
-    """How many rows of a sweep ended how."""
+    """Return how many rows of a sweep ended with each outcome."""
     return Counter(result.columns["outcome"].tolist() if stored is None else stored.outcomes)
 
 
 def counted(outcomes: Counter[str]) -> str:
-    """How many rows ended how, the most frequent first."""
+    """Return how many rows ended with each outcome, the most frequent first."""
     return ", ".join(f"{count} {outcome}" for outcome, count in outcomes.most_common())
 
 
 def _reasons(result: "SweepResult") -> "tuple[tuple[RowReason, ...], int]":
-    """Why rows of a sweep in memory were refused or diverged, and how many rows have another reason."""
+    """Return why rows of a sweep in memory were refused or diverged, and the number of rows with other reasons."""
     from haptether.bridge.scene.sweeps.reasons import RowReasons
 
     found = RowReasons()
@@ -519,7 +521,7 @@ def _reasons(result: "SweepResult") -> "tuple[tuple[RowReason, ...], int]":
 
 
 def reason_lines(reasons: "Iterable[RowReason]", others: int) -> "Iterator[str]":
-    """Why rows were refused or diverged, each reason once, with the first row that has it."""
+    """Yield why rows were refused or diverged, each reason once, with its first row."""
     for each in reasons:
         values = ", ".join(
             f"{path} = {value:.10g}" if isinstance(value, float) else f"{path} = {value}"
@@ -532,5 +534,5 @@ def reason_lines(reasons: "Iterable[RowReason]", others: int) -> "Iterator[str]"
 
 
 def _fields_of(assignments: "Iterable[str]") -> list[str]:
-    """The fields that `path=value` sets, as scenes spell them."""
+    """Return the fields of `path=value` assignments, as scenes spell them."""
     return [text.partition("=")[0].strip().replace("-", "_") for text in assignments]

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 class Thresholds(PictureOptions):
     """Sweep the thresholds of safety controllers: false trips per hour against missed releases, over round trips.
 
-    Bundled scenes are the tasks, many random hands do them: held throughout, where each intervention is a false trip,
-    and let go under force, where a release is missed if the device is faster than 0.5 m/s within 0.5 s, of those
-    releases that exceed it where nobody watches. The paper's laws beside ours, each with a hold-off of 0.1 s and a
-    release ramp of 0.2 s. The same seed finds the same. What it found, and how to choose: docs/thresholds.md.
+    The tasks are bundled scenes, done by many random hands. Some hold throughout: each intervention is a false trip.
+    Others let go under force: a release is missed if the device is faster than 0.5 m/s within 0.5 s. Only releases that
+    exceed it without a controller count. The paper's laws stand beside ours, each with a hold-off of 0.1 s and a
+    release ramp of 0.2 s. The same seed gives the same result. Results, and how to choose: docs/thresholds.md.
 
     Examples:
 
@@ -33,29 +33,29 @@ class Thresholds(PictureOptions):
     task: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[SCENE ...]")] = ()
     """Names of bundled scenes; by default all in which a hand works."""
     controller: Annotated[str | None, tyro.conf.arg(metavar="NAME,...")] = None
-    """Whose thresholds, separated by commas; by default wsc, hsc and vfc."""
+    """Controllers whose thresholds are swept, separated by commas; by default wsc, hsc and vfc."""
     round_trip_s: tuple[float, ...] | None = None
     """Round trips in s; by default from 0 to 0.5."""
     hands: int | None = None
-    """How many hands do each task, 1 or more; by default 8."""
+    """Number of hands for each task, 1 or more; by default 8."""
     releases: int | None = None
-    """At how many places of what they feel hands let go, 1 or more; each hand lets go once. By default 4."""
+    """Number of places on the felt path at which hands let go, 1 or more; each hand lets go once. By default 4."""
     population: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE.toml")] = None
-    """A population whose hands do the tasks, instead of hands of 200 to 600 N/m and 8 to 25 N s/m; those too soft for
-    what a task lets them feel are passed over: docs/populations.md."""
+    """A population whose hands do the tasks, instead of hands of 200 to 600 N/m and 8 to 25 N s/m. Hands too soft for
+    the force of a task are skipped: docs/populations.md."""
     seed: int = 1
-    """Of hands and links, 0 or more."""
+    """Seed of hands and links, 0 or more."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
     """Change a field of all scenes first; may be given often."""
     threads: int | None = None
-    """Threads to run in; as many as there are processors if not given."""
+    """Number of threads; by default the number of processors."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write rates with 95 % intervals, and counts of each task, as JSON; - for standard output."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
     """Draw missed releases over false trips as .png, .pdf or .svg."""
 
     def run(self) -> int:
-        """Run all tasks and prints, for each law, its thresholds over round trips."""
+        """Run all tasks and print, for each law, its thresholds over round trips."""
         from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.numbers import check_random_seed
         from haptether.cli.shared.output import check_target, write_report

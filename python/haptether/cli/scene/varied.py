@@ -1,4 +1,4 @@
-"""What `--vary` and `--draw` of a sweep say: paths with values, and paths with laws."""
+"""Parsing of `--vary` and `--draw` of a sweep: paths with values, and paths with laws."""
 
 import contextlib
 import re
@@ -9,11 +9,11 @@ if TYPE_CHECKING:
     from haptether.bridge.scene.sweeps.laws import SampleLaw
 
 RANGE = re.compile(r"[^:,\[{'\"]*:[^:,]*:[^:,]*")
-"""`a:b:n`, and no list, table or text."""
+"""`a:b:n`, not a list, a table or a text."""
 
 
 def spelled(path: str) -> str:
-    """A path as scenes spell it: "-" may stand for "_".
+    """Return a path as scenes spell it: "-" may stand for "_".
 
     Raises:
         SceneError: A path that is not in the schema.
@@ -25,11 +25,11 @@ def spelled(path: str) -> str:
 
 
 def values_of(text: str) -> tuple[str, list[Any]]:
-    """The path and the values of `path=a:b:n` or `path=v1,v2,...`.
+    """Return the path and the values of `path=a:b:n` or `path=v1,v2,...`.
 
     Raises:
-        ValueError: Another form, or a count that is none or too large.
-        SceneError: What is no number, of a path that is not in the schema or in no form of TOML.
+        ValueError: Another form, or a count that is invalid or too large.
+        SceneError: A value other than a number for a path that is not in the schema, or in no form of TOML.
     """
     import math
 
@@ -66,7 +66,7 @@ def values_of(text: str) -> tuple[str, list[Any]]:
 
 
 def count_of(text: str) -> int:
-    """How many values `path=a:b:n` or `path=v1,v2,...` has; 1 of what has no such form."""
+    """Return how many values `path=a:b:n` or `path=v1,v2,...` has; 1 for other forms."""
     values = text.partition("=")[2]
     with contextlib.suppress(ValueError):
         return int(values.rpartition(":")[2]) if RANGE.fullmatch(values) else len(_items(values))
@@ -74,7 +74,7 @@ def count_of(text: str) -> int:
 
 
 def _items(text: str) -> list[str]:
-    """What commas separate outside of brackets and quotes."""
+    """Split a text at the commas outside of brackets and quotes."""
     items, depth, quoted = [""], 0, ""
     for letter in text:
         if letter == "," and depth == 0 and not quoted:
@@ -91,7 +91,7 @@ def _items(text: str) -> list[str]:
 
 
 def _unquoted(item: str) -> str:
-    """Without a matching pair of quotes around all of it."""
+    """Remove a matching pair of quotes around the whole text."""
     quote = item[:1]
     return item[1:-1] if quote in {"'", '"'} and len(item) > 2 and item.find(quote, 1) == len(item) - 1 else item
 
@@ -112,7 +112,7 @@ def _value_of(path: str, item: str) -> "Raw":
             raise
     else:
         if math.isfinite(number) and abs(number) > LARGEST_EXACT:
-            # Rounded, it could not be refused as what it is.
+            # A rounded number would hide why it is refused.
             with contextlib.suppress(ValueError):
                 return int(item)
         return number
@@ -123,7 +123,7 @@ def _value_of(path: str, item: str) -> "Raw":
 
 
 def drawn_law(text: str) -> "tuple[str, SampleLaw]":
-    """The path and the law of `path=law:...`.
+    """Return the path and the law of `path=law:...`.
 
     Raises:
         ValueError: Another form, or numbers that the law does not take.

@@ -1,1 +1,1 @@
-"""What commands of every kind share: numbers and their bounds, output, the screen."""
+"""Numbers and their bounds, output and the screen, for commands of every kind."""

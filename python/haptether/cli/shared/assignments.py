@@ -2,10 +2,10 @@
 
 
 def refuse_twice(given: dict[str, str], key: str, option: str) -> None:
-    """Notes in `given` the option that gives a key; "-" may stand for "_".
+    """Note in `given` the option that gives a key; "-" may stand for "_".
 
     Raises:
-        ValueError: Another gives it, too: the last alone would count.
+        ValueError: Another option also gives it: only the last would count.
     """
     field = key.strip().replace("-", "_")
     if field in given:

@@ -1,4 +1,4 @@
-"""Commands by their names: the one that is asked for is imported, and no other."""
+"""Commands by name: only the requested one is imported."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from importlib import import_module
@@ -6,14 +6,14 @@ from typing import Any, Protocol, Self
 
 
 class Command(Protocol):
-    """What one command is."""
+    """Interface of a command."""
 
     def run(self) -> int:
-        """Does it and returns the exit status."""
+        """Run the command and return the exit status."""
 
 
 class CommandTable(Mapping[str, type[Any]]):
-    """Classes by the names of their commands, each imported when it is looked up.
+    """Classes of commands by name, each imported when it is looked up.
 
     Args:
         places: Module within `haptether.cli` and class, as `live.master:Master`, by name.
@@ -24,7 +24,7 @@ class CommandTable(Mapping[str, type[Any]]):
 
     @classmethod
     def joined(cls, tables: "Iterable[CommandTable]") -> Self:
-        """The commands of all tables, in their order."""
+        """Return the commands of all tables, in their order."""
         return cls({name: place for table in tables for name, place in table._places.items()})
 
     def __getitem__(self, name: str) -> type[Any]:

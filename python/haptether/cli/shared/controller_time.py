@@ -1,4 +1,4 @@
-"""What controllers in Python cost, in a sentence."""
+"""Cost of controllers in Python, in a sentence."""
 
 import contextlib
 import time
@@ -11,11 +11,11 @@ if TYPE_CHECKING:
 
 @contextlib.contextmanager
 def controller_timed(console: "Console", *, here: bool = True) -> Iterator[None]:
-    """Says at the end, where a controller in Python has run meanwhile, how much slower it has made that.
+    """Print at the end how much a controller in Python, if one ran, has slowed the run.
 
     Args:
-        console: Where it is said.
-        here: Whether it ran in this process alone: the time of several workers is no share of the one that passed.
+        console: Output.
+        here: True if it ran in this process alone: the time of several workers is not a share of the elapsed time.
     """
     from haptether.bridge import controller_time
 

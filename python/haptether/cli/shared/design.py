@@ -1,4 +1,4 @@
-"""What a live side says at its start of what its scene bears by design."""
+"""Findings by design that a live side prints at its start."""
 
 import shlex
 from collections.abc import Iterable, Iterator
@@ -9,11 +9,11 @@ if TYPE_CHECKING:
     from haptether.studies import DesignCheck
 
 WORDS = {"bad": "BAD  ", "warning": "warn ", "not judged": "?    ", "good": "good ", "note": "note "}
-"""What a finding is, before its name."""
+"""Labels of the states of a finding."""
 
 
 def summary(found: "DesignCheck") -> str:
-    """How many findings are bad, have little room, or were not judged."""
+    """Return how many findings are bad, have little room, or were not judged."""
     counted = (
         (found.of("bad"), "bad"),
         (found.of("warning"), "with little room"),
@@ -26,19 +26,19 @@ def summary(found: "DesignCheck") -> str:
 
 
 def design_lines(scene: "Scene", name: str | None, changes: Iterable[str] = ()) -> Iterator[str]:
-    """What is bad by design, or has little room, as far as that is had at once; a check that fails is one line.
+    """Yield the findings that are bad or have little room, if quick to compute; a failed check is one line.
 
     Args:
-        scene: That is about to run.
-        name: Of it, as `haptether check` takes it; none where options alone made it.
-        changes: Of its fields, as `--set` took them.
+        scene: The scene that is about to run.
+        name: Its name, as `haptether check` takes it; None if options alone made it.
+        changes: Changes of its fields, as `--set` takes them.
     """
     try:
         from haptether.studies import check_at_once
 
         found = [one for one in check_at_once(scene) if one.state in {"bad", "warning"}]
     except Exception as error:
-        # What is only said must not keep a side from running.
+        # A failed check must not keep a side from running.
         yield f"not checked by design: {' '.join(str(error).split())}"
         return
     for one in found:

@@ -1,4 +1,4 @@
-"""The bound on ejection speed, and who gets the force back after a trip, as commands say it."""
+"""The bound on ejection speed, and how the force returns after a trip, as commands print them."""
 
 from collections.abc import Iterator
 from math import inf
@@ -9,18 +9,18 @@ if TYPE_CHECKING:
     from haptether.safety import EjectionBound
 
 CANCELLING = frozenset({"vfc", "hsc", "wsc"})
-"""Controllers whose intervention takes the force away."""
+"""Controllers whose intervention removes the force."""
 
 
 def scene_bound(scene: "Scene", free_s: float | None = None) -> "EjectionBound | None":
-    """The bound of a scene, by default to the end of its run; none where no controller watches."""
+    """Return the bound of a scene, by default to the end of its run; None without a controller."""
     from haptether.safety import ejection_bound
 
     return ejection_bound(scene, free_s=free_s) if scene.safety.controllers else None
 
 
 def bound_line(scene: "Scene", bound: "EjectionBound") -> str:
-    """The bound in one line, with what it holds under."""
+    """Return the bound in one line, with its assumptions."""
     line = bound.text("rad/s" if _is_of_joints(scene) else "m/s")
     return line if bound.speed is None else f"{line} ({'; '.join(bound.assumptions)})"
 
@@ -32,7 +32,7 @@ def _is_of_joints(scene: "Scene") -> bool:
 
 
 def release_line(scene: "Scene") -> str | None:
-    """That no hand is probed for after a trip, and what brings the force back instead; none where one is."""
+    """Return the line that names how the force returns after a trip without a probe for a hand; None with a probe."""
     settings = scene.ejection_settings()
     if not CANCELLING.intersection(settings.controllers) or settings.probe_force_n > 0.0:
         return None
@@ -53,7 +53,7 @@ def release_line(scene: "Scene") -> str | None:
 
 
 def force_returns_by(scene: "Scene") -> str:
-    """What brings the force back after a trip: a "hand" that answers or moves, "time", or "never"."""
+    """Return what restores the force after a trip: a "hand" that answers or moves, "time", or "never"."""
     settings = scene.ejection_settings()
     if settings.probe_force_n > 0.0:
         return "hand"
@@ -63,7 +63,7 @@ def force_returns_by(scene: "Scene") -> str:
 
 
 def release_law(scene: "Scene") -> dict[str, object] | None:
-    """Who gets the force back after a trip, for machines; none where no controller takes it away."""
+    """Return how the force returns after a trip, for machines; None without a controller that removes it."""
     settings = scene.ejection_settings()
     if not CANCELLING.intersection(settings.controllers):
         return None
@@ -78,11 +78,11 @@ def release_law(scene: "Scene") -> dict[str, object] | None:
 
 
 def announcement(scene: "Scene") -> Iterator[str]:
-    """What is said before a loop begins: the greatest speed after a release, and who gets the force back."""
+    """Yield the lines before a loop begins: the greatest speed after a release, and how the force returns."""
     try:
         bound = scene_bound(scene, free_s=inf)
     except (ValueError, ArithmeticError) as error:
-        # What is only said must not keep a side from running.
+        # A missing bound must not keep a side from running.
         yield f"no bound on the speed after a release: {error}"
         return
     if bound is not None:

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def link_table(of: "LinkSummary") -> Rows:
-    """Rate, late cycles, round trip, jitter, loss, worst gap; and what was recorded."""
+    """Return the table of rate, late cycles, round trip, jitter, loss, worst gap and recording."""
 
     def ms(*values: float | None) -> str:
         return " / ".join("-" if value is None else f"{value * 1e3:.3f}" for value in values)

@@ -1,4 +1,4 @@
-"""Numbers of the command line: how text becomes the value of an option, and bounds that several commands share."""
+"""Numbers of the command line: conversion from text, and bounds that several commands share."""
 
 import types
 from pathlib import Path
@@ -9,10 +9,10 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 
 def check_seed(seed: int) -> None:
-    """Refuse a seed that is no 64-bit number.
+    """Refuse a seed that is not an unsigned 64-bit number.
 
     Raises:
-        ValueError: With the bounds.
+        ValueError: A seed out of its bounds; the message names them.
     """
     if not 0 <= seed < 2**64:
         message = f"seed = {seed}: must be between 0 and 2^64 - 1"
@@ -20,7 +20,7 @@ def check_seed(seed: int) -> None:
 
 
 def check_random_seed(seed: int) -> None:
-    """Refuse what is no seed of `numpy.random.default_rng`.
+    """Refuse an invalid seed of `numpy.random.default_rng`.
 
     Raises:
         ValueError: A seed below 0.
@@ -31,10 +31,10 @@ def check_random_seed(seed: int) -> None:
 
 
 def check_duration(key: str, seconds: float | None) -> None:
-    """Refuse a time that no run can last.
+    """Refuse an invalid duration of a run.
 
     Raises:
-        ValueError: With the bounds.
+        ValueError: A duration out of its bounds; the message names them.
     """
     if seconds is not None and not 0.0 <= seconds <= 1e9:
         message = f"{key} = {seconds}: must be between 0 and 1e9 s"
@@ -44,8 +44,7 @@ def check_duration(key: str, seconds: float | None) -> None:
 # ------------------------------------------------------------------------------------------------- rules of the parser
 
 EXPECTED: dict[type, str] = {float: "a number", int: "a whole number", Path: "a path", str: "text"}
-"""Types of an option whose value is one argument, and what that must be; an option that may be left out takes the same.
-"""
+"""Types of an option with one argument, and its description; an optional one takes the same."""
 NUMBERS = ConstructorRegistry()
 
 
@@ -57,7 +56,7 @@ def _one_argument(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | No
     elif info.type_origin not in {Union, types.UnionType, tuple}:
         return None
     if info.type == tuple[Path, ...] and UseAppendAction not in info.markers:
-        # The parser's own rule for lists says nothing of which argument is wrong, and why.
+        # The parser's own rule for lists does not say which argument is wrong, and why.
         return PrimitiveConstructorSpec(
             nargs="*",
             metavar="[PATH [PATH ...]]",

@@ -1,4 +1,4 @@
-"""Where results go: files, JSON for machines, and streams of a command that nobody's reading may hold up."""
+"""Output of commands: files, JSON for machines, and streams whose readers cannot block the command."""
 
 import contextlib
 import io
@@ -19,7 +19,7 @@ from haptether.private_file import is_stream, refuse_existing, refuse_link, writ
 
 
 def write_report(target: Path | None, report: object) -> None:
-    """Write what msgspec can encode as indented JSON; nothing without a target."""
+    """Write an object that msgspec can encode as indented JSON; do nothing without a target."""
     import msgspec
 
     if target is not None:
@@ -36,7 +36,7 @@ def write_json(target: Path, text: bytes) -> None:
 
 
 def _inert(json: bytes) -> bytes:
-    """The same JSON with what no screen shows escaped: it may go to a terminal."""
+    """Escape the characters of JSON that no screen shows: it may go to a terminal."""
     if json.isascii():
         return json
     shown = (c if c.isprintable() or c == "\n" else _dumps(c)[1:-1] for c in json.decode())
@@ -44,7 +44,7 @@ def _inert(json: bytes) -> bytes:
 
 
 def table_goes_to_stderr(json: Path | None) -> bool:
-    """Whether standard output belongs to the JSON."""
+    """Return true if standard output belongs to the JSON."""
     return json is not None and str(json) == "-"
 
 
@@ -52,17 +52,17 @@ def require_matplotlib() -> None:
     """Refuse early where pictures cannot be drawn.
 
     Raises:
-        ImportError: With what to install.
+        ImportError: matplotlib is not installed; the message says what to install.
     """
     require("pictures", "matplotlib")
 
 
 @dataclass(frozen=True, kw_only=True)
 class FileOptions:
-    """The option of a command that writes files."""
+    """Option of a command that writes files."""
 
     force: bool = False
-    """Replace files that are there; without it they are refused."""
+    """Replace existing files; without it they are refused."""
 
 
 def check_target(*targets: Path | None, force: bool) -> None:
@@ -70,12 +70,12 @@ def check_target(*targets: Path | None, force: bool) -> None:
 
     Args:
         targets: Paths of files; `-` is standard output.
-        force: If true, files that are there are replaced.
+        force: If true, existing files are replaced.
 
     Raises:
-        FileExistsError: A file that is there, without `force`.
-        OSError: With the path and what is in the way, be it a symbolic link.
-        ValueError: One file twice: what is written last would destroy the other.
+        FileExistsError: The file exists, and `force` is false.
+        OSError: The message names the path and the obstacle, which may be a symbolic link.
+        ValueError: One file twice: the later write would destroy the earlier one.
     """
     seen = set[Path]()
     for target in targets:
@@ -97,13 +97,13 @@ def check_target(*targets: Path | None, force: bool) -> None:
 
 
 def check_distinct(**files: Path | None) -> None:
-    """Refuse arguments that name one file twice: what is written last would destroy the other, be it a key.
+    """Refuse arguments that name one file twice: the later write would destroy the earlier file, even a key.
 
     Args:
-        files: By the names of options; in capitals, as the help has them, those without one.
+        files: Paths by the names of options; positional arguments in capitals, as in the help.
 
     Raises:
-        ValueError: With both.
+        ValueError: Two arguments name one file; the message names both.
     """
     seen: dict[Path, str] = {}
     for name, path in files.items():
@@ -120,8 +120,8 @@ def make_folder(folder: Path) -> None:
     """Make a folder for pictures, before the run rather than after it.
 
     Raises:
-        ValueError: It has the name of a picture, or is standard output.
-        OSError: With the path and what is in the way.
+        ValueError: The path has the suffix of a picture, or is standard output.
+        OSError: The message names the path and the obstacle.
     """
     if str(folder) == "-":
         message = "-: must be a folder: what is written are several files"
@@ -144,21 +144,21 @@ def make_folder(folder: Path) -> None:
 # ------------------------------------------------------------- streams of a command that must go on, and end, unread
 
 MAX_WAITING = 1 << 16
-"""Bytes that wait for a reader; what comes then is dropped and counted. One message may be larger."""
+"""Bytes that may wait for a reader; later messages are dropped and counted. One message may be larger."""
 CHUNK = 4096
-"""Bytes at a time: that a reader is slow shows before all is written."""
+"""Bytes per write, so that a slow reader shows before all is written."""
 STUCK_S = 1.0
-"""A reader that takes nothing for so long at the end of a command is given up."""
+"""Time in s at the end of a command after which a reader that takes nothing is given up."""
 
 
 class QueuedWriter:
-    """Bytes for a descriptor, written by a thread of their own: whoever hands them over never waits."""
+    """Bytes for a descriptor, written by a thread of its own: the caller never waits."""
 
     def __init__(self, descriptor: int, name: str) -> None:
         self.error: OSError | None = None
-        """Why nothing is written any more."""
+        """Error after which nothing is written any more."""
         self.dropped = 0
-        """Messages that found no room."""
+        """Number of messages that found no room."""
         self._descriptor = descriptor
         self._messages: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
@@ -167,7 +167,7 @@ class QueuedWriter:
         threading.Thread(target=self._run, name=f"haptether-{name}", daemon=True).start()
 
     def put(self, message: bytes) -> None:
-        """Hand a message over."""
+        """Pass a message to the thread."""
         with self._lock:
             if self._waiting >= MAX_WAITING:
                 self.dropped += 1
@@ -176,10 +176,10 @@ class QueuedWriter:
         self._messages.put(message)
 
     def end(self, requested_s: float) -> bool:
-        """Waits until all is written, but not for a reader that takes nothing for 1 s; returns whether it is.
+        """Wait until all is written, but at most 1 s for a reader that takes nothing; return true if all is written.
 
         Args:
-            requested_s: When the end was requested, in s of the monotonic clock.
+            requested_s: Time of the request to end, in s of the monotonic clock.
         """
         self._messages.put(None)
         while self._waiting > 0:
@@ -202,7 +202,7 @@ class QueuedWriter:
                 with self._lock:
                     self._waiting -= len(message)
             except MemoryError:
-                # A message is lost, the thread is not.
+                # The message is lost; the thread goes on.
                 continue
 
     def _write(self, message: bytes) -> None:
@@ -211,7 +211,7 @@ class QueuedWriter:
             try:
                 count = os.write(self._descriptor, left[:CHUNK])
             except BlockingIOError:
-                # Whoever started this process wants it so.
+                # The descriptor is non-blocking because the parent process set it so.
                 select.select([], [self._descriptor], [])
                 continue
             except OSError as error:
@@ -222,7 +222,7 @@ class QueuedWriter:
 
 
 class QueuedBuffer(io.RawIOBase):
-    """The bytes of a queued stream."""
+    """Bytes of a queued stream."""
 
     def __init__(self, writer: QueuedWriter, descriptor: int) -> None:
         super().__init__()
@@ -230,23 +230,23 @@ class QueuedBuffer(io.RawIOBase):
         self._descriptor = descriptor
 
     def writable(self) -> bool:
-        """It is."""
+        """Return true."""
         return True
 
     def fileno(self) -> int:
-        """Of what it is written to in the end."""
+        """Return the descriptor that is written to in the end."""
         return self._descriptor
 
     def deliver(self) -> None:
-        """Waits until all is written, within the bounds of `QueuedWriter.end`."""
+        """Wait until all is written, within the bounds of `QueuedWriter.end`."""
         self._writer.end(time.monotonic())
 
     def isatty(self) -> bool:
-        """Whether that is a terminal."""
+        """Return true if the descriptor is a terminal."""
         return os.isatty(self._descriptor)
 
     def write(self, message: object) -> int:
-        """Hand bytes over."""
+        """Pass bytes to the writer."""
         held = bytes(message)  # type: ignore[call-overload]  # whatever has bytes
         self._writer.put(held)
         return len(held)
@@ -254,30 +254,30 @@ class QueuedBuffer(io.RawIOBase):
 
 @dataclass
 class QueuedOutput:
-    """What became of standard output; known at its end."""
+    """Fate of standard output, known at its end."""
 
     delivered: bool = True
-    """Whether all of it was taken."""
+    """True if all of it was taken."""
     error: OSError | None = None
-    """Why it was not written to its end."""
+    """Error that ended the writing early."""
 
 
 def _queued(stream: TextIO, name: str) -> tuple[QueuedWriter | None, TextIO]:
     try:
         descriptor = stream.fileno()
     except (OSError, ValueError):
-        # No file, and nothing that blocks: somebody in this process wants it.
+        # A stream without a descriptor belongs to a caller in this process and cannot block.
         return None, stream
     stream.flush()
     writer = QueuedWriter(descriptor, name)
     buffer = cast("BinaryIO", QueuedBuffer(writer, descriptor))
-    # Nothing is held back: what is written is handed over at once.
+    # Nothing is buffered: each write goes to the thread at once.
     return writer, io.TextIOWrapper(buffer, encoding=stream.encoding, errors=stream.errors, write_through=True)
 
 
 @contextlib.contextmanager
 def queued_output() -> Iterator[QueuedOutput]:
-    """Within it nothing that is printed waits; at its end what was printed is waited for, within bounds."""
+    """Queue all printed output within this context; at its end wait for it, within bounds."""
     before = sys.stdout, sys.stderr
     out, stdout = _queued(before[0], "stdout")
     err, stderr = _queued(before[1], "stderr")
@@ -296,7 +296,7 @@ def queued_output() -> Iterator[QueuedOutput]:
 
 
 def deliver_output() -> None:
-    """Waits, within bounds, until what was printed is written: before an exit that waits for nothing."""
+    """Wait, within bounds, until the printed output is written: before an exit that does not wait."""
     for stream in (sys.stdout, sys.stderr):
         buffer = getattr(stream, "buffer", None)
         if isinstance(buffer, QueuedBuffer):

@@ -1,4 +1,4 @@
-"""What a command that draws is asked about its pictures, and where they go."""
+"""Options of a command that draws, and the paths of its pictures."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,23 +15,23 @@ class PictureOptions(FileOptions):
     """Options of a command that draws."""
 
     format: Literal["png", "pdf", "svg"] | None = None
-    """Of pictures; by default what their path ends in, or png."""
+    """Format of pictures; by default the suffix of their path, or png."""
     columns: Literal[1, 2] | None = None
-    """How wide pictures are, in columns of a page: 3.5 or 7.16 inches; by default 2."""
+    """Width of pictures in columns of a page: 3.5 or 7.16 inches; by default 2."""
 
     @property
     def page_columns(self) -> Literal[1, 2]:
-        """As `columns`, with the default."""
+        """Width of pictures as `columns`, with the default."""
         return self.columns or 2
 
 
 def picture_file(path: Path, form: "PictureFormat | None", *, force: bool) -> Path:
-    """Where a picture goes, refused early: its path ends in what it is, or gets that ending.
+    """Return the path of a picture, refused early; it gets the suffix of its format if it has none.
 
     Raises:
-        ValueError: An ending that is no picture's, or another than `form`.
-        OSError: It cannot be written; a symbolic link; a file that is there, without `force`.
-        ImportError: matplotlib is not there.
+        ValueError: A suffix that is not a picture's, or another than `form`.
+        OSError: It cannot be written; a symbolic link; an existing file, without `force`.
+        ImportError: matplotlib is not installed.
     """
     from haptether.view.style.figure import FORMATS
 
@@ -50,10 +50,10 @@ def picture_file(path: Path, form: "PictureFormat | None", *, force: bool) -> Pa
 
 
 def check_picture_options(plot: Path | None, options: PictureOptions) -> None:
-    """Refuse options of pictures where `--plot` asks for none.
+    """Refuse options of pictures if `--plot` requests none.
 
     Raises:
-        ValueError: With the option.
+        ValueError: An option of a picture without `--plot`; the message names it.
     """
     if plot is not None:
         return
@@ -64,10 +64,10 @@ def check_picture_options(plot: Path | None, options: PictureOptions) -> None:
 
 
 def asked_picture(plot: Path | None, options: PictureOptions) -> Path | None:
-    """As `picture_file`, of a command that draws one where `--plot` asks for it; none where it does not.
+    """Return `picture_file` of the path that `--plot` requests; None without a request.
 
     Raises:
-        ValueError: As `picture_file`; an option of no picture.
+        ValueError: As `picture_file`, or an option of a picture without one.
         OSError, ImportError: As `picture_file`.
     """
     check_picture_options(plot, options)
@@ -75,12 +75,12 @@ def asked_picture(plot: Path | None, options: PictureOptions) -> Path | None:
 
 
 def picture_in(place: Path, name: str, form: "PictureFormat | None", *, force: bool) -> Path:
-    """Where the one picture of a command goes: into a folder, under a name, or to a path that ends in what it is.
+    """Return the path of a command's one picture: in a folder under `name`, or a path with the suffix of its format.
 
     Raises:
-        ValueError: An ending that is no picture's, or other than `form`.
-        OSError: It cannot be written, or the folder not be made; a symbolic link.
-        ImportError: matplotlib is not there.
+        ValueError: A suffix that is not a picture's, or other than `form`.
+        OSError: It cannot be written, or the folder cannot be made; a symbolic link.
+        ImportError: matplotlib is not installed.
     """
     from haptether.view.style.figure import FORMATS
 

@@ -1,4 +1,4 @@
-"""How much of a command is done, shown on standard error once it takes long."""
+"""Progress of a command on standard error, shown once it takes long."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -8,7 +8,7 @@ AFTER_S = 2.0
 
 @contextlib.contextmanager
 def counted(text: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a bar beside the text after two seconds. Yields a call that takes how many are done, and of how many."""
+    """Show a bar beside the text after two seconds; yield a function that takes the finished and the total count."""
     import threading
 
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn

@@ -1,4 +1,4 @@
-"""Commands that run until somebody stops them: Ctrl-C and the other signals, and waiting."""
+"""Commands that run until they are stopped: Ctrl-C and the other signals, and waiting."""
 
 import contextlib
 import signal
@@ -20,15 +20,15 @@ SECOND = "ending: a second Ctrl-C ends at once, whatever a driver does"
 
 
 class Stopped:
-    """Set once Ctrl-C or a termination signal has come: the command then ends cleanly instead of at once.
+    """Set by Ctrl-C or a termination signal: the command then ends cleanly instead of at once.
 
-    Its loops end by themselves, whatever this thread waits for; so are they pressed by SIGUSR1. A second Ctrl-C ends
-    the process.
+    Signals reach its loops even if this thread waits: to stop them and, by SIGUSR1, to press the clutch. A second
+    Ctrl-C ends the process.
     """
 
     def __init__(self) -> None:
         self._handlers: dict[int, object] = {}
-        """Those of before, which are put back."""
+        """Earlier handlers, which are restored."""
         self._signals: SignalRelay | None = None
         self._wakeup = -1
         self._has_announced = False
@@ -37,11 +37,11 @@ class Stopped:
         from haptether.bridge import SignalRelay
 
         self._signals = SignalRelay()
-        # Python's handler in C writes to it, whatever Python itself does; the one in Python has nothing to add.
+        # Python's handler in C writes to it at once; the handler in Python only announces.
         self._wakeup = signal.set_wakeup_fd(self._signals.fileno(), warn_on_full_buffer=False)
-        # SIGINT even where it was ignored, as in a background job of a script: whoever sends it wants the arm to stop.
+        # Handle SIGINT even if it was ignored, as in a background job of a script: its sender wants the arm to stop.
         handled = [signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2]
-        # Of nohup, which outlives its terminal.
+        # nohup ignores SIGHUP, to outlive its terminal.
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
             handled.append(signal.SIGHUP)
         for number in handled:
@@ -56,41 +56,41 @@ class Stopped:
     ) -> None:
         if self._signals is not None:
             if kind is not None:
-                # Whatever became of this thread: no loop goes on without it.
+                # However this thread ended, no loop goes on without it.
                 self._signals.stop()
             if self:
-                # What is left is a report: the next Ctrl-C ends that at once.
+                # Only a report is left: the next Ctrl-C ends that at once.
                 INTERRUPTS.raising = False
             for number, handler in self._handlers.items():
-                signal.signal(number, handler)  # type: ignore[arg-type]  # it is what signal returned
+                signal.signal(number, handler)  # type: ignore[arg-type]  # the value came from signal
             signal.set_wakeup_fd(self._wakeup)
             self._signals.close()
 
     def attached(self, loop: Loop) -> Loop:
-        """A loop that signals reach: to stop it, and as the button of its side."""
+        """Attach a loop to the signals, which stop it and act as the button of its side; return the loop."""
         if self._signals is not None:
             self._signals.attach(loop)
         return loop
 
     def take_acknowledgement(self) -> bool:
-        """Whether SIGUSR2 has come within the last 0.5 s, and was not taken before."""
+        """Return true if SIGUSR2 has come within the last 0.5 s, and was not taken before."""
         return self._signals is not None and self._signals.take_acknowledgement()
 
     def spend_reserve(self) -> None:
-        """No memory is left: the loops end, with what was set aside for that."""
+        """End the loops with the reserved memory, because no other memory is left."""
         if self._signals is not None:
             self._signals.spend_reserve()
 
     @property
     def out_of_memory(self) -> bool:
-        """Whether the loops were ended because no memory was left."""
+        """True if the loops ended because no memory was left."""
         return self._signals is not None and self._signals.out_of_memory
 
     def _handle(self, number: int, _frame: FrameType | None) -> None:
-        """`SignalRelay` has it already: what is left is to say how the end can be cut short."""
+        """Print how to cut the end short; `SignalRelay` has handled the signal already."""
         if number == signal.SIGINT and not self._has_announced:
             self._has_announced = True
-            # In the middle of another line it may not be possible.
+            # Printing may be impossible in the middle of another line.
             with contextlib.suppress(RuntimeError, ValueError, OSError):
                 print(SECOND, file=sys.stderr, flush=True)
 
@@ -98,7 +98,7 @@ class Stopped:
         return self._signals is not None and self._signals.stopped
 
     def sleep(self, seconds: float) -> None:
-        """Waits, but not beyond a stop."""
+        """Sleep, but not beyond a stop."""
         end = time.monotonic() + seconds
         while not self and (left := end - time.monotonic()) > 0.0:
             time.sleep(min(left, POLL_S))
@@ -113,9 +113,9 @@ def wait(
     *,
     shown: bool = True,
 ) -> None:
-    """Say `headline`, if any, then asks for `status` until the run has finished, is stopped, or `duration_s` is over.
+    """Print `headline`, if any, then call `status` until the run has finished, is stopped, or `duration_s` is over.
 
-    Where it is `shown` and there is a terminal, that is a line beside a spinner.
+    If `shown` and on a terminal, the status is a line beside a spinner.
     """
     from haptether.cli.shared.screen import Screen, plain
 

@@ -1,7 +1,7 @@
-"""Every table of every command: within the width of the screen, with no number cut.
+"""Tables of all commands: within the width of the screen, with no number cut.
 
-Text is broken between words. What is still too wide becomes longer: columns go below one another, each block with the
-first ones again, and where not even two fit, each row becomes lines of its own.
+Text is broken between words. A table that is still too wide becomes longer: its columns go below one another, each
+block with the first ones again. If not even two columns fit, each row becomes lines of its own.
 """
 
 import re
@@ -23,35 +23,35 @@ MAX_HEADER_LINES = 4
 MIN_HEADER_WIDTH = 10
 GAP = 2
 LEAST = 12
-"""Of a column of text, if it has so much."""
+"""Least width of a column of text that has so much text."""
 MOST_WHOLE = 28
-"""Of a number among text that is kept whole."""
+"""Longest number among text that stays whole."""
 NUMBER = re.compile(r"\W*\d[\d.,:e+%/-]*\W*")
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column: its label, with the unit of what is below it."""
+    """A column: its label, with the unit of the values below it."""
 
     label: str
     numbers: bool = False
-    """Whether it holds what must stay on one line, at its right; else text."""
+    """True for values that stay on one line, aligned right; otherwise text."""
 
 
 class Rows:
-    """A table that fits whatever it is printed on."""
+    """A table that fits the width of its output."""
 
     def __init__(
         self, *columns: Column | str, keys: int = 1, gap: int = GAP, title: str = "", spaced: bool = False
     ) -> None:
-        """An empty table.
+        """Create an empty table.
 
         Args:
             columns: From the left; a string is a column of text.
-            keys: How many columns at the left say what a row is of; they are in each block.
+            keys: Number of columns at the left that identify a row; they are in each block.
             gap: Blanks between two columns.
-            title: Above all.
-            spaced: Whether a blank line is between rows.
+            title: Title above the table.
+            spaced: True for a blank line between rows.
         """
         self.columns = [Column(of) if isinstance(of, str) else of for of in columns]
         self.columns = [Column(_text(of.label).plain, of.numbers) for of in self.columns]
@@ -74,14 +74,14 @@ class Rows:
             yield block
 
     def blocks(self, width: int) -> "list[RenderableType]":
-        """What is printed one below the other, of at most `width` characters, numbers excepted that are longer."""
+        """Return the parts to print one below the other, at most `width` characters wide except for longer numbers."""
         places = list(range(len(self.columns)))
         if self._needed(places) <= width:
             return [self._table(places, width)]
         keys = places[: self._keys]
         columns, rows = self.columns, self._rows
         if self._needed(keys) > width // 2 and all(columns[key].numbers for key in keys):
-            # Keys that leave no room to others: the number of the row stands for them.
+            # The keys leave no room for other columns: the number of the row stands for them.
             numbered = Rows(Column("row", numbers=True), *columns, keys=1, gap=self._gap, spaced=self._spaced)
             numbered._rows = [[Text(str(number)), *row] for number, row in enumerate(rows)]
             return numbered.blocks(width)
@@ -103,7 +103,7 @@ class Rows:
         return max(map(cell_len, [*label, *self._cells(place)]), default=0)
 
     def _least(self, place: int) -> int:
-        """The width below which a column would cut a number, or break nearly every word."""
+        """Return the width below which a column would cut a number, or break nearly every word."""
         natural = self._natural(place)
         if self.columns[place].numbers:
             return natural
@@ -115,7 +115,7 @@ class Rows:
         return sum(map(self._least, places)) + self._gap * (len(places) - 1)
 
     def _widths(self, places: Sequence[int], width: int) -> dict[int, int]:
-        """Least widths, and what is left over to those that would have more, in equal parts."""
+        """Return the least widths, with the remaining width in equal parts for columns that need more."""
         widths = {place: self._least(place) for place in places}
         left = width - self._needed(places)
         wanting = [place for place in places if widths[place] < self._natural(place)]
@@ -128,7 +128,7 @@ class Rows:
         return widths
 
     def _table(self, places: Sequence[int], width: int) -> Table:
-        # Its gap is the padding and the divider.
+        # The gap is the padding and the divider.
         table = Table(
             box=SIMPLE_HEAD, header_style="bold", show_edge=False, pad_edge=False, padding=(0, self._gap - 1, 0, 0),
             leading=1 if self._spaced else 0, show_header=any(self.columns[place].label for place in places),
@@ -157,14 +157,14 @@ class Rows:
 
 
 def _text(cell: str | Text) -> Text:
-    """A cell without what a terminal would obey."""
+    """Return a cell without control characters that a terminal would obey."""
     if isinstance(cell, Text):
         return cell
     return Text("\n".join(map(printable, cell.split("\n"))))
 
 
 def of_numbers(columns: dict[str, list[str]], keys: int) -> Rows:
-    """A table of columns of numbers, the first `keys` of which say what a row is of."""
+    """Return a table of columns of numbers, the first `keys` of which identify a row."""
     rows = Rows(*(Column(name, numbers=True) for name in columns), keys=keys)
     for values in zip(*columns.values(), strict=True):
         rows.add(*values)
@@ -172,7 +172,7 @@ def of_numbers(columns: dict[str, list[str]], keys: int) -> Rows:
 
 
 def folded(label: str) -> str:
-    """A label on at most four lines of at least ten characters, broken behind dots, spaces and underscores."""
+    """Break a label behind dots, spaces and underscores into at most four lines of at least ten characters."""
     parts: list[str] = []
     for character in label:
         if not parts or parts[-1][-1] in "._ ":

@@ -1,4 +1,4 @@
-"""The unit question: numbers far outside what they usually are, asked about before anything runs."""
+"""Questions about units: numbers far outside their usual range, before anything runs."""
 
 import contextlib
 from collections.abc import Iterable, Iterator
@@ -13,9 +13,9 @@ def ask_units(console: "Screen", scenes: Iterable["Scene"], values: Iterable[tup
     """Print one line for each unusual number, each line once.
 
     Args:
-        console: Where they are printed.
-        scenes: All their numbers are asked about.
-        values: More of them, each with its path or its option: what varies, or what is searched.
+        console: Output.
+        scenes: Scenes whose numbers are checked.
+        values: Further numbers, each with its path or its option, for example varied ones.
     """
     from haptether.bridge.scene.unusual import unusual_numbers, unusual_values
 
@@ -31,7 +31,7 @@ def check_times(option: str, values: Iterable[float], most_s: float) -> None:
     """Refuse times of an option outside 0 to `most_s`.
 
     Raises:
-        ValueError: With the option, the first such value, the bounds, and the unit that it may have been meant in.
+        ValueError: A time out of its bounds; the message names option, value, bounds and the likely unit.
     """
     from haptether.bridge.scene.unusual import unit_question
 
@@ -42,7 +42,7 @@ def check_times(option: str, values: Iterable[float], most_s: float) -> None:
 
 
 def tasks_of(names: Iterable[str], overrides: Iterable[str]) -> Iterator["Scene"]:
-    """Scenes by name or path, without those that cannot be built: the study that runs them says why."""
+    """Yield scenes by name or path, without those that cannot be built: the study that runs them reports why."""
     from haptether.bridge import SceneError, load_scene
 
     overrides = tuple(overrides)

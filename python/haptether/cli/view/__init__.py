@@ -1,1 +1,1 @@
-"""Commands that show what runs and what ran."""
+"""Commands that show running and finished runs."""

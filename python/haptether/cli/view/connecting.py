@@ -1,4 +1,4 @@
-"""Finds a running side, and waits for it to send what it does."""
+"""Connection to a running side, and the wait until it sends."""
 
 import socket
 import time
@@ -12,14 +12,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class WaitOptions:
-    """Of a command that connects to a running side."""
+    """Option of a command that connects to a running side."""
 
     wait_s: float = 0.0
-    """Wait for a side that does not run yet for up to this time in s; by default that fails at once."""
+    """Wait up to this time in s for a side that does not run yet; by default fail at once."""
 
 
 def only_side() -> Path:
-    """The socket of the one side that runs with its telemetry in the user's folder for that.
+    """Return the socket of the one running side that has its telemetry in the user's folder.
 
     Raises:
         ValueError: None runs, or several do.
@@ -37,7 +37,7 @@ def only_side() -> Path:
 
 
 def sides_here() -> tuple[Path, ...]:
-    """The sockets of the sides that run here, at most one master and one slave.
+    """Return the sockets of the sides that run here, at most one master and one slave.
 
     Raises:
         ValueError: None runs, or two of a kind.
@@ -53,11 +53,11 @@ def sides_here() -> tuple[Path, ...]:
 
 
 def connected(path: Path, wait_s: float) -> "TelemetryReader":
-    """Read the telemetry of a side, for which it waits up to `wait_s`.
+    """Read the telemetry of a side; wait up to `wait_s` for it.
 
     Raises:
         OSError: Nobody sends there.
-        ValueError: What is sent is no telemetry; a time that nobody waits.
+        ValueError: The sender does not send telemetry, or an invalid time.
     """
     from haptether.bridge import TelemetryReader
 
@@ -66,10 +66,10 @@ def connected(path: Path, wait_s: float) -> "TelemetryReader":
 
 
 def checked_wait_s(wait_s: float) -> float:
-    """The time, refused where it cannot be.
+    """Return the time; refuse an invalid one.
 
     Raises:
-        ValueError: With the bounds.
+        ValueError: A time out of its bounds; the message names them.
     """
     from haptether.cli.shared.numbers import check_duration
 
@@ -78,7 +78,7 @@ def checked_wait_s(wait_s: float) -> float:
 
 
 def wait_for(path: Path, option: str, until_s: float) -> None:
-    """Return once a side listens at a socket, whose `option` names it.
+    """Return once a side listens at the socket that `option` names.
 
     Raises:
         OSError: Nobody listens there by `until_s` of the monotonic clock.

@@ -18,19 +18,19 @@ if TYPE_CHECKING:
     from haptether.cli.shared.stop import Stopped
 
 LONG_S = "1000000"
-"""For how long the sides of a scene wait for a person, in s."""
+"""Time in s for which the sides of a scene wait for a person."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Console(WaitOptions):
     """Show running sides in a browser, and stop, engage and scale them from there.
 
-    A page for this machine alone, at the address that is printed; it needs no network. What it shows is the telemetry
-    of the sides, what it does goes to their control sockets: STOP (also space and Esc), Engage, which is pressed and
-    held for a second, Release clutch, Acknowledge, and the scales of force and position. The loops wait for neither:
-    closing or stalling the page changes nothing.
+    The page is for this machine alone, at the printed address; it needs no network. It shows the telemetry of the sides
+    and sends requests to their control sockets: STOP (also space and Esc), Engage, which must be pressed and held for a
+    second, Release clutch, Acknowledge, and the scales of force and position. The loops never wait for the page:
+    closing or stalling it changes nothing.
 
-    With --scene it starts both sides of a scene as processes of this machine, and ends them with itself; nothing
+    With --scene it starts both sides of a scene as processes of this machine, and ends them with itself. Nothing
     engages until somebody holds Engage.
 
     Examples:
@@ -43,17 +43,17 @@ class Console(WaitOptions):
     """
 
     connect: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(metavar="PATH")] = ()
-    """What --telemetry of a running side names; may be given twice. Without it and --scene those that run here."""
+    """Socket of --telemetry of a running side; may be given twice. Without it and --scene, the sides that run here."""
     control: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(metavar="PATH")] = ()
-    """What --control of a running side names; without it the page only shows. May be given twice."""
+    """Socket of --control of a running side; without it the page only shows. May be given twice."""
     flight: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(metavar="PATH")] = ()
-    """What --flight of a running side names: why it held or stopped, on the page. May be given twice."""
+    """File of --flight of a running side: the page says why it held or stopped. May be given twice."""
     scene: Annotated[str | None, tyro.conf.arg(metavar="SCENE")] = None
-    """Start the sides of a scene for trying it out, a shipped one or a TOML file."""
+    """Start the sides of a scene to try it out, a shipped one or a TOML file."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
     """Change the scene, as in `haptether simulate`; may be given often."""
     port: Annotated[int, tyro.conf.arg(metavar="PORT")] = 0
-    """Where the page is served on 127.0.0.1; a free one by default."""
+    """Port of the page on 127.0.0.1; by default a free one."""
 
     def run(self) -> int:
         """Serve the page until Ctrl-C.
@@ -119,7 +119,7 @@ class Console(WaitOptions):
         from haptether.cli.live.sides import live_scene
         from haptether.studies.processes import Interrupted, child_process
 
-        # Said here, in one line, and not by a process that does not start.
+        # An invalid scene is reported here in one line, not by a process that fails to start.
         scene = live_scene(self, ())
         assert self.scene is not None
         assert scene is not None
@@ -132,7 +132,8 @@ class Console(WaitOptions):
         }
         for key_of, device in named.items():
             if device not in {None, "simulated"}:
-                # What it says before it exerts is for a person to read, and nobody reads what these processes print.
+                # The driver's announcement before it exerts is for a person, and nobody reads the output of these
+                # processes.
                 message = (
                     f"{key_of} = {device}: the console starts models only: start slave and master in terminals, with"
                     " --telemetry and --control, and give their sockets to --connect and --control"

@@ -25,20 +25,20 @@ MOST_SIDES = 2
 MAX_LIVE_S = 86_400.0
 ROUNDING_S = 1e-9
 MAX_HISTORY_S, LIVE_HISTORY_S = 120.0, 20.0
-"""What is remembered of a live run: for files, and in a window."""
+"""History of a live run in s: for files, and in a window."""
 LIVE_PICTURE_S, LIVE_FILM_S = 1.0, 5.0
-"""How long a live run is followed where no time is given."""
+"""Time in s for which a live run is followed by default."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class View(WaitOptions, FileOptions):
     """Show a run in three dimensions: hand and robot, what they touch, forces, trails, observers and a time line.
 
-    WHAT is the name of a scene that comes with Haptether, or the path of a TOML file, which are run first; or the
-    recording (.mcap) of one side, or those of both; or what `Run.save` wrote (.npz). With --connect it is a run that
-    goes on, which the view only reads. Without --screenshot, --movie or --html it opens a window, whose keys `?`
-    lists; those three need no display. Exit status 2 says that the request cannot be met, as where there is no OpenGL;
-    1, of a live run, that a side has failed or was killed.
+    WHAT is the name of a scene that comes with Haptether, or the path of a TOML file, which are run first. It may also
+    be the recording (.mcap) of one side, or those of both, or a file of `Run.save` (.npz). --connect shows a run in
+    progress, which the view only reads. Without --screenshot, --movie or --html it opens a window, whose keys `?`
+    lists; those three need no display. Exit status 2: the request cannot be met, for example without OpenGL; 1, of a
+    live run: a side has failed or was killed.
 
     Examples:
 
@@ -56,20 +56,19 @@ class View(WaitOptions, FileOptions):
     """
 
     what: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[RUN [RUN]|SCENE]")] = ()
-    """Name of a shipped scene, path of a TOML file, or of a recording, or of one of each side."""
+    """Name of a shipped scene, path of a TOML file, or paths of recordings, one of each side."""
     connect: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(metavar="PATH")] = ()
-    """Show a run that goes on: the socket that --telemetry of master or slave names; once for each side. Without it and
-    a RUN those that run here. Pictures,
-    films and pages are made when the run has come to --at-s and --until-s."""
+    """Show a run in progress: the socket of --telemetry of master or slave; once for each side. Without it and a RUN,
+    the sides that run here. Pictures, films and pages are made once the run has come to --at-s and --until-s."""
     scene: Annotated[str | None, tyro.conf.arg(metavar="SCENE")] = None
-    """The scene of a recording, where it does not say its own."""
+    """Scene of a recording that does not name its own."""
     arm: Annotated[str, tyro.conf.arg(metavar="ARM")] = ""
-    """The arm that is drawn at the robot, which recordings and telemetry do not say: ur3e, ur5e, ..., or a description
-    of servos by its name or path."""
+    """Arm that is drawn at the robot, which recordings and telemetry do not name: ur3e, ur5e, ..., or a description of
+    servos by its name or path."""
     leader: Annotated[str, tyro.conf.arg(metavar="ARM")] = ""
-    """The arm of servos that is drawn at the hand."""
+    """Arm of servos that is drawn at the hand."""
     slave_begun_s: float | None = None
-    """When the slave's recording began after the master's, in s; by default as their clocks have it."""
+    """Time in s from the beginning of the master's recording to that of the slave's; by default by their clocks."""
     set: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]],
         tyro.conf.arg(metavar="TABLE.KEY=VALUE"),
@@ -79,12 +78,13 @@ class View(WaitOptions, FileOptions):
         tyro.conf.UseAppendAction[tuple[str, ...]],
         tyro.conf.arg(metavar="TABLE.KEY=VALUE"),
     ] = ()
-    """Run the scene once more with this field changed, and show both side by side; may be given often, for one more
-    run with all of the changes."""
+    """Run the scene once more with this field changed, and show both side by side; may be given often, for one more run
+    with all of the changes."""
     title: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TEXT")] = ()
-    """What stands above a run instead of its name; once for each."""
+    """Title above a run instead of its name; once for each."""
     at_s: float | None = None
-    """Time in s of the screenshot, or where the window begins; by default the middle of a run, 1 s on of a live one."""
+    """Time in s of the screenshot, or at which the window begins; by default the middle of a run, of a live run after 1
+    s."""
     screenshot: Annotated[Path | None, tyro.conf.arg(metavar="FILE.png")] = None
     """Write a picture."""
     movie: Annotated[Path | None, tyro.conf.arg(metavar="FILE.gif|FILE.mp4")] = None
@@ -92,22 +92,22 @@ class View(WaitOptions, FileOptions):
     html: Annotated[Path | None, tyro.conf.arg(metavar="FILE.html")] = None
     """Write a page that plays and turns by itself, without a network."""
     from_s: float | None = None
-    """Where a film or a page begins, in s; by default with the run."""
+    """Beginning of a film or a page in s; by default that of the run."""
     until_s: float | None = None
-    """Where it ends, in s; by default with the run, 5 s on of a live one."""
+    """End of a film or a page in s; by default that of the run, of a live run after 5 s."""
     speed: float = 1.0
-    """Of a film: 0.25 takes four times as long as the run did."""
+    """Speed of a film: 0.25 takes four times as long as the run did."""
     fps: float = 25.0
     """Frames a second of a film or a page, 1 to 60."""
     size: Annotated[str, tyro.conf.arg(metavar="WxH")] = "1280x720"
     """Width and height in pixels."""
     camera: Literal["front", "side", "top", "corner"] = "front"
-    """Where from one looks."""
+    """Direction of view."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write as JSON what is shown and what is not; - for standard output."""
 
     def run(self) -> int:
-        """Show it, or write it."""
+        """Show the run, or write it."""
         from haptether.cli.shared.output import check_distinct, check_target
         from haptether.cli.shared.screen import screen
         from haptether.view.film import require_film
@@ -170,7 +170,7 @@ class View(WaitOptions, FileOptions):
             raise ValueError(message)
 
     def _described(self, console: "Screen") -> "list[Description]":
-        """What is seen of each run."""
+        """Return a description of each run."""
         from haptether.bridge import load_scene
         from haptether.cli.scene.simulate import spinner
         from haptether.view import describe_beside
@@ -207,7 +207,7 @@ class View(WaitOptions, FileOptions):
             yield stack.enter_context(following)
 
     def _followed(self, console: "Screen") -> "list[Description]":
-        """What is remembered of a live run when it has come to where the last file ends."""
+        """Return the history of a live run once it has come to the end of the last file."""
         wanted = [time_s for time_s in (self.at_s, self.from_s, self.until_s) if time_s is not None]
         if any(not 0.0 <= time_s <= MAX_LIVE_S for time_s in wanted):
             message = f"--at-s, --from-s, --until-s of a live run: must be 0 to {MAX_LIVE_S:g} s"
@@ -241,7 +241,7 @@ class View(WaitOptions, FileOptions):
         return 0
 
     def _check_what(self) -> None:
-        """Refuse what cannot be shown, before a display is looked for."""
+        """Refuse invalid runs before a display is looked for."""
         from haptether.bridge import SceneError, load_scene
         from haptether.cli.recording.files import check_files
 
@@ -282,7 +282,7 @@ class View(WaitOptions, FileOptions):
     def _check_times(self, described: "list[Description]") -> None:
         begin_s, end_s = bounds(described)[0], max(one.timeline.over_s for one in described)
         if self.connect:
-            # The run may have ended before, or begun to be followed after.
+            # The run may have ended before, or the view may have begun to follow it later.
             begin_s, end_s = 0.0, MAX_LIVE_S
         for option, time_s in (("--at-s", self.at_s), ("--from-s", self.from_s), ("--until-s", self.until_s)):
             if time_s is not None and not begin_s - ROUNDING_S <= time_s <= end_s + ROUNDING_S:
@@ -357,10 +357,10 @@ class View(WaitOptions, FileOptions):
 
 
 def size_of(text: str) -> tuple[int, int]:
-    """Width and height in pixels of `WxH`.
+    """Return width and height in pixels of `WxH`.
 
     Raises:
-        ValueError: Another form, or beyond what can be drawn.
+        ValueError: Another form, or a size that cannot be drawn.
     """
     from haptether.view.picture.layout import LARGEST_SIZE, LEAST_SIZE
 
@@ -374,7 +374,7 @@ def size_of(text: str) -> tuple[int, int]:
 
 
 def simulated(what: str, overrides: tuple[str, ...], console: "Screen") -> "tuple[Run, Scene]":
-    """A scene that is run, with its signals kept even if it keeps none."""
+    """Run a scene, with its signals kept even if it keeps none; return the run and the scene."""
     from haptether.bridge import load_scene, simulate
     from haptether.cli.shared.unusual import ask_units
 
@@ -385,11 +385,11 @@ def simulated(what: str, overrides: tuple[str, ...], console: "Screen") -> "tupl
 
 
 def recorded(path: Path, *other: Path, slave_begun_s: float | None = None) -> "Run":
-    """A recording of one side or of both, or what `Run.save` wrote.
+    """Return a recording of one side or of both, or a run of `Run.save`.
 
     Raises:
         OSError: It cannot be read.
-        ValueError: It is no recording, or the two do not go together.
+        ValueError: It is not a recording, or the two do not go together.
     """
     from haptether.bridge import load
     from haptether.view.saved import saved_run
@@ -400,13 +400,13 @@ def recorded(path: Path, *other: Path, slave_begun_s: float | None = None) -> "R
 
 
 def bounds(described: "list[Description]") -> tuple[float, float]:
-    """When the first of them begins and the last ends, in s."""
+    """Return when the first of them begins and the last ends, in s."""
     return min(one.timeline.begin_s for one in described), max(one.timeline.end_s for one in described)
 
 
 @contextmanager
 def progress(frames: int) -> "Iterator[Callable[[int], None]]":
-    """Says on standard error how many frames are done."""
+    """Show on standard error how many frames are done."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
     from haptether.cli.shared.screen import Screen

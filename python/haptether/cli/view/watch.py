@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 
 REFRESH_HZ = 10
 LINE_S = 1.0
-"""Between two lines, where there is no terminal."""
+"""Time in s between two lines without a terminal."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Watch(WaitOptions):
-    """Show what a running side does: ladder, forces, observers against their thresholds, link, loop, gripper.
+    """Show a running side: ladder, forces, observers against their thresholds, link, loop, gripper.
 
-    It reads the telemetry that `--telemetry PATH` of master or slave sends, in a process of its own: the loop does not
-    notice who looks, and nothing can be commanded from here. Not on a terminal it prints a line a second, and each
-    event. It ends with the run, status 0; with status 1 where the run fails or is killed.
+    It reads the telemetry of `--telemetry PATH` of master or slave, in a process of its own. The loop is not affected,
+    and nothing can be commanded from here. Without a terminal it prints a line a second, and each event. It ends with
+    the run, status 0, or with status 1 if the run fails or is killed.
 
     Examples:
 
@@ -37,8 +37,7 @@ class Watch(WaitOptions):
     """
 
     path: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")] = None
-    """The Unix socket that --telemetry of the running side names; without it that of the one side of this user that
-    runs here."""
+    """Unix socket of --telemetry of the running side; by default that of this user's one side that runs here."""
     duration_s: float | None = None
     """End after this time in s; without it, with the run."""
 
@@ -46,8 +45,8 @@ class Watch(WaitOptions):
         """Show the side until its end.
 
         Raises:
-            OSError: Nobody sends there, or it ended in the middle.
-            ValueError: What is sent is no telemetry; without a path, none or several sides run here.
+            OSError: Nobody sends there, or the telemetry ended without its last message.
+            ValueError: The sender does not send telemetry; without a path, none or several sides run here.
         """
         from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.screen import Screen
