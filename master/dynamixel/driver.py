@@ -8,7 +8,7 @@ compensation. The residual of the two, and the limit springs, are attributed to 
 from collections.abc import Sequence
 from typing import Any
 
-from haptether.dynamixel.arm import FaultKind, ServoArm
+from haptether.dynamixel.arm import MAX_DOUBTFUL, FaultKind, ServoArm
 from haptether.dynamixel.description import ArmKinematics
 from haptether.master.device import MasterSample
 from haptether.master.dynamixel.compensation import Compensation
@@ -63,6 +63,10 @@ class DynamixelMaster:
         self._currents = [0.0] * len(settings.servos)
         self._q: list[float] = []
         self._w: list[float] = []
+        self._accepted: list[float] = []
+        """Joint angles of the last plausible read."""
+        self._fast_reads = 0
+        """Reads in a row with a joint beyond its largest speed."""
         self._sample: MasterSample | None = None
         self._shown: str | None = None
         """Fault of the last sample."""
@@ -119,11 +123,11 @@ class DynamixelMaster:
         """
         if self._sample is None:
             return
-        reflected = self._kinematics.torques(self._q, (*force, *(torque or (0.0,) * 3))) if self._poses else force
+        reflected = self._kinematics.torques(self._accepted, (*force, *(torque or (0.0,) * 3))) if self._poses else force
         if len(reflected) != self._joints:
             message = f"force = {tuple(reflected)}: {self.arm.name} has {self._joints} joints: must be as many"
             raise ValueError(message)
-        self.compensated_nm = self.compensation.torques(self._q, self._w)
+        self.compensated_nm = self.compensation.torques(self._accepted, self._w)
         currents, amperes, most = self._currents, self._amperes, self.most_nm
         cut = False
         for index in range(self._joints):
@@ -143,6 +147,11 @@ class DynamixelMaster:
             self.servos.write_currents(self._currents)
 
     def _check_speed(self) -> None:
+        """End all torque if a joint is too fast at four reads in a row: fewer may be wrong."""
+        is_fast = any(abs(speed) > most for speed, most in zip(self._w, self.max_speed, strict=True))
+        self._fast_reads = self._fast_reads + 1 if is_fast else 0
+        if self._fast_reads <= MAX_DOUBTFUL:
+            return
         for joint, speed, most in zip(self.arm.joints, self._w, self.max_speed, strict=True):
             if abs(speed) > most:
                 text = (
@@ -156,6 +165,7 @@ class DynamixelMaster:
         position, velocity = self.servos.position.tolist(), self.servos.velocity.tolist()
         trigger = min(max(position[-1] / self._range, 0.0), 1.0) if self._range else None
         self._q, self._w = position[: self._joints], velocity[: self._joints]
+        self._accepted = self.servos.accepted[: self._joints].tolist()
         if not self._poses:
             return MasterSample(self._q, self._w, trigger=trigger)
         place, quat, twist = self._kinematics.state(self._q, self._w)

@@ -110,7 +110,7 @@ class DynamixelSlave:
         elif fresh:
             self._felt = self._torque.of(arm.current, arm.velocity, now_s - self._read_s)
             if self._goal is None:
-                self._goal = self._within(self._position)
+                self._goal = self._within(arm.accepted)
             if arm.ramp < 1.0:
                 # The caps rise with each write.
                 arm.write_positions(self._goal)
@@ -129,7 +129,7 @@ class DynamixelSlave:
             return
         wanted = self._within(wanted)
         if not self._led:
-            away = np.abs(wanted - self._position)
+            away = np.abs(wanted - self.servos.accepted)
             if self.options.start == "refuse" and away.max() > self.options.max_jump:
                 joint = int(away.argmax())
                 self._refuse(
@@ -142,15 +142,16 @@ class DynamixelSlave:
         step = self.options.max_speed * min(now_s - self._written_s, MAX_STEP_S)
         self._written_s = now_s
         goal = np.clip(wanted, self._goal - step, self._goal + step)
-        lag = self.options.max_lag
-        self._goal = self._within(np.clip(goal, self._position - lag, self._position + lag))
+        at, lag = self.servos.accepted, self.options.max_lag
+        self._goal = self._within(np.clip(goal, at - lag, at + lag))
         self.servos.write_positions(self._goal)
 
     def stop(self) -> None:
         """Hold the joints in place; keep the goal offset that carries their weight."""
         self._led = False
         if self._goal is not None and self.servos.fault is None:
-            self._goal = self._within(np.clip(self._goal, self._position - REST_LAG, self._position + REST_LAG))
+            at = self.servos.accepted
+            self._goal = self._within(np.clip(self._goal, at - REST_LAG, at + REST_LAG))
             self.servos.write_positions(self._goal)
 
     def acknowledge(self) -> None:
