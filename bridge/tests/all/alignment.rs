@@ -71,7 +71,7 @@ fn turned(x: f64, y: f64, z: f64) -> Orientation {
     UnitQuaternion::from_scaled_axis(Axes::<3>::new(x, y, z))
 }
 
-/// Turn the hand by `angle` from the slave's orientation, seen in the slave's frame.
+/// Return the settings with the hand at `angle` from the slave's orientation, in the slave's frame.
 fn off_by(set: Set, angle: f64) -> Set {
     let way = UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.6, 0.0, -0.8) * angle);
     let hand = set.frame.inverse() * way * set.start[1] * set.frame;

@@ -609,8 +609,8 @@ fn engagements(history: &[[LadderState; 2]]) -> usize {
     history.windows(2).filter(|pair| !pair[0][0].is_coupled() && pair[1][0].is_coupled()).count()
 }
 
-/// The link is cut so that the slave receives the release of a press but not the press. When the link is back after 20
-/// s, only another press couples the sides.
+/// The link is cut so that the slave receives the release of a press but not the press. When the link is back after
+/// 20 s, only another press couples the sides.
 #[test]
 fn press_unseen_by_the_slave_couples_nothing_later() {
     use LadderState::{Aligning, Disengaged, Engaged, Stop};
