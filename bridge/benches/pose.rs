@@ -1,6 +1,6 @@
-//! A tick of both sides, three axes against poses: `cargo bench -p haptether-bridge --bench pose`.
+//! Tick of both sides, three axes compared with poses: `cargo bench -p haptether-bridge --bench pose`.
 //!
-//! Each is `tick, send, receive` of master and slave, without a session, with plants that cost nothing.
+//! A tick is `tick, send, receive` of master and slave, without a session, with plants that cost nothing.
 #![allow(clippy::unwrap_used, missing_docs)] // a bench may; criterion's macros make public items
 
 use std::{hint::black_box, time::Instant};
@@ -66,7 +66,7 @@ fn slave(rotation: bool) -> SlaveEndpoint<3> {
     SlaveEndpoint::of_pose(&settings, &turning).unwrap()
 }
 
-/// Step both sides, `ticks` of 1 ms on.
+/// Step both sides by `ticks` ticks of 1 ms.
 fn run(near: &mut impl Side, far: &mut impl Side, from: u64, ticks: u64) {
     let mut buffer = [0; MAX_FRAME];
     for tick in from..from + ticks {
@@ -105,7 +105,7 @@ fn ticks(criterion: &mut Criterion) {
         let far = SlaveSide::new(far, slave(turns)).with_gripper(gripper);
         group.bench_function(name, |bencher| {
             bencher.iter_custom(|count| {
-                // Of the kind of records that a run has.
+                // Sides with the same type of records as in a run.
                 let begun = if turns {
                     let (mut near, mut far) = (near.clone().turning(), far.clone().turning());
                     run(&mut near, &mut far, 0, 1000);

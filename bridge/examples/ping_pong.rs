@@ -1,11 +1,12 @@
-//! Round trips over loopback: bare datagrams, frames in the clear, and frames in a secure session, turn by turn.
+//! Round trips over loopback, in turns: bare datagrams, frames in the clear, and frames in a secure session.
 //!
-//! Each exchange is what a tick of both endpoints does, with a thread and a socket for each side:
-//! `tick, send, seal -> UDP -> open, receive, tick, send, seal -> UDP -> open, receive`. The bare one sends back as many
-//! bytes as the sealed one. Both wait in the kernel for what arrives. Who pings runs on the CPU `NEAR`, who answers on `FAR`.
+//! Each exchange is a tick of both endpoints, with a thread and a socket for each side:
+//! `tick, send, seal -> UDP -> open, receive, tick, send, seal -> UDP -> open, receive`. The bare exchange sends as
+//! many bytes as the sealed one. Both sides wait in the kernel for datagrams. The pinging side runs on CPU `NEAR`, the
+//! answering one on CPU `FAR`.
 //!
 //! `ping_pong TURNS PINGS NEAR FAR` prints, for each kind, the round trips of each turn in ns as one line of JSON.
-#![allow(clippy::unwrap_used)] // a bench: whatever fails ends it
+#![allow(clippy::unwrap_used)] // a bench: any failure ends it
 
 use std::{
     net::UdpSocket,
@@ -30,13 +31,13 @@ use haptether_safety::{
 use rustix::thread::{CpuSet, sched_setaffinity};
 
 const PERIOD_NS: u64 = 1_000_000;
-/// Pings of a turn before those that count.
+/// Pings at the start of a turn that do not count.
 const WARM_UP: usize = 500;
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// What one side does with the bytes of the other.
+/// Answer of one side to the bytes of the other.
 trait Side: Send {
-    /// Take what arrived, if anything did, and give what to send.
+    /// Take the received datagram, if any, and return the datagram to send.
     fn exchange<'a>(
         &mut self,
         arrived: Option<&mut [u8]>,
@@ -44,7 +45,7 @@ trait Side: Send {
     ) -> Option<&'a [u8]>;
 }
 
-/// As many bytes as a sealed frame, and nothing done with them.
+/// Side that sends as many bytes as a sealed frame, without any computation.
 struct Bare;
 
 impl Side for Bare {
@@ -86,7 +87,7 @@ impl Endpoint {
     }
 }
 
-/// An endpoint behind its session. Its time is counted in periods: what is measured is work, not waiting.
+/// Endpoint behind its session. Its time counts periods, so that only work is measured, not waiting.
 struct Bridged {
     session: Session,
     endpoint: Endpoint,
@@ -168,14 +169,14 @@ fn bridged(secure: bool) -> [Box<dyn Side>; 2] {
         .map(|(session, endpoint)| Box::new(Bridged { session, endpoint, now_ns: 0 }) as Box<dyn Side>)
 }
 
-/// Keep this thread on one CPU.
+/// Pin this thread to one CPU.
 fn pin(cpu: usize) {
     let mut cpus = CpuSet::new();
     cpus.set(cpu);
     sched_setaffinity(None, &cpus).unwrap();
 }
 
-/// Round trips of one turn in ns.
+/// Return the round trips of one turn in ns.
 fn turn([mut near, mut far]: [Box<dyn Side>; 2], pings: usize, answers_on: usize) -> Vec<u64> {
     let [here, there] = [(); 2].map(|()| UdpSocket::bind("127.0.0.1:0").unwrap());
     here.connect(there.local_addr().unwrap()).unwrap();
@@ -195,7 +196,7 @@ fn turn([mut near, mut far]: [Box<dyn Side>; 2], pings: usize, answers_on: usize
     let mut length = 0;
     let mut taken_ns = Vec::with_capacity(pings + WARM_UP);
     for ping in 0..pings + WARM_UP {
-        // From the newest frame of the peer to the next: what a person waits for.
+        // From the newest frame of the peer to the next one, as a person experiences it.
         let begun = Instant::now();
         let answer = (ping > 0).then_some(&mut arrived[..length]);
         here.send(near.exchange(answer, &mut buffer).unwrap()).unwrap();
@@ -213,7 +214,7 @@ fn main() {
     pin(near);
     let mut all: [Vec<Vec<u64>>; 3] = Default::default();
     for number in 0..turns {
-        // Who goes first changes, so that a load that rises or falls favours nobody.
+        // The order changes in each turn, so that a rising or falling load favours no kind.
         for place in 0..3 {
             let kind = (place + number) % 3;
             let sides: [Box<dyn Side>; 2] = match kind {

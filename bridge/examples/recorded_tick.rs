@@ -1,9 +1,9 @@
-//! What telemetry and recording cost a live tick: `recorded_tick TICKS`, one line of JSON.
+//! Cost of telemetry and recording in a live tick: `recorded_tick TICKS` prints one line of JSON.
 //!
-//! Four loops of a master of three axes tick in one thread at 1 kHz, one after the other and in another order each time:
-//! without either, with telemetry and a reader, with a recording, with both. Of each tick the time from its sample to
-//! its end is taken, in ns: commands, socket, endpoint, frame, records.
-#![allow(clippy::unwrap_used)] // a bench: whatever fails ends it
+//! Four loops of a master with three axes tick in one thread at 1 kHz, in an order that changes each time. They run
+//! without outputs, with telemetry and a reader, with a recording, and with both. Each tick is timed in ns from its
+//! sample to its end: commands, socket, endpoint, frame, records.
+#![allow(clippy::unwrap_used)] // a bench: any failure ends it
 
 use std::{
     env,
@@ -55,7 +55,7 @@ fn master() -> MasterSide<DrivenMaster<3>, 3> {
     MasterSide::new(device, endpoint, Clutch::Once).unwrap()
 }
 
-/// A loop that has begun, and sends to a peer.
+/// Return a started loop that sends to `peer`.
 fn begun(folder: &Path, peer: SocketAddr, (name, telemetry, recording): (&str, bool, bool)) -> Loop {
     let path = folder.join(name);
     let outputs = RecordOutputs {
@@ -103,7 +103,7 @@ fn main() {
     let ticks: usize = env::args().nth(1).and_then(|text| text.parse().ok()).unwrap();
     let folder = env::temp_dir().join(format!("haptether-recorded-tick-{}", std::process::id()));
     std::fs::create_dir(&folder).unwrap();
-    // It answers nothing and reads nothing.
+    // The sink neither answers nor reads.
     let sink = UdpSocket::bind("127.0.0.1:0").unwrap();
     let peer = sink.local_addr().unwrap();
     let mut loops: Vec<Loop> = CASES.iter().map(|case| begun(&folder, peer, *case)).collect();
@@ -115,7 +115,7 @@ fn main() {
         for turn in 0..CASES.len() {
             let case = (tick + turn) % CASES.len();
             let mut sampled = Instant::now();
-            // A device is asked within the tick; that this one has not moved costs nothing.
+            // The device is read within the tick; a device that has not moved costs nothing.
             loops[case].step(None, |_| sampled = Instant::now(), |_| ()).unwrap();
             if tick >= WARM_UP {
                 taken[case].push(u64::try_from(sampled.elapsed().as_nanos()).unwrap());

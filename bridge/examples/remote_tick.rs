@@ -1,10 +1,10 @@
-//! What a tick of a remote scene in virtual time costs: `remote_tick REPEATS SCENE.json...`, one line of JSON each.
+//! Cost of a tick of a remote scene in virtual time: `remote_tick REPEATS SCENE.json...` prints one line of JSON each.
 //!
-//! Each scene, in the form of `haptether.bridge.scene_json`, is run `REPEATS` times and once with every frame as its
-//! bytes; the times are the least of the runs, in ns per tick of the master, on one thread. Beside them stand what the
-//! run is judged by, what its sides counted, and a checksum of its signals and events, which must not depend on how
-//! frames travel.
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // a bench: whatever fails ends it
+//! Each scene, in the form of `haptether.bridge.scene_json`, is run `REPEATS` times with plain and `REPEATS` times
+//! with encoded frames. Times are the least of the runs, in ns per tick of the master, on one thread. The line also
+//! has the outcome, the counts of both sides, and a checksum of signals and events. These must not depend on the
+//! encoding.
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // a bench: any failure ends it
 
 use std::{env, fs, sync::atomic::AtomicBool, time::Instant};
 
@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 
 type Simulate = fn(&[u8], &AtomicBool) -> Result<SceneRun, SceneError>;
 
-/// CRC-32 of names and values of the signals, and of time, kind and detail of the events.
+/// Return the CRC-32 of names and values of the signals, and of time, kind and detail of the events.
 fn checksum(run: &SceneRun) -> u32 {
     let mut sum = crc32fast::Hasher::new();
     for signal in &run.signals {
@@ -96,7 +96,7 @@ fn main() {
         let scene = fs::read(&path).unwrap();
         let mut least_ns = [f64::INFINITY; 2];
         let mut seen = [const { None }; 2];
-        // In turn, so that both meet the same machine.
+        // In turn, so that both run under the same load.
         for _ in 0..repeats {
             for (transport, (_, simulate)) in transports.iter().enumerate() {
                 seen[transport] = Some(match timed(*simulate, &scene) {

@@ -1,5 +1,5 @@
-//! A tick allocates nothing: counted by an allocator of our own, with every observer and controller on.
-#![allow(clippy::unwrap_used, unsafe_code)] // a test may; an allocator cannot be had without
+//! A tick allocates nothing. A custom allocator counts, with every observer and controller on.
+#![allow(clippy::unwrap_used, unsafe_code)] // a test may; an allocator needs unsafe code
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},
@@ -41,7 +41,7 @@ use haptether_slave::{
 };
 
 thread_local! {
-    /// Of this thread alone: the harness allocates in another.
+    /// Allocations of this thread only, because the harness allocates in another.
     static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
 }
 
@@ -54,7 +54,7 @@ struct Counting;
 // SAFETY: every call goes unchanged to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        // A thread that is ending has no counter any more.
+        // A thread that is ending no longer has a counter.
         let _ = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
         // SAFETY: the caller's contract is passed on.
         unsafe { System.alloc(layout) }
@@ -203,7 +203,7 @@ fn a_tick_of_a_trigger_that_is_felt_allocates_nothing() {
     assert!(tripped && felt < -1.0, "the run must have done something: {tripped} {felt}");
 }
 
-/// A hand that moves and turns, and lets go.
+/// A hand that moves, turns and lets go.
 fn turning_master() -> TurningMaster<SimulatedMaster<3>> {
     let release = Some(Release { at_s: 1.2, decay_s: 0.05, kind: ReleaseKind::Strength });
     let legs =
@@ -227,7 +227,7 @@ fn turning_master() -> TurningMaster<SimulatedMaster<3>> {
     TurningMaster { point, body }
 }
 
-/// A tool with a body between its jaws, and a handle beside it.
+/// A tool with a body between its jaws and a handle next to it.
 fn holding_tool(turned_rad: f64) -> SimulatedTool {
     let turned = 0.5 * turned_rad;
     let arm = ArmSettings {
@@ -357,7 +357,7 @@ fn poses_allocate_nothing(alignment: Option<AlignmentSettings>) {
     assert_eq!(allocated, 0);
     assert!(master.exchange().state() == LadderState::Engaged, "{:?}", master.exchange().state());
     assert!(tripped && holds && turned > 0.1, "{tripped} {holds} {turned}");
-    // 0.1 rad at 0.5 rad/s, but for what counts as aligned.
+    // 0.1 rad at 0.5 rad/s, less the alignment tolerance.
     assert_eq!(aligning > 100, alignment.is_some(), "{aligning} ms");
 }
 
@@ -371,7 +371,7 @@ fn clock_age_playout_and_statistics_allocate_nothing() {
     let before = allocations();
     let (mut played, mut now_ns) = (0, 0);
     for n in 0..50_000_u64 {
-        // Delays of 20 to 30 ms and, once, a path and a clock that change for good.
+        // Delays of 20 to 30 ms, and one permanent change of path and clock.
         let delay_ns = 20 * MS + n * 7919 % 9973 * 1_000 + if n > 20_000 { 300 * MS } else { 0 };
         let sent_ns = n * MS;
         now_ns = (sent_ns + delay_ns).max(now_ns);
@@ -430,9 +430,9 @@ fn sealing_and_opening_allocate_nothing() {
     assert_eq!((allocated, taken), (0, 10_000));
 }
 
-/// A loop whose device fails: its diagnosis and every record go to whoever looks on.
+/// A loop whose device fails: its diagnosis and every record go to observers.
 #[test]
-fn a_tick_of_a_loop_that_is_looked_at_allocates_nothing() {
+fn tick_of_an_observed_loop_allocates_nothing() {
     let endpoint = MasterEndpoint::new(&MasterSettings {
         period_ns: MS,
         run_id: 1,

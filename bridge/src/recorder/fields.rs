@@ -1,4 +1,4 @@
-//! What stands in a recording, and what it means.
+//! Fields of a recording and their meanings.
 
 use haptether_safety::controller::ControllerKind;
 use serde_json::json;
@@ -14,22 +14,22 @@ use crate::{
 pub enum Value<'a> {
     /// One number for each axis.
     Axes(&'a [f64]),
-    /// A number; what is not finite becomes null.
+    /// Number; a value that is not finite becomes null.
     Number(f64),
-    /// A count or a code.
+    /// Count or code.
     Count(u64),
-    /// A set of bits.
+    /// Set of bits.
     Bits(u64),
-    /// A name.
+    /// Name.
     Name(&'static str),
-    /// A name with its code.
+    /// Name with its code.
     Code(u8, &'static str),
-    /// Yes or no.
+    /// Boolean.
     Flag(bool),
 }
 
 impl Value<'_> {
-    /// What JSON Schema calls it.
+    /// Return the type in JSON Schema.
     fn schema(self) -> serde_json::Value {
         match self {
             Self::Axes(_) => json!({"type": "array", "items": {"type": ["number", "null"]}}),
@@ -41,7 +41,7 @@ impl Value<'_> {
     }
 
     fn write(self, out: &mut Vec<u8>) {
-        // A vector takes all that is written, and JSON has all these values.
+        // A write to a vector never fails, and JSON can represent all these values.
         let _ = match self {
             Self::Axes(values) => serde_json::to_writer(out, values),
             Self::Number(value) => serde_json::to_writer(out, &value),
@@ -52,27 +52,27 @@ impl Value<'_> {
     }
 }
 
-/// One field of a record: name, meaning with unit, value.
+/// Field of a record: name, meaning with unit, value.
 pub type Field<'a> = (&'static str, &'static str, Value<'a>);
 
-/// What can be recorded.
+/// Record that can be recorded.
 pub trait Recorded: Send + 'static {
-    /// Whose record it is.
+    /// Return the side of the record.
     fn side(&self) -> &'static str;
 
-    /// Any record, which shows what fields there are.
+    /// Return any record, which shows the fields.
     fn any() -> Self
     where
         Self: Sized;
 
-    /// Time since the run began, in ns.
+    /// Return the time since the run began, in ns.
     fn time_ns(&self) -> u64;
 
-    /// Hand each field to `take`, always the same in the same order.
+    /// Pass each field to `take`, always the same fields in the same order.
     fn fields<'a>(&'a self, take: &mut dyn FnMut(Field<'a>));
 }
 
-/// The JSON Schema of a record.
+/// Return the JSON Schema of a record.
 pub(super) fn schema(record: &dyn Recorded) -> String {
     let mut properties = serde_json::Map::new();
     record.fields(&mut |(name, meaning, value)| {
@@ -102,7 +102,7 @@ pub(super) fn write_json(record: &dyn Recorded, security: SecurityMark, out: &mu
     out.push(b'}');
 }
 
-/// A time in s; what never was is null.
+/// Return a time in s; null if it never occurred.
 fn seconds(ns: u64) -> Value<'static> {
     Value::Number(if ns == u64::MAX { f64::NAN } else { ns as f64 * 1e-9 })
 }

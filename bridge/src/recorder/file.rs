@@ -1,4 +1,4 @@
-//! The file of a recording: MCAP with JSON messages, on a disk that may refuse or be full.
+//! File of a recording: MCAP with JSON messages, on a disk that may fail or be full.
 
 use std::{
     collections::BTreeMap,
@@ -25,10 +25,10 @@ use super::{
 };
 use crate::{ladder::Explanation, live::now_ns};
 
-/// Name of the metadata that say what the file is.
+/// Name of the metadata that describe the file.
 pub(super) const METADATA: &str = "haptether";
 
-/// Of the channel that says why the two sides were not coupled.
+/// Schema of the channel with the reasons why the sides were not coupled.
 const CAUSE_SCHEMA: &str = r#"{"title": "haptether.cause", "type": "object", "properties": {
 "time_ns": {"type": "integer", "description": "time since the run began, in ns"},
 "state": {"type": "string", "description": "state of the ladder"},
@@ -44,7 +44,7 @@ struct Cause {
     explanation: Explanation,
 }
 
-/// A file that is being written.
+/// MCAP file while it is written.
 pub(super) struct McapFile<W: Write> {
     writer: Option<Writer<NoSeek<Sink<W>>>>,
     refusal: Refusal,
@@ -52,14 +52,14 @@ pub(super) struct McapFile<W: Write> {
     causes: u16,
     notes: u32,
     security: SecurityMark,
-    /// Wall-clock time in ns at which the run began, for the log times; until that is known, the file.
+    /// Wall-clock time in ns at which the run began, for the log times; before `set_start`, that of the file.
     begun_ns: u64,
     sequence: u32,
     message: Vec<u8>,
 }
 
 impl<W: Write> McapFile<W> {
-    /// Write the head: what the file is, the schema of its messages, their channel.
+    /// Write the head: metadata, schema of the messages, and channels.
     pub(super) fn begin(out: W, any: &dyn Recorded, security: SecurityMark, scene: &str) -> Self {
         let (sink, refusal) = Sink::new(out);
         let mut file = Self {
@@ -76,7 +76,7 @@ impl<W: Write> McapFile<W> {
         file.writer = WriteOptions::new()
             .profile("haptether")
             .library(concat!("haptether ", env!("CARGO_PKG_VERSION")))
-            // Chunks are ended by `flush`, and written in one go: a pipe cannot seek.
+            // A chunk is ended by `flush` and written as a whole, because a pipe cannot seek.
             .chunk_size(None)
             .disable_seeking(true)
             .create(NoSeek::new(sink))
@@ -106,12 +106,12 @@ impl<W: Write> McapFile<W> {
         file
     }
 
-    /// The log times are those of the run itself: a run in virtual time has no wall clock.
+    /// Use the times of the run as log times, because a run in virtual time has no wall clock.
     pub(super) fn begin_at_zero(&mut self) {
         self.begun_ns = 0;
     }
 
-    /// Take the start of the run, in ns of the monotonic clock, for the log times; 0 is none.
+    /// Set the start of the run for the log times, in ns of the monotonic clock; 0 means unknown.
     pub(super) fn set_start(&mut self, started_ns: u64) {
         if started_ns != 0 {
             self.begun_ns = wall_clock_ns().saturating_sub(now_ns().saturating_sub(started_ns));
@@ -134,12 +134,12 @@ impl<W: Write> McapFile<W> {
         let _ = writer.write_to_known_channel(&header, &self.message);
     }
 
-    /// Add why the two sides are not coupled to the chunk.
+    /// Add a diagnosis of a decoupling to the chunk.
     pub(super) fn note(&mut self, note: &Note) {
         let Some(writer) = &mut self.writer else { return };
         let cause = Cause { time_ns: note.time_ns, explanation: note.diagnosis.explain() };
         self.message.clear();
-        // A vector takes all that is written, and JSON has all these values.
+        // A write to a vector never fails, and JSON can represent all these values.
         let _ = serde_json::to_writer(&mut self.message, &cause);
         let log_time = self.begun_ns.saturating_add(note.time_ns);
         let header =
@@ -148,13 +148,13 @@ impl<W: Write> McapFile<W> {
         let _ = writer.write_to_known_channel(&header, &self.message);
     }
 
-    /// End the chunk and hand it to the system; return the number of the error if it was refused.
+    /// End the chunk and pass it to the system; return the error number of a failure.
     pub(super) fn flush(&mut self) -> Option<i32> {
         let is_done = self.writer.as_mut().is_some_and(|writer| writer.flush().is_ok());
         self.outcome(is_done)
     }
 
-    /// Write the index and the end; return the number of the error if that was refused.
+    /// Write the index and the end; return the error number of a failure.
     pub(super) fn finish(mut self) -> Option<i32> {
         let is_done = self.writer.as_mut().is_some_and(|writer| writer.finish().is_ok());
         self.outcome(is_done)
@@ -171,27 +171,27 @@ fn wall_clock_ns() -> u64 {
     u64::try_from(since_epoch.as_nanos()).unwrap_or(0)
 }
 
-/// The disk that a file lies on.
+/// Free space of the disk of a file.
 #[derive(Debug)]
 pub(super) struct FreeSpace(File);
 
 impl FreeSpace {
-    /// Of the disk that a file at `path` lies on, whether it is there or not.
+    /// Open the disk of the file at `path`, which need not exist.
     pub(super) fn beside(path: &Path) -> io::Result<Self> {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
         Ok(Self(File::open(folder.unwrap_or(Path::new(".")))?))
     }
 
-    /// Bytes that an ordinary user may still write; of a disk that does not say, all there are.
+    /// Return the bytes that an ordinary user may still write; `u64::MAX` if the disk does not report them.
     pub(super) fn bytes(&self) -> u64 {
         fstatvfs(&self.0).map_or(u64::MAX, |disk| disk.f_bavail.saturating_mul(disk.f_frsize))
     }
 }
 
-/// Open a file for its owner alone, from its begin.
+/// Open an empty file with access for its owner only.
 ///
-/// A link is not followed: in a folder that others may write to, it would have this process write where they say. A pipe
-/// needs its reader: to wait for one would hold up every signal.
+/// A symbolic link is refused, because in a folder that others can write to it could redirect the output. A pipe
+/// without a reader is refused, because waiting for one would block signals.
 pub(super) fn create(path: &Path) -> io::Result<File> {
     let flags = i32::try_from((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits()).unwrap_or(0);
     let mut options = OpenOptions::new();
@@ -207,25 +207,25 @@ pub(super) fn create(path: &Path) -> io::Result<File> {
         ),
         _ => error,
     })?;
-    // Once the file is open, writes may block: they have a thread of their own.
+    // After opening, writes may block, because they run on a separate thread.
     fcntl_setfl(&file, fcntl_getfl(&file)? - OFlags::NONBLOCK)?;
-    // One that was there has the rights that it had; a pipe or a device is somebody else's.
+    // An existing file keeps its permissions, so they are set here; those of a pipe or device are not changed.
     if file.metadata()?.is_file() {
         file.set_permissions(Permissions::from_mode(0o600))?;
     }
     Ok(file)
 }
 
-/// A sink whose first error ends it: what comes after is thrown away, and the error is kept.
+/// Writer that ignores all output after its first error, and keeps the error.
 ///
-/// MCAP's writer goes on writing when it is dropped; on a disk that refuses, that must do nothing.
+/// The MCAP writer also writes when it is dropped; after a disk error that must have no effect.
 #[derive(Debug)]
 pub(super) struct Sink<W> {
     out: W,
     refusal: Refusal,
 }
 
-/// The number of a sink's first error, once there was one.
+/// Error number of the first failure of a sink, if any.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Refusal(Arc<AtomicI32>);
 

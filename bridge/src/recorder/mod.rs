@@ -1,7 +1,7 @@
-//! Records of a live loop to a file, on a thread of its own behind a bounded ring.
+//! Recording of a live loop to a file, on a separate thread behind a bounded ring.
 //!
-//! The loop never waits for it. What a slow disk does not take in time is dropped and counted; a disk that refuses, or
-//! that has too little space left, ends the recording and nothing else. The file is MCAP with messages in JSON.
+//! The loop never waits for the recorder. Records that a slow disk cannot take in time are dropped and counted. A disk
+//! that fails or is nearly full ends only the recording. The file is MCAP with messages in JSON.
 
 mod fields;
 mod file;
@@ -29,17 +29,17 @@ pub(crate) use waiting::WaitingRecorder;
 
 use crate::{ladder::Diagnosis, ring::ring};
 
-/// Whether frames are sealed; a recording of an unsealed run says so in every record.
+/// Mark of sealed or unsealed frames, written in every record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SecurityMark {
-    /// Encrypted and authenticated.
+    /// Frames are encrypted and authenticated.
     Secure,
-    /// In the clear, from anybody.
+    /// Frames are not encrypted, and their sender is not authenticated.
     Insecure,
 }
 
 impl SecurityMark {
-    /// As it stands in a recording.
+    /// Return the name used in recordings.
     pub fn name(self) -> &'static str {
         match self {
             Self::Secure => "secure",
@@ -48,27 +48,27 @@ impl SecurityMark {
     }
 }
 
-/// How a recording is made.
+/// Settings of a recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecorderSettings {
-    /// Its file, for its owner alone; an existing one is replaced, and a symbolic link is refused.
+    /// File, with access for its owner only. An existing file is replaced; a symbolic link is refused.
     pub path: PathBuf,
-    /// Ends when fewer bytes than this are free on the disk; rosbag stops at 1e9, too.
+    /// Number of free bytes on the disk below which the recording ends; rosbag also stops at 1e9.
     pub min_free_bytes: u64,
-    /// What the run is marked as.
+    /// Security mark of the run.
     pub security: SecurityMark,
-    /// The scene as JSON, kept in the file's metadata: what was set is read beside what came of it. Empty: none.
+    /// Scene as JSON, stored in the metadata of the file next to its results. Empty for no scene.
     pub scene: String,
 }
 
-/// Why a recording ended before the run.
+/// Reason why a recording ended before the run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RecordingEnd {
-    /// Too little space was left on the disk.
+    /// Too little space is left on the disk.
     LowSpace,
-    /// The disk refused, with the number of the system's error.
+    /// The disk failed with this error number of the system.
     Refused(i32),
-    /// The disk did not answer at the end of the run.
+    /// The disk did not respond at the end of the run.
     Stuck,
 }
 
@@ -82,45 +82,45 @@ impl std::fmt::Display for RecordingEnd {
     }
 }
 
-/// What became of a recording.
+/// Result of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RecordingReport {
-    /// Records that the system took.
+    /// Records accepted by the system.
     pub written: u64,
-    /// Records of the loop that are not in the file; while it runs, those that wait are among them.
+    /// Records of the loop that are not in the file; during the run, waiting records are included.
     pub dropped: u64,
-    /// Why it ended early, if it did.
+    /// Reason of an early end, if any.
     pub end: Option<RecordingEnd>,
 }
 
-/// Records that wait for the disk: 16 s at 1 kHz.
+/// Capacity for records that wait for the disk: 16 s at 1 kHz.
 const RING: usize = 1 << 14;
 
-/// Diagnoses that wait for the disk.
+/// Capacity for diagnoses that wait for the disk.
 const NOTES: usize = 16;
 
-/// Why the two sides are not coupled, since when.
+/// Diagnosis of a decoupling, with its time.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Note {
-    /// Since the run began.
+    /// Time since the run began.
     pub(crate) time_ns: u64,
     pub(crate) diagnosis: Diagnosis,
 }
 
-/// How long the end of a run waits for the disk.
+/// Longest wait for the disk at the end of a run.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// How far the recorder's thread is.
+/// Progress of the recorder's thread.
 #[derive(Debug, Default)]
 struct Progress {
     offered: AtomicU64,
     written: AtomicU64,
     end: AtomicU64,
-    /// When the loop began, on its monotonic clock in ns; 0 before.
+    /// Start of the loop on its monotonic clock in ns; 0 before.
     started_ns: AtomicU64,
 }
 
-/// A disk's refusal, above its error's number.
+/// Flag of a disk error, above its error number.
 const REFUSED: u64 = 1 << 32;
 const LOW_SPACE: u64 = 1;
 const STUCK: u64 = 2;
@@ -132,7 +132,7 @@ impl Progress {
             RecordingEnd::Stuck => STUCK,
             RecordingEnd::Refused(number) => REFUSED | u64::from(number.unsigned_abs()),
         };
-        // The first reason is the one that counts.
+        // Only the first reason is kept.
         let _ = self.end.compare_exchange(0, code, Ordering::Relaxed, Ordering::Relaxed);
     }
 
@@ -142,7 +142,7 @@ impl Progress {
             0 => None,
             LOW_SPACE => Some(RecordingEnd::LowSpace),
             STUCK => Some(RecordingEnd::Stuck),
-            #[allow(clippy::cast_possible_truncation)] // put together above
+            #[allow(clippy::cast_possible_truncation)] // composed above
             refused => Some(RecordingEnd::Refused((refused as u32).cast_signed())),
         };
         RecordingReport {
@@ -153,18 +153,18 @@ impl Progress {
     }
 }
 
-/// How a recording stands, for whoever looks on.
+/// View of a recording's progress for other threads.
 #[derive(Clone, Debug)]
 pub struct Recording(Arc<Progress>);
 
 impl Recording {
-    /// As it stands now.
+    /// Return the present state of the recording.
     pub fn report(&self) -> RecordingReport {
         self.0.report()
     }
 }
 
-/// The loop's end of the ring.
+/// Producer of the ring, in the loop.
 #[derive(Debug)]
 pub struct Recorder<R> {
     records: rtrb::Producer<R>,
@@ -200,7 +200,7 @@ impl<R: Recorded> Recorder<R> {
     }
 }
 
-/// The loop's ends of what leads to the thread that writes.
+/// The loop's connections to the writing thread: notes, progress and end.
 type Writer = (rtrb::Producer<Note>, Arc<Progress>, mpsc::Receiver<()>);
 
 /// Start the thread that writes; compiled once for all types of records.
@@ -217,7 +217,7 @@ fn spawn_writer(
     let (seen, min_free_bytes) = (Arc::clone(&progress), settings.min_free_bytes);
     let (security, scene) = (settings.security, settings.scene.clone());
     thread::Builder::new().name("haptether-recorder".into()).spawn(move || {
-        // The head, too, is written there: not even that may keep a run waiting.
+        // The head is also written on the thread, so that a slow disk does not delay the run.
         let file = McapFile::begin(out, &*any, security, &scene);
         write_while_open(file, (&mut *waiting, noted), &seen, &|| free_bytes() < min_free_bytes);
         let _ = to_recorder.send(());
@@ -226,28 +226,28 @@ fn spawn_writer(
 }
 
 impl<R> Recorder<R> {
-    /// The loop's time 0, on the monotonic clock: what is recorded is put on the wall clock by it.
+    /// Set time 0 of the loop on the monotonic clock, from which wall-clock log times are computed.
     pub(crate) fn start(&self, now_ns: u64) {
         self.progress.started_ns.store(now_ns, Ordering::Relaxed);
     }
 
-    /// Hand a record over, or drop it where the disk is slow: what is not written is counted.
+    /// Pass on a record, or drop it if the ring is full; records that are not written are counted.
     pub(crate) fn take(&mut self, record: R) {
         self.progress.offered.fetch_add(1, Ordering::Relaxed);
         let _ = self.records.push(record);
     }
 
-    /// Hands over why the two sides are not coupled, `time_ns` after the run began; dropped where the disk is slow.
+    /// Pass on why the sides are not coupled, `time_ns` after the run began; dropped if the ring is full.
     pub(crate) fn note(&mut self, time_ns: u64, diagnosis: &Diagnosis) {
         let _ = self.notes.push(Note { time_ns, diagnosis: *diagnosis });
     }
 
-    /// Somebody else's view of it.
+    /// Return a view of the recording for other threads.
     pub fn recording(&self) -> Recording {
         Recording(Arc::clone(&self.progress))
     }
 
-    /// Waits until all is written, but not for a disk that does not answer.
+    /// Wait until all records are written, at most [`PATIENCE`].
     pub(crate) fn end(self) -> RecordingReport {
         let Self { records, notes, progress, ended } = self;
         drop(records);
@@ -255,7 +255,7 @@ impl<R> Recorder<R> {
     }
 }
 
-/// Close the last ring of a writer and waits for it; compiled once for all types of records.
+/// Close the last ring of a writer and wait for its end; compiled once for all types of records.
 fn await_writer(
     notes: rtrb::Producer<Note>,
     progress: &Progress,
@@ -268,19 +268,19 @@ fn await_writer(
     progress.report()
 }
 
-/// How long an empty ring is left alone: a small part of the time in which it fills.
+/// Pause after an empty ring: a small part of the time in which the ring fills.
 const PAUSE: Duration = Duration::from_millis(20);
 
-/// Records of a chunk of the file, after which the disk is looked at; a run that is killed loses one.
+/// Records of a chunk of the file, after which the disk is checked. A killed run loses one chunk.
 const CHUNK: u64 = 256;
 
-/// Chunks of one size; those that follow are twice as large, up to [`MAX_CHUNK`]. The index of the file is kept in
-/// memory until its end, some 750 bytes a chunk: 3 MB in the first hour at 1 kHz, then 0.7 MB an hour.
+/// Chunks of one size; the next ones are twice as large, up to [`MAX_CHUNK`]. The index of the file stays in memory
+/// until its end, about 750 bytes a chunk: 3 MB in the first hour at 1 kHz, then 0.7 MB an hour.
 const CHUNKS_OF_A_SIZE: u64 = 1024;
-/// Records of the largest chunk, 4 s at 1 kHz.
+/// Records of the largest chunk: 4 s at 1 kHz.
 const MAX_CHUNK: u64 = 4096;
 
-/// Write records until the other end of the ring is gone and all are written, or the disk has had enough.
+/// Write records until the producer is gone and the ring is empty, or until the disk fails.
 fn write_while_open(
     file: McapFile<impl io::Write>,
     (records, mut notes): (&mut dyn WaitingRecords, rtrb::Consumer<Note>),
@@ -290,7 +290,7 @@ fn write_while_open(
     let mut file = Some(file);
     let (mut taken, mut chunks, mut chunk_end) = (0, 0, CHUNK);
     loop {
-        // Looked at first: what was pushed before the end is seen below.
+        // Checked first, so that records pushed before the end are still taken below.
         let is_last = records.is_abandoned();
         records.take(usize::MAX, &mut |record| {
             if let Some(open) = &mut file {
@@ -325,7 +325,7 @@ fn write_while_open(
     }
 }
 
-/// Has what was written so far taken by the system; closes the file where that fails or little space is left.
+/// Flush the written records to the system. Closes the file if that fails or little space is left.
 fn look_at_disk(
     file: &mut Option<McapFile<impl io::Write>>,
     taken: u64,
@@ -344,7 +344,7 @@ fn look_at_disk(
     progress.written.store(taken, Ordering::Relaxed);
     if is_full() {
         progress.set_end(RecordingEnd::LowSpace);
-        // What is there becomes a whole file: the index at its end is small.
+        // Finish the file, so that it can be read; the index at its end is small.
         let _ = file.take().map(McapFile::finish);
     }
 }

@@ -28,19 +28,19 @@ fn record(tick: u64) -> MasterRecord<2> {
     }
 }
 
-/// What was written, for whoever wrote it.
+/// Written bytes, shared with the test.
 #[derive(Clone, Default)]
-struct Paper(Arc<Mutex<Vec<u8>>>);
+struct Written(Arc<Mutex<Vec<u8>>>);
 
-impl Paper {
+impl Written {
     fn read(&self) -> Vec<u8> {
         self.0.lock().unwrap().clone()
     }
 }
 
-/// A disk that takes `room` bytes, and each only when `gate` is open.
+/// Disk with `room` bytes; each write waits for `gate`.
 struct Disk {
-    paper: Paper,
+    paper: Written,
     room: usize,
     gate: Option<mpsc::Receiver<()>>,
 }
@@ -48,7 +48,7 @@ struct Disk {
 impl Write for Disk {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         if let Some(gate) = &self.gate {
-            // Gone is open for ever.
+            // A dropped sender leaves the gate open.
             let _ = gate.recv();
         }
         let taken = bytes.len().min(self.room);
@@ -65,12 +65,12 @@ impl Write for Disk {
     }
 }
 
-fn disk(room: usize) -> (Disk, Paper) {
-    let paper = Paper::default();
+fn disk(room: usize) -> (Disk, Written) {
+    let paper = Written::default();
     (Disk { paper: paper.clone(), room, gate: None }, paper)
 }
 
-/// The messages that can be read from a file, whole or not.
+/// Return the readable messages of a complete or incomplete file.
 fn messages(file: &[u8]) -> Vec<serde_json::Value> {
     mcap::MessageStream::new_with_options(file, mcap::read::Options::IgnoreEndMagic.into())
         .unwrap()
@@ -79,7 +79,7 @@ fn messages(file: &[u8]) -> Vec<serde_json::Value> {
         .collect()
 }
 
-/// Hands over records as a loop does that has all the time that the disk needs.
+/// Pass on records like a loop that waits for the disk.
 fn take_slowly(recorder: &mut Recorder<MasterRecord<2>>, count: u64) {
     for tick in 0..count {
         while recorder.records.is_full() {
@@ -90,7 +90,7 @@ fn take_slowly(recorder: &mut Recorder<MasterRecord<2>>, count: u64) {
 }
 
 #[test]
-fn what_is_recorded_can_be_read() {
+fn recorded_messages_can_be_read() {
     let (disk, paper) = disk(usize::MAX);
     let mut recorder = Recorder::write_to(disk, || u64::MAX, &SETTINGS).unwrap();
     take_slowly(&mut recorder, 1000);
@@ -158,7 +158,7 @@ fn messages_are_logged_at_the_wall_clock_of_the_run() {
 }
 
 #[test]
-fn why_two_sides_were_not_coupled_stands_in_a_channel_of_its_own() {
+fn causes_of_decoupling_have_their_own_channel() {
     let (disk, paper) = disk(usize::MAX);
     let mut recorder = Recorder::write_to(disk, || u64::MAX, &SETTINGS).unwrap();
     take_slowly(&mut recorder, 10);
@@ -196,13 +196,13 @@ fn why_two_sides_were_not_coupled_stands_in_a_channel_of_its_own() {
 }
 
 #[test]
-fn a_disk_that_does_not_answer_costs_records_and_no_time() {
+fn stuck_disk_costs_records_but_no_time() {
     let (open, gate) = mpsc::channel();
     let (mut disk, paper) = disk(usize::MAX);
     disk.gate = Some(gate);
     let mut recorder = Recorder::write_to(disk, || u64::MAX, &SETTINGS).unwrap();
     let offered = 3 * RING as u64;
-    // Nothing in here waits: the gate is shut, and all is handed over.
+    // Nothing here waits: the gate is closed, and all records are passed on.
     (0..offered).for_each(|tick| recorder.take(record(tick)));
     assert!(recorder.records.is_full());
     assert_eq!(recorder.recording().report().written, 0);
@@ -214,7 +214,7 @@ fn a_disk_that_does_not_answer_costs_records_and_no_time() {
 }
 
 #[test]
-fn a_run_ends_without_a_disk_that_never_answers() {
+fn run_ends_while_the_disk_is_stuck() {
     let (open, gate) = mpsc::channel();
     let (mut disk, _) = disk(usize::MAX);
     disk.gate = Some(gate);
@@ -226,7 +226,7 @@ fn a_run_ends_without_a_disk_that_never_answers() {
 }
 
 #[test]
-fn a_disk_that_is_full_ends_the_recording_and_what_it_took_can_be_read() {
+fn full_disk_ends_the_recording_and_leaves_it_readable() {
     for room in [0, 10, 100_000, 500_000] {
         let (disk, paper) = disk(room);
         let mut recorder = Recorder::write_to(disk, || u64::MAX, &SETTINGS).unwrap();
@@ -237,7 +237,7 @@ fn a_disk_that_is_full_ends_the_recording_and_what_it_took_can_be_read() {
         assert_eq!(report.written + report.dropped, 5000);
         assert_eq!(report.written > 0, room >= 500_000, "{report:?}");
         if room > 10 {
-            // Of a chunk that the disk took in part, a part can be read.
+            // A chunk that was only partly written can be read in part.
             let read = messages(&paper.read()).len() as u64;
             assert!((report.written..report.written + CHUNK).contains(&read), "{read}, {report:?}");
         }
@@ -245,7 +245,7 @@ fn a_disk_that_is_full_ends_the_recording_and_what_it_took_can_be_read() {
 }
 
 #[test]
-fn too_little_space_ends_the_recording_with_a_whole_file() {
+fn too_little_space_ends_the_recording_with_a_complete_file() {
     let (disk, paper) = disk(usize::MAX);
     let looked = std::cell::Cell::new(0);
     let free = move || {
@@ -276,8 +276,8 @@ fn a_recording_that_cannot_begin_touches_no_file() {
     assert_eq!(Recorder::<MasterRecord<2>>::begin(&nowhere).unwrap_err().kind(), io::ErrorKind::NotFound);
 }
 
-/// The index of a file waits in memory for its end: it grows by chunks, and chunks are whole however slowly records
-/// come.
+/// The index stays in memory until the end of the file and grows by chunk. Chunks are complete even if records come
+/// slowly.
 #[test]
 fn chunks_are_whole_and_the_index_of_a_file_is_small() {
     let (disk, paper) = disk(usize::MAX);
@@ -294,7 +294,7 @@ fn chunks_are_whole_and_the_index_of_a_file_is_small() {
 }
 
 #[test]
-fn a_recording_is_for_its_owner_alone_and_follows_no_link() {
+fn recording_is_private_to_its_owner_and_follows_no_link() {
     use std::os::unix::fs::{PermissionsExt, symlink};
 
     let folder = std::env::temp_dir().join(format!("haptether-recordings-{}", std::process::id()));

@@ -1,11 +1,11 @@
-//! Records of a run in virtual time, which waits for its disk.
+//! Recording of a run in virtual time, which waits for the disk.
 
 use std::{fs::File, io, marker::PhantomData};
 
 use super::{CHUNK, Note, Recorded, RecorderSettings, file, file::McapFile};
 use crate::ladder::{Diagnosis, DiagnosisReport};
 
-/// A file that takes every record, as soon as the disk does.
+/// Recorder that writes every record and waits for the disk.
 pub(crate) struct WaitingRecorder<R> {
     file: McapFile<File>,
     taken: u64,
@@ -15,7 +15,7 @@ pub(crate) struct WaitingRecorder<R> {
 }
 
 impl<R: Recorded> WaitingRecorder<R> {
-    /// Open the file and write its head; the time of the run begins at 0 of its log times.
+    /// Open the file and write its head; log times count from the start of the run.
     pub(crate) fn begin(settings: &RecorderSettings) -> io::Result<Self> {
         let out = file::create(&settings.path)?;
         let mut file = McapFile::begin(out, &R::any(), settings.security, &settings.scene);
@@ -24,7 +24,7 @@ impl<R: Recorded> WaitingRecorder<R> {
         Ok(Self { file, taken: 0, refused: None, diagnosis, records: PhantomData })
     }
 
-    /// Write a record, and why the two sides are not coupled.
+    /// Write a record, and the reason why the sides are not coupled.
     pub(crate) fn take(&mut self, record: &R, newest: Option<&Diagnosis>) {
         self.file.write(record);
         self.note(record.time_ns(), newest, false);

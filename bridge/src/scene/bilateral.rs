@@ -1,4 +1,4 @@
-//! Runs of a scene with an arm: both endpoints, the network between them, and an environment at the far end.
+//! Runs of a scene with an arm: both endpoints, the network between them, and the environment of the arm.
 
 use std::{
     io,
@@ -32,19 +32,19 @@ use crate::{
 use haptether_netsim::{ClockSettings, EndpointClock};
 use haptether_safety::{Axes, SafetyTick};
 
-/// Sessions of the two sides: constants, for nobody listens in.
+/// Session numbers of the two sides: constants, because no third party receives their frames.
 pub(super) const SESSIONS: (u64, u64) = (1, 2);
 
-/// What a run keeps, and how its frames travel; none of it changes an outcome.
+/// Options of a run: research controllers, and recording, encoding and reports, which do not change its outcome.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Keeping<'a> {
-    /// Where it is recorded.
+    /// Files to record to.
     pub(crate) files: Option<&'a RecordingFiles>,
-    /// Whether every frame travels as its bytes.
+    /// True to encode and decode every frame.
     pub(crate) encoded: bool,
-    /// Whether nothing but the outcome is asked for: reports then say nothing of the peer's clock and path.
+    /// True if only the outcome is needed: reports then omit the peer's clock and the path.
     pub(crate) outcome_only: bool,
-    /// Who makes the controllers of scenes that ask for one of the caller's own.
+    /// Factory of research controllers.
     pub(crate) research: Option<&'a dyn ResearchFactory>,
 }
 
@@ -54,7 +54,7 @@ pub(crate) fn simulate<const N: usize>(
     kept: &Keeping<'_>,
 ) -> Result<SceneRun, SceneError> {
     check(scene)?;
-    whole(|order| simulate_in(scene, stop, kept, order), scene, kept)
+    in_fastest_order(|order| simulate_in(scene, stop, kept, order), scene, kept)
 }
 
 fn simulate_in<const N: usize>(
@@ -68,7 +68,7 @@ fn simulate_in<const N: usize>(
     run(scene, master(scene, waiting_master(exact_master(scene)?), kept)?, slave, stop, kept, order)
 }
 
-/// The same of a hand and an arm that turn.
+/// Same as [`simulate`], for a hand and an arm that turn.
 pub(crate) fn simulate_pose(
     scene: &SceneSpec<3>,
     stop: &AtomicBool,
@@ -81,7 +81,7 @@ pub(crate) fn simulate_pose(
     if scene.run.stop_early {
         return contradiction("run.stop_early: what turns is not watched for rest, leave it out");
     }
-    whole(|order| simulate_pose_in(scene, stop, kept, order), scene, kept)
+    in_fastest_order(|order| simulate_pose_in(scene, stop, kept, order), scene, kept)
 }
 
 fn simulate_pose_in(
@@ -98,26 +98,27 @@ fn simulate_pose_in(
     run(scene, master(scene, plant, kept)?.turning(), slave, stop, kept, order)
 }
 
-/// In which order the two sides do their ticks.
+/// Order of the ticks of the two sides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Order {
-    /// That of time.
+    /// In order of time.
     InTurn,
-    /// Some of each side in a row, which is quicker and lets a side be ahead of what was observed of it.
+    /// Several ticks of one side in a row: faster, but a side may be ahead of the observed tick.
     InARow,
 }
 
-/// A run in the quickest order that nobody can tell from the order of time: whoever looks at a side as it is at a tick, or
-/// after the last of a run that ended early, must not find it ahead.
-fn whole<const N: usize>(
+/// Run in the fastest order that does not change the result.
+///
+/// Out of order, a side may be ahead of the observed tick, or ahead of the last tick of a run that ends early.
+fn in_fastest_order<const N: usize>(
     simulate: impl Fn(Order) -> Result<Option<SceneRun>, SceneError>,
     scene: &SceneSpec<N>,
     kept: &Keeping<'_>,
 ) -> Result<SceneRun, SceneError> {
-    // A controller of the caller's own sees no tick too many.
+    // A research controller must not see extra ticks.
     let is_bound = kept.files.is_some() || scene.safety.research.is_some();
-    // Signals, and the events of a trigger that the finger feels, are those of a side at its tick. Who ends early would
-    // be run twice.
+    // Signals, and events of a trigger with force feedback, are read from a side at its tick. A run that ends early
+    // out of order must be repeated.
     let is_read = scene.record.is_some() || scene.master.gripper.is_some() || scene.run.stop_early;
     if !is_bound
         && (kept.outcome_only || !is_read)
@@ -125,11 +126,11 @@ fn whole<const N: usize>(
     {
         return Ok(run);
     }
-    // In turn no run is ahead of what was observed of it.
+    // In turn, no side is ahead of the observed tick.
     simulate(Order::InTurn).map(|run| run.unwrap_or_else(|| unreachable!("a run in turn is whole")))
 }
 
-/// What no scene with an arm has.
+/// Refuse settings that a scene with an arm cannot have.
 pub(super) fn check<const N: usize>(scene: &SceneSpec<N>) -> Result<(), SceneError> {
     if scene.safety.signals == SignalsSpec::True {
         return contradiction("safety.signals = \"true\": an endpoint knows only what is measured");
@@ -150,7 +151,7 @@ pub(super) fn master<P: MasterPlant<N>, const N: usize>(
     Ok(side.with_buttons(scene.master.buttons)?)
 }
 
-/// The clock of an endpoint. Endpoints live by monotonic clocks, which are never set back.
+/// Return the clock of an endpoint. It is monotonic: it is never set back.
 fn clock(name: &str, settings: Option<ClockSettings>) -> Result<Option<EndpointClock>, SceneError> {
     let Some(settings) = settings else { return Ok(None) };
     let refuse = |text: String| contradiction(format!("link.{name}.{text}"));
@@ -178,7 +179,7 @@ pub(super) fn settings<const N: usize>(scene: &SceneSpec<N>) -> Result<VirtualSe
     })
 }
 
-/// One run; none where its sides may be ahead of where it ended early, and somebody reads what they have.
+/// Run once. Returns none if the run ended early, a side may be ahead, and the sides are read afterwards.
 fn run<P, A, R, Q, const N: usize>(
     scene: &SceneSpec<N>,
     master: MasterSide<P, N, R>,
@@ -199,11 +200,11 @@ where
     let security = if settings.secure { SecurityMark::Secure } else { SecurityMark::Insecure };
     let is_felt = trigger_feedback(scene, scene.coupled()?.0)?.is_some();
     let needs_sides = !kept.outcome_only;
-    // Set in a row alone: in turn no side is ahead of what was observed.
+    // Set only in a row: in turn, no side is ahead of the observed tick.
     let mut ended_early = false;
-    let mut kept = files.map(|files| Kept::begin(files, security, is_felt)).transpose()?;
+    let mut kept = files.map(|files| SideRecorders::begin(files, security, is_felt)).transpose()?;
     let counts = match order {
-        // A closure for each order: a remote tick in a row takes 2 % less with one that nothing else calls.
+        // One closure per order: without a second caller of the closure, a remote tick in a row takes 2 % less.
         Order::InARow => run_virtual_ahead(&settings, &mut master, &mut slave, |event, sides| {
             let flow = observe(&event, sides, stop, &mut kept, &mut watched);
             ended_early |= flow.is_break();
@@ -225,13 +226,13 @@ where
     watched.finish(scene, &settings, &master, &slave, &counts).map(Some)
 }
 
-/// Take the record of a tick of either side; breaks off where the run has ended, or is to stop.
-#[inline(always)] // as what it calls
+/// Take the record of a tick of either side; break if the run has ended or `stop` is set.
+#[inline(always)] // like the functions that it calls
 fn observe<P, A, R, Q, const N: usize>(
     event: &Event<'_, MasterRecord<N, R>, SlaveRecord<N, Q>>,
     (master, slave): Sides<'_, '_, P, A, R, Q, N>,
     stop: &AtomicBool,
-    kept: &mut Option<Kept<MasterRecord<N, R>, SlaveRecord<N, Q>>>,
+    kept: &mut Option<SideRecorders<MasterRecord<N, R>, SlaveRecord<N, Q>>>,
     watched: &mut Watched<N>,
 ) -> ControlFlow<()>
 where
@@ -249,7 +250,7 @@ where
     watched.take(event, &master.side, &slave.side.plant)
 }
 
-/// Both sides under the commands of their operators, and what is to be seen of them, before the first tick.
+/// Return both sides with the commands of their operators, and the observer, before the first tick.
 pub(super) fn prepared<P, A, R, Q, const N: usize>(
     scene: &SceneSpec<N>,
     settings: &VirtualSettings,
@@ -269,7 +270,7 @@ where
     let mut slave = Timed::new(slave, commands.clone());
     let watched = Watched::new(scene, settings, commands, &start, slave.side.gripper.is_some())?;
     for exchange in [master.exchange_mut(), slave.exchange_mut()] {
-        leave_out(exchange, kept);
+        skip_unread_reports(exchange, kept);
     }
     Ok((master, slave, watched))
 }
@@ -277,12 +278,12 @@ where
 type Prepared<P, A, R, Q, const N: usize> =
     (Timed<MasterSide<P, N, R>>, Timed<SlaveSide<A, N, Q>>, Watched<N>);
 
-/// Both sides as an observer of a run has them.
+/// Both sides as the observer of a run receives them.
 pub(super) type Sides<'m, 's, P, A, R, Q, const N: usize> =
     (&'m Timed<MasterSide<P, N, R>>, &'s Timed<SlaveSide<A, N, Q>>);
 
-/// Leave out what nobody will read.
-fn leave_out(exchange: &mut Exchange, kept: &Keeping<'_>) {
+/// Skip flight records and path reports that are not read.
+fn skip_unread_reports(exchange: &mut Exchange, kept: &Keeping<'_>) {
     if kept.files.is_none() {
         exchange.leave_out_flight();
     }
@@ -291,25 +292,25 @@ fn leave_out(exchange: &mut Exchange, kept: &Keeping<'_>) {
     }
 }
 
-/// Where a run in virtual time is recorded.
+/// Files to which a run in virtual time is recorded.
 #[derive(Clone, Debug)]
 pub struct RecordingFiles {
-    /// Of the master.
+    /// File of the master.
     pub master: PathBuf,
-    /// Of the slave.
+    /// File of the slave.
     pub slave: PathBuf,
-    /// The scene as JSON, kept in both.
+    /// Scene as JSON, stored in both files.
     pub scene: String,
 }
 
-/// The recording of the side of the hand.
-enum Near<M> {
+/// Recorder of the master.
+enum MasterRecorder<M> {
     Plain(WaitingRecorder<M>),
-    /// Of a trigger that the finger feels.
+    /// With trigger force feedback.
     Felt(WaitingRecorder<WithFinger<M>>),
 }
 
-impl<M: Recorded + Copy> Near<M> {
+impl<M: Recorded + Copy> MasterRecorder<M> {
     fn begin(settings: &RecorderSettings, is_felt: bool) -> io::Result<Self> {
         Ok(if is_felt {
             Self::Felt(WaitingRecorder::begin(settings)?)
@@ -333,14 +334,14 @@ impl<M: Recorded + Copy> Near<M> {
     }
 }
 
-/// The files of both sides, with the time of the newest record of each.
-struct Kept<'a, M, S> {
+/// Recorders of both sides, each with the time in ns of its newest record.
+struct SideRecorders<'a, M, S> {
     files: &'a RecordingFiles,
-    master: (Near<M>, u64),
+    master: (MasterRecorder<M>, u64),
     slave: (WaitingRecorder<S>, u64),
 }
 
-impl<'a, M: Recorded + Copy, S: Recorded> Kept<'a, M, S> {
+impl<'a, M: Recorded + Copy, S: Recorded> SideRecorders<'a, M, S> {
     fn begin(files: &'a RecordingFiles, security: SecurityMark, is_felt: bool) -> Result<Self, SceneError> {
         let settings = |path: &PathBuf| RecorderSettings {
             path: path.clone(),
@@ -351,7 +352,10 @@ impl<'a, M: Recorded + Copy, S: Recorded> Kept<'a, M, S> {
         let [master, slave] = [&files.master, &files.slave].map(settings);
         Ok(Self {
             files,
-            master: (Near::begin(&master, is_felt).map_err(|error| refused(&files.master, &error))?, 0),
+            master: (
+                MasterRecorder::begin(&master, is_felt).map_err(|error| refused(&files.master, &error))?,
+                0,
+            ),
             slave: (WaitingRecorder::begin(&slave).map_err(|error| refused(&files.slave, &error))?, 0),
         })
     }

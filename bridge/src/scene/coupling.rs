@@ -1,4 +1,4 @@
-//! From the numbers of `[coupling]` to commands of the operator, and the coupling as it is at a time.
+//! Operator commands from `[coupling]`, and the coupling at a given time.
 
 use haptether_safety::{Axes, Real};
 
@@ -12,7 +12,7 @@ use crate::{
     lanes::packed,
 };
 
-/// Rotation and locks as one command.
+/// Return rotation and locks as one command.
 fn frame<const N: usize>(quat_wxyz: [f64; 4], locked_axes: &[usize]) -> Result<OperatorCommand, SceneError> {
     let mut locked = [false; 7];
     for &axis in locked_axes {
@@ -26,7 +26,8 @@ fn frame<const N: usize>(quat_wxyz: [f64; 4], locked_axes: &[usize]) -> Result<O
     Ok(OperatorCommand::Frame { quat_wxyz, locked })
 }
 
-/// The commands of both sides with their times in ns since the start: rotation and locks at once, then the changes.
+/// Return the commands of both sides with their times in ns since the start: rotation and locks first, then the
+/// changes.
 pub(crate) fn commands<const N: usize>(
     spec: &CouplingSpec,
 ) -> Result<Vec<(u64, OperatorCommand)>, SceneError> {
@@ -66,7 +67,7 @@ pub(crate) fn commands<const N: usize>(
     Ok(commands)
 }
 
-/// The coupling as it is at a time: what a run is measured against.
+/// Coupling at a given time; a run is measured against it.
 #[derive(Clone)]
 pub(crate) struct Present<const N: usize, S = f64> {
     map: FrameMap<N>,
@@ -77,13 +78,13 @@ pub(crate) struct Present<const N: usize, S = f64> {
 }
 
 impl<const N: usize> Present<N> {
-    /// As it begins; `commands` in the order of their times.
+    /// Build the initial coupling; `commands` are in order of time.
     pub(crate) fn new(spec: &CouplingSpec, commands: Vec<(u64, OperatorCommand)>) -> Self {
         let CouplingSpec { position_scale, force_scale, .. } = *spec;
         Self { map: FrameMap::default(), position_scale, force_scale, commands, done: 0 }
     }
 
-    /// Largest `lambda_p` that there will be.
+    /// Return the largest `lambda_p` of the whole run.
     pub(crate) fn max_position_scale(&self) -> f64 {
         self.commands.iter().fold(self.position_scale, |max, (_, command)| match command {
             OperatorCommand::PositionScale(scale) => max.max(*scale),
@@ -93,7 +94,7 @@ impl<const N: usize> Present<N> {
 }
 
 impl<const N: usize, S: Real> Present<N, S> {
-    /// Couplings side by side as they begin; None unless their commands are the same.
+    /// Combine initial couplings into lanes; None unless their commands are equal.
     pub(crate) fn gather(of: &[&Present<N>]) -> Option<Self> {
         let first = of.first()?;
         of.iter().all(|one| one.done == 0 && one.commands == first.commands).then(|| Self {
@@ -105,23 +106,23 @@ impl<const N: usize, S: Real> Present<N, S> {
         })
     }
 
-    /// How many commands were taken so far.
+    /// Return the number of commands taken so far.
     pub(crate) fn done(&self) -> usize {
         self.done
     }
 
-    /// The commands that were taken since so many had been.
+    /// Return the commands taken after the first `before` ones.
     pub(crate) fn since(&self, before: usize) -> impl Iterator<Item = &OperatorCommand> {
         self.commands[before..self.done].iter().map(|(_, command)| command)
     }
 
-    /// Whether a command is due by `now_ns`.
+    /// Return true if a command is due at `now_ns`.
     #[inline]
     pub(crate) fn is_due(&self, now_ns: u64) -> bool {
         self.commands.get(self.done).is_some_and(|(at_ns, _)| *at_ns <= now_ns)
     }
 
-    /// Take the commands that are due by `now_ns`; says whether anything was.
+    /// Take the commands due at `now_ns`; return true if there was one.
     pub(crate) fn advance(&mut self, now_ns: u64) -> Result<bool, CouplingError> {
         let before = self.done;
         while let Some((_, command)) = self.commands.get(self.done).filter(|(at, _)| *at <= now_ns) {
@@ -138,12 +139,12 @@ impl<const N: usize, S: Real> Present<N, S> {
         Ok(self.done > before)
     }
 
-    /// `lambda_p L R v`.
+    /// Map a motion of the master to the slave: `lambda_p L R v`.
     pub(crate) fn to_slave(&self, of_master: &Axes<N, S>) -> Axes<N, S> {
         self.map.to_slave(of_master) * self.position_scale
     }
 
-    /// `lambda_f R' L f`.
+    /// Map a force of the slave to the master: `lambda_f R' L f`.
     pub(crate) fn to_master(&self, of_slave: &Axes<N, S>) -> Axes<N, S> {
         self.map.to_master(of_slave) * self.force_scale
     }

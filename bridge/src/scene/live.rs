@@ -1,4 +1,4 @@
-//! The sides of a scene, live, whatever their number of axes: from JSON to a loop.
+//! Live sides of a scene, for any number of axes: from JSON to a loop.
 
 use std::path::{Path, PathBuf};
 
@@ -30,29 +30,29 @@ use crate::{
     wire::{Padded, Role, padded, unpadded},
 };
 
-/// Bytes of the records that are kept by default: 87 s along one axis, 24 s of poses of a master at 1 kHz.
+/// Default size in bytes of the kept records: at 1 kHz 87 s along one axis, or 24 s of poses of a master.
 const KEPT_BYTES: usize = 1 << 24;
 
-/// A live side that does not begin.
+/// Error at the start of a live side.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveError {
     /// The scene is invalid.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// The session or the system refuses.
+    /// The session or the system refused.
     #[error(transparent)]
     Start(#[from] StartError),
-    /// There is no memory for the records that are to be kept.
+    /// The memory for the records to keep is not available; the number is its size in MiB.
     #[error("keep_s: there is no memory for it: needs {0} MiB, keep less")]
     Memory(usize),
-    /// A file or a socket refuses.
+    /// A file or socket could not be opened.
     #[error("{name} = {}: {error}", path.display())]
     Output {
-        /// The setting.
+        /// Name of the setting.
         name: &'static str,
-        /// Its value.
+        /// Value of the setting.
         path: PathBuf,
-        /// The refusal.
+        /// Error of the system.
         error: std::io::Error,
     },
 }
@@ -60,22 +60,22 @@ pub enum LiveError {
 /// Socket, settings and outputs of a live side.
 #[derive(Debug)]
 pub struct LiveParts {
-    /// The socket to the peer.
+    /// Socket to the peer.
     pub socket: PeerSocket,
-    /// The settings of the loop.
+    /// Settings of the loop.
     pub settings: LiveSettings,
-    /// How frames travel.
+    /// Security of the frames.
     pub security: Security,
-    /// How many s of records are kept; without it as many as fit into a fixed memory.
+    /// Duration in s of the records to keep; by default as many as fit into a fixed memory.
     pub keep_s: Option<f64>,
-    /// Where the run is recorded.
+    /// Settings of the recording.
     pub record: Option<RecorderSettings>,
-    /// Where telemetry is sent.
+    /// Settings of the telemetry.
     pub telemetry: Option<TelemetrySettings>,
 }
 
 impl LiveParts {
-    /// Open the outputs: after the socket, so that a run that cannot begin replaces no file.
+    /// Open the outputs. The socket to the peer is already open, so that a run that cannot start replaces no file.
     fn outputs<R: Recorded>(&self) -> Result<RecordOutputs<R>, LiveError> {
         let newest = self.newest()?;
         let refused = |name: &'static str, path: &Path, error: std::io::Error| LiveError::Output {
@@ -83,7 +83,7 @@ impl LiveParts {
             path: path.to_owned(),
             error,
         };
-        // The socket first: it replaces nothing that is in use.
+        // Telemetry first: its socket replaces nothing that is in use.
         let begin = |to: &TelemetrySettings| {
             Telemetry::begin(to).map_err(|error| refused("telemetry", &to.path, error))
         };
@@ -93,7 +93,7 @@ impl LiveParts {
         Ok(RecordOutputs { newest, recorder: self.record.as_ref().map(begin).transpose()?, telemetry })
     }
 
-    /// Room for the newest records, but not for more than the run has.
+    /// Reserve memory for the newest records, at most for those of the whole run.
     fn newest<R>(&self) -> Result<Newest<R>, LiveError> {
         let LiveSettings { period_ns, duration_ns, patience_ns, .. } = self.settings;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // positive, and saturates
@@ -111,12 +111,12 @@ impl LiveParts {
     }
 }
 
-/// The records that a loop keeps.
+/// Records that a loop keeps.
 pub trait KeptRecords: Send {
-    /// Number of records so far.
+    /// Return the number of records so far.
     fn kept(&self) -> usize;
 
-    /// All records, once the loop has ended; none a second time.
+    /// Return all records after the loop has ended; a second call returns none.
     fn take(&self) -> Trace;
 }
 
@@ -130,14 +130,14 @@ impl<R: Recorded> KeptRecords for RecordReader<R> {
     }
 }
 
-/// A loop, what watches it, and its records.
+/// Loop, its watch, and its records.
 pub type LiveSide<L> = (L, LiveWatch, Box<dyn KeptRecords>);
 
 fn started<S: Side<Record: Recorded> + Send + 'static>(
     side: S,
     parts: LiveParts,
 ) -> Result<LiveSide<LiveRun>, LiveError> {
-    // Before the loop: it locks what memory there is.
+    // Outputs come before the loop, because the loop locks the present memory.
     let outputs = parts.outputs()?;
     let (run, watch, records) = run_live(side, parts.socket, parts.settings, parts.security, outputs)?;
     Ok((run, watch, Box::new(records)))
@@ -151,7 +151,7 @@ fn started_master<R: MasterTurn, const N: usize>(
     if feels_trigger { started(side.feeling(), parts) } else { started(side, parts) }
 }
 
-/// Start the simulated side of a scene as JSON on a thread of its own, in the role that its parts name.
+/// Start the simulated side of a scene as JSON on a separate thread, in the role that `parts` names.
 ///
 /// # Errors
 ///
@@ -181,13 +181,13 @@ pub struct MasterInput<'a> {
     pub position: Padded,
     /// Velocity in m/s, if it is measured.
     pub velocity: Option<Padded>,
-    /// Whether the clutch is pressed, of a device with a button.
+    /// True if the clutch button is pressed; None for a device without a button.
     pub clutch: Option<bool>,
-    /// The text of a fault.
+    /// Text of a fault.
     pub fault: Option<&'a str>,
     /// Position of the trigger, 0 to 1.
     pub trigger: Option<f64>,
-    /// Orientation and angular velocity, of a device that turns.
+    /// Orientation and angular velocity, if the device turns.
     pub rotation: Option<RotationSample>,
     /// Buttons, one bit each.
     pub buttons: Option<u32>,
@@ -195,20 +195,20 @@ pub struct MasterInput<'a> {
     pub time_s: Option<f64>,
 }
 
-/// The forces that a haptic device is to exert.
+/// Forces that a haptic device must exert.
 #[derive(Clone, Copy, Debug)]
 pub struct MasterOutput {
     /// Force in N.
     pub force: Padded,
-    /// Torque in N m, of a device that turns.
+    /// Torque in N m, if the device turns.
     pub torque: Option<Axes<3>>,
-    /// Force in N of a trigger that the finger feels.
+    /// Force in N of a trigger with force feedback.
     pub trigger_force: Option<f64>,
 }
 
-/// The loop of a master whose device a driver reads and writes.
+/// Loop of a master whose device a driver reads and writes.
 pub trait MasterDriverLoop: DriverLoop + Send {
-    /// One tick; none where the run is over.
+    /// Step one tick; returns none after the end of the run.
     fn step(&mut self, input: &MasterInput<'_>) -> Option<MasterOutput>;
 }
 
@@ -221,34 +221,34 @@ pub struct SlaveInput<'a> {
     pub velocity: Padded,
     /// Force of the environment on the tool in N.
     pub force: Padded,
-    /// The text of a fault.
+    /// Text of a fault.
     pub fault: Option<&'a str>,
-    /// The gripper, of an arm with one.
+    /// State of the gripper, if the arm has one.
     pub gripper: Option<GripperSample>,
-    /// Orientation, angular velocity and torque, of an arm that turns.
+    /// Orientation, angular velocity and torque, if the arm turns.
     pub rotation: Option<RotationState>,
     /// Time of the sample in s on the arm's own clock.
     pub time_s: Option<f64>,
 }
 
-/// What an arm is to do.
+/// Orders to an arm.
 #[derive(Clone, Copy, Debug)]
 pub struct SlaveOutput {
-    /// The order to the arm.
+    /// Order to the arm.
     pub order: SlaveOrder<{ crate::wire::MAX_AXES }>,
-    /// The order to the gripper.
+    /// Order to the gripper.
     pub gripper: GripperOrder,
-    /// The buttons of the master, in a scene with buttons.
+    /// Buttons of the master, if the scene has buttons.
     pub buttons: Option<u32>,
 }
 
-/// The loop of a slave whose arm a driver reads and writes.
+/// Loop of a slave whose arm a driver reads and writes.
 pub trait SlaveDriverLoop: DriverLoop + Send {
-    /// One tick; none where the run is over.
+    /// Step one tick; returns none after the end of the run.
     fn step(&mut self, input: &SlaveInput<'_>) -> Option<SlaveOutput>;
 }
 
-/// The part of a sample that shows whether it is new; none of a device that reports a fault.
+/// Return the part of a sample that shows whether it is new; none if the device reports a fault.
 fn stamped<'a, const N: usize>(
     position: &'a Padded,
     orientation: Option<&'a [f64; 4]>,
@@ -258,7 +258,7 @@ fn stamped<'a, const N: usize>(
     fault.is_none().then(|| Stamped { position: &position.as_slice()[..N], orientation, time_s })
 }
 
-/// A fault that the device reports with its sample, with its own text.
+/// Pass a fault that the device reports with its sample to the side, with the device's text.
 fn report_fault(side: &mut impl Side, fault: Option<&str>) {
     if let Some(text) = fault {
         side.exchange_mut().device_failed(Some(&FaultText::new(text)));
@@ -276,7 +276,7 @@ impl<R: MasterTurn, const N: usize> MasterDriverLoop for PacedLoop<Timed<MasterS
                 let Some(plant) = side.side.plant.driven() else { return };
                 (plant.position, plant.clutch) = (unpadded(&input.position), input.clutch);
                 plant.velocity = input.velocity.as_ref().map(unpadded);
-                // A device that reports a fault says nothing of its buttons.
+                // The buttons of a device that reports a fault are unknown.
                 let buttons = ButtonWord(input.buttons.filter(|_| input.fault.is_none()));
                 (plant.rotation, plant.buttons) = (input.rotation.filter(|_| R::TURNS), buttons);
                 if let Some(trigger) = &mut side.side.trigger {
@@ -351,7 +351,8 @@ fn paced_master<R: MasterTurn, const N: usize>(
     Ok((Box::new(paced), watch, records))
 }
 
-/// Prepare the loop of the master of a scene as JSON, whose device has a driver; `simulated_clutch` as [`driven_master`].
+/// Prepare the loop of the master of a scene as JSON, whose device has a driver; `simulated_clutch` as for
+/// [`driven_master`].
 ///
 /// # Errors
 ///

@@ -1,4 +1,4 @@
-//! Runs of a scene without an arm: what is touched is rendered on the device itself.
+//! Runs of a scene without an arm: its environment is rendered on the device itself.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -50,7 +50,7 @@ fn log_touch<R: Rendering<N> + Surfaces<N>, const N: usize>(
     log.touches(time_s, looped.rendering().touches(&tick.position));
 }
 
-/// Contacts with continuous walls, at the times at which they were located.
+/// Contacts with continuous walls, at their located times in s.
 #[derive(Clone, Copy, Debug, Default)]
 struct Touches {
     made_s: Option<f64>,
@@ -91,14 +91,14 @@ fn check_local<const N: usize>(scene: &SceneSpec<N>) -> Result<(), SceneError> {
     Ok(())
 }
 
-/// A loop and what it is judged by.
+/// Loop and its measures.
 struct LocalRun<R, const N: usize> {
     looped: Loop<R, N>,
     measures: Measures<N>,
     ticks: u64,
 }
 
-/// A loop of its parts.
+/// Build the loop of a scene.
 fn local_run<R: Rendering<N>, const N: usize>(
     scene: &SceneSpec<N>,
     rendering: R,
@@ -116,7 +116,7 @@ fn local_run<R: Rendering<N>, const N: usize>(
 }
 
 impl<R: Rendering<N>, const N: usize> LocalRun<R, N> {
-    /// Run the scene to its end; `note` gets each tick, its time in s and the loop.
+    /// Run the scene to its end; `note` receives each tick, with its time in s and the loop.
     fn follow(
         mut self,
         scene: &SceneSpec<N>,
@@ -129,7 +129,7 @@ impl<R: Rendering<N>, const N: usize> LocalRun<R, N> {
             note(time_s, tick, looped, &mut log);
             log.tripped(time_s, tick.response.lane(0).tripped);
             if recorder.begin_tick() {
-                // A copy: a tick whose address went to a call would stand in memory at each tick.
+                // A copy: if the address of the tick left this function, the tick would be stored in memory each time.
                 let tick = *tick;
                 record(&mut recorder, time_s, &tick);
             }
@@ -155,7 +155,7 @@ impl<R: Rendering<N>, const N: usize> LocalRun<R, N> {
         mut observe: impl FnMut(f64, &LocalTick<N>, &Loop<R, N>),
     ) -> Result<Outcome, SceneError> {
         let Self { looped, measures, ticks } = self;
-        // A copy in registers, for the same reason.
+        // A copy that stays in registers, for the same reason.
         let mut measures = *measures;
         for tick in 0..*ticks {
             if stop.load(Ordering::Relaxed) {

@@ -1,4 +1,4 @@
-//! What a run is judged by, for one scenario or for several side by side.
+//! Measures of a run, for one scenario or for several lanes.
 
 use haptether_netsim::LinkSettings;
 use haptether_safety::{Axes, Fault, Real};
@@ -10,27 +10,27 @@ use super::{
 };
 use crate::LadderState;
 
-/// What left its bounds when a loop diverged.
+/// Quantity out of bounds when a loop diverged.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum DivergenceCause {
     /// |x| in m.
     Position(f64),
     /// |V| in m/s.
     Speed(f64),
-    /// A signal was no longer a finite number.
+    /// A signal was not a finite number.
     NotFinite,
     /// Distance of the arm in m.
     Arm(f64),
-    /// A number at the boundary check of the master or the slave was bad; nothing couples the two any more.
+    /// Fault at the boundary check of master or slave; the sides are no longer coupled.
     Fault(&'static str, Fault),
 }
 
-/// When and why a loop has diverged.
+/// Time and cause of a divergence.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Divergence {
-    /// In s.
+    /// Time in s.
     pub time_s: f64,
-    /// What left its bounds.
+    /// Quantity out of bounds.
     pub cause: DivergenceCause,
 }
 
@@ -52,25 +52,26 @@ impl std::fmt::Display for Divergence {
     }
 }
 
-/// How a run ended.
+/// End of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ending {
-    /// All ticks were run.
+    /// All ticks ran.
     Complete,
-    /// Nothing more would have happened.
+    /// No measured quantity could change any more.
     Settled,
-    /// It diverged.
+    /// The loop diverged.
     Diverged,
-    /// The release that the scene has still lay ahead.
+    /// The run ended before the scheduled release.
     NotReleased,
-    /// Master and slave never engaged: nothing was measured.
+    /// Master and slave never engaged; nothing was measured.
     NeverEngaged,
-    /// The two had engaged and were no longer coupled; the state of the one that was not, the master before the slave.
+    /// The sides engaged and were not coupled at the end. Holds the state of the uncoupled side; of the master if both
+    /// are.
     Uncoupled(LadderState),
 }
 
 impl Ending {
-    /// Its name in tables.
+    /// Return the name used in tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Complete => "complete",
@@ -83,59 +84,59 @@ impl Ending {
     }
 }
 
-/// What is measured of a run; none where it was not, or where nobody asked for it, which is not 0.
+/// Measured values of a run. None means not measured or not requested, never 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outcome {
-    /// How it ended.
+    /// End of the run.
     pub ending: Ending,
-    /// Largest speed in m/s along the rendered force after the release began; over the whole run without a release.
+    /// Largest speed in m/s along the rendered force after the release begins; without a release, over the whole run.
     pub max_ejection_velocity: Option<f64>,
     /// Largest `|F_device|` in N.
     pub peak_device_force: Option<f64>,
-    /// From the release to the first intervention after it began, in s; 0 if one was on.
+    /// Time in s from the release to the first intervention after it begins; 0 if one was active.
     pub time_to_trip_s: Option<f64>,
-    /// Interventions that began before the release; all of them without one.
+    /// Interventions that began before the release; without a release, all of them.
     pub false_trips: Option<u64>,
     /// Ticks under intervention.
     pub intervention_ticks: Option<u64>,
-    /// Least energy in J that has flowed into what renders the force, `-sum F_device dx`.
+    /// Minimum of the energy in J that has flowed into the renderer of the force, `-sum F_device dx`.
     pub passivity_min_j: Option<f64>,
-    /// Root of the mean squared difference between the slave's motion and the master's, scaled; only with an arm.
+    /// Root mean square in m of the difference between slave motion and scaled master motion; only with an arm.
     pub position_rmse_m: Option<f64>,
-    /// The same of the device's force and the environment's, scaled; only with an arm.
+    /// Root mean square in N of the difference between device force and scaled environment force; only with an arm.
     pub force_rmse_n: Option<f64>,
-    /// Largest angular speed in rad/s of the device after the release began; over the whole run without one. Of a hand
-    /// that turns only, as the three that follow.
+    /// Largest angular speed in rad/s of the device after the release begins; without a release, over the whole run.
+    /// This field and the three below require a hand that turns.
     pub max_ejection_rate: Option<f64>,
     /// Largest `|tau_device|` in N m.
     pub peak_device_torque: Option<f64>,
-    /// Root of the mean squared angle in rad between the slave's rotation and the master's, scaled.
+    /// Root mean square in rad of the angle between slave rotation and scaled master rotation.
     pub orientation_rmse_rad: Option<f64>,
-    /// The same of the device's torque and the environment's, scaled.
+    /// Root mean square in N m of the difference between device torque and scaled environment torque.
     pub torque_rmse_n_m: Option<f64>,
-    /// When and why the loop diverged, if it did.
+    /// Time and cause of a divergence.
     pub diverged: Option<Divergence>,
-    /// Ticks of the master that were run.
+    /// Number of ticks of the master.
     pub ticks: u64,
 }
 
-/// How a run is judged.
+/// Settings of the measures.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct MeasureSettings {
-    /// When the hand begins to let go, in s.
+    /// Start of the release in s.
     pub(crate) release_s: Option<f64>,
     /// |x| in m beyond which the loop has diverged.
     pub(crate) diverged_position: f64,
     /// |V| in m/s beyond which the loop has diverged.
     pub(crate) diverged_speed: f64,
-    /// From when on, in s, a device at rest says that nothing more will happen; none to run to the end.
+    /// Time in s after which a device at rest ends the run; none to run all ticks.
     pub(crate) quiet_after_s: Option<f64>,
-    /// What is measured.
+    /// Requested metrics.
     pub(crate) metrics: Metrics,
 }
 
 impl MeasureSettings {
-    /// As the scene says.
+    /// Return the settings of a scene.
     pub(super) fn of<const N: usize>(scene: &SceneSpec<N>) -> Self {
         let operator = scene.operator.as_ref();
         let release = operator.and_then(|operator| operator.release.as_ref());
@@ -154,7 +155,7 @@ impl MeasureSettings {
                 quiet_after = quiet_after.max(last_s + 1.0 / gripper.speed);
             }
             if operator.tremor.is_some() && (release.is_none() || operator.regrasp.is_some()) {
-                // A hand that trembles and holds is never quiet.
+                // A hand that holds the device with tremor is never at rest.
                 quiet_after = f64::MAX;
             }
         }
@@ -172,14 +173,14 @@ impl MeasureSettings {
                 }
             }
         }
-        // What was scheduled last arrives late.
+        // Links, environment and limiter delay the effect of the last scheduled event.
         let late = scene.environment.as_ref().map_or(0, |environment| environment.delay_ticks);
         let links = scene.link.iter().flat_map(|links| [&links.forward, &links.backward]).flatten();
         let round_trip: f64 = links.clone().map(LinkSettings::longest_delay_s).sum();
         quiet_after = links.map(LinkSettings::last_change_s).fold(quiet_after, f64::max);
         let ramp = scene.safety.limiter.as_ref().map_or(0.0, |limiter| limiter.ramp_in_s);
         quiet_after += late as f64 * scene.run.period_s + 2.0 * round_trip + ramp;
-        // A hand that only lets the handle turn lets go as well.
+        // A release of the rotation alone counts as a release.
         let of_turn = operator.and_then(|operator| operator.rotation.as_ref()?.release);
         Self {
             release_s: release.copied().or(of_turn).map(|release| release.at_s),
@@ -197,25 +198,25 @@ const AT_REST: f64 = 1e-4;
 /// Time in s of rest after which a run has settled.
 const SETTLED_S: f64 = 0.2;
 
-/// The smallest force that defines the direction of an ejection, squared: 1 mN.
+/// Square of the smallest force that defines the direction of an ejection, (1 mN)² in N².
 const MIN_SQUARED_FORCE: f64 = 1e-6;
 
-/// The measures of a run as they grow.
+/// Measures of a run, updated at each tick.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Measures<const N: usize, S: Real = f64> {
     metrics: Metrics,
     release: S,
     has_release: bool,
-    /// Before the first of these times in s none has let go, after the second all have.
+    /// Earliest and latest release of all lanes in s: all hold before the first, and all have let go after the second.
     earliest_release: f64,
     latest_release: f64,
     diverged_position: S,
     diverged_speed: S,
-    /// Twice the reciprocals of their squares: rounding must not hide what is on a bound.
+    /// Twice the reciprocals of the squared bounds, so that rounding cannot hide a value at its bound.
     bounds: [S; 2],
     quiet_after: Option<S>,
     direction: Axes<N, S>,
-    /// Whether all have one.
+    /// True if every lane has a direction.
     all_directed: bool,
     ejection: S,
     peak_squared_force: S,
@@ -233,7 +234,7 @@ pub(crate) struct Measures<const N: usize, S: Real = f64> {
 }
 
 impl<const N: usize> Measures<N> {
-    /// Nothing measured yet, of a device that starts at `position` in m.
+    /// Build the measures before the first tick, for a device that starts at `position` in m.
     pub(crate) fn new(settings: &MeasureSettings, position: &Axes<N>) -> Self {
         Self {
             metrics: settings.metrics,
@@ -262,8 +263,8 @@ impl<const N: usize> Measures<N> {
         }
     }
 
-    /// Several scenarios side by side, before their first tick; none if some have a release, an early end or a metric,
-    /// and others have not.
+    /// Combine scenarios into lanes before their first tick. Returns none if their metrics differ, or if only some
+    /// have a release or an early end.
     pub(crate) fn gather<S: Real>(of: &[Self]) -> Option<Measures<N, S>> {
         let first = of.first()?;
         let shares = |one: &Self| {
@@ -310,7 +311,7 @@ impl<const N: usize> Measures<N> {
 }
 
 impl<const N: usize, S: Real> Measures<N, S> {
-    /// Whether some loop may have diverged at this tick; nearly always none has, and this is all that it costs.
+    /// Return true if a loop may have diverged at this tick. Almost every tick needs only this cheap test.
     #[inline(always)]
     pub(crate) fn may_have_diverged(
         &self,
@@ -319,13 +320,13 @@ impl<const N: usize, S: Real> Measures<N, S> {
         device_force: &Axes<N, S>,
     ) -> bool {
         let [room, speed] = self.bounds;
-        // What is not finite stays so when multiplied by 0, and fails every comparison.
+        // A force that is not finite becomes NaN when multiplied by 0, and NaN fails every comparison.
         let poison = device_force.dot(device_force) * S::splat(0.0);
         let excess = position.dot(position) * room + velocity.dot(velocity) * speed + poison;
         !excess.simd_lt(S::splat(1.0)).all()
     }
 
-    /// Where the loop has diverged at this tick, which is then not to be taken.
+    /// Return the mask of lanes that have diverged at this tick; do not take the tick in these lanes.
     pub(crate) fn diverged(
         &self,
         position: &Axes<N, S>,
@@ -338,7 +339,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
         !(speed & room & forced)
     }
 
-    /// What left its bounds in one lane.
+    /// Return the quantity out of bounds in one lane.
     pub(crate) fn cause(&self, lane: usize, position: &Axes<N, S>, velocity: &Axes<N, S>) -> DivergenceCause {
         let norm = |value: &Axes<N, S>| value.map(|x| x.extract(lane)).norm();
         let (distance, speed) = (norm(position), norm(velocity));
@@ -353,8 +354,10 @@ impl<const N: usize, S: Real> Measures<N, S> {
         }
     }
 
-    /// Take one tick at time t in s: x in m, V in m/s, `F_v`, `F_device` and the hand's force in N, and where a
-    /// controller acts, if one may; returns in which scenarios nothing more will happen, if any may end early.
+    /// Take one tick at time t in s: x in m, V in m/s, then `F_v`, `F_device` and the hand's force in N.
+    ///
+    /// `is_on` is the mask of lanes under intervention; None if no controller can intervene. Returns the mask of lanes
+    /// in which nothing more will happen; None if no lane may end early.
     #[inline(always)]
     #[allow(clippy::too_many_arguments)] // the signals of a tick
     pub(crate) fn take(
@@ -370,7 +373,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
         let (zero, one, time) = (S::splat(0.0), S::splat(1.0), S::splat(t));
         self.newest_s = t;
         if self.metrics.has(Metric::PassivityMin) {
-            // Work of the force that was held since the last tick.
+            // Work of the force held since the last tick.
             self.energy -= self.held.dot(&(position - self.last_position));
             self.min_energy = self.energy.lesser(self.min_energy);
             (self.held, self.last_position) = (*device_force, *position);
@@ -409,7 +412,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
             self.ejection = along.select(has_begun, zero).larger(self.ejection);
         }
         if !self.metrics.has_interventions() {
-            // Nobody asks for them.
+            // Interventions are not requested.
         } else if let Some(is_on) = is_on.filter(|is_on| is_on.any()) {
             let on = one.select(is_on, zero);
             let begins = on * (one - self.was_on);
@@ -423,8 +426,8 @@ impl<const N: usize, S: Real> Measures<N, S> {
         }
 
         let quiet_after = self.quiet_after?;
-        // A device that nobody holds and nothing pushes may drift: it has been ejected. One that rests because a
-        // controller holds the force back will move when that ends.
+        // A device that moves without any force has been ejected and may drift. A device at rest under an intervention
+        // will move when the intervention ends.
         let moves = squared_speed.simd_gt(S::splat(AT_REST * AT_REST));
         let forces = squared_force + hand_force.dot(hand_force) + rendered_force.dot(rendered_force);
         let mut acts = moves & forces.simd_gt(zero);
@@ -435,7 +438,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
         Some((time - self.active).simd_gt(S::splat(SETTLED_S)))
     }
 
-    /// The outcome of one lane after `ticks` ticks.
+    /// Return the outcome of one lane after `ticks` ticks.
     pub(crate) fn outcome(
         &self,
         lane: usize,
@@ -479,7 +482,7 @@ impl<const N: usize, S: Real> Measures<N, S> {
 }
 
 impl Outcome {
-    /// Return the value of a metric, with the master's period in s; none where it was not measured.
+    /// Return the value of a metric, with the master's period in s; none if it was not measured.
     pub fn value(&self, metric: Metric, period_s: f64) -> Option<f64> {
         let count = |count: Option<u64>| count.map(|count| count as f64);
         match metric {
@@ -499,7 +502,7 @@ impl Outcome {
         }
     }
 
-    /// The same without what needs two sides that have engaged.
+    /// Remove all values that require engaged sides.
     pub(crate) fn never_engaged(self) -> Self {
         Self {
             ending: if self.diverged.is_some() { Ending::Diverged } else { Ending::NeverEngaged },

@@ -33,7 +33,7 @@ pub enum Metric {
 }
 
 impl Metric {
-    /// All, in the order of tables.
+    /// All metrics, in the order of tables.
     pub const ALL: [Self; 13] = [
         Self::MaxEjectionVelocity,
         Self::PeakDeviceForce,
@@ -50,7 +50,7 @@ impl Metric {
         Self::PassivityMin,
     ];
 
-    /// Its name in tables.
+    /// Return the name used in tables.
     pub const fn name(self) -> &'static str {
         match self {
             Self::MaxEjectionVelocity => "max_ejection_velocity",
@@ -69,7 +69,7 @@ impl Metric {
         }
     }
 
-    /// Whether only a hand that turns has it.
+    /// Return true if the metric requires a hand that turns.
     pub const fn is_of_rotation(self) -> bool {
         matches!(
             self,
@@ -94,7 +94,7 @@ impl FromIterator<Metric> for Metrics {
     }
 }
 
-/// A metric that [`Metric::ALL`] leaves out, or has in another place, would never be measured.
+/// Check that [`Metric::ALL`] has every metric at its place; a missing or misplaced one would never be measured.
 const _: () = {
     let mut place = 0;
     while place < Metric::ALL.len() {
@@ -120,24 +120,24 @@ impl Metrics {
         Self(bits)
     };
 
-    /// Whether it is measured.
+    /// Return true if the metric is measured.
     #[inline(always)]
     pub const fn has(self, metric: Metric) -> bool {
         self.0 & 1 << metric as u8 != 0
     }
 
-    /// Whether anything of interventions is measured.
+    /// Return true if a metric of interventions is measured.
     #[inline(always)]
     pub(super) const fn has_interventions(self) -> bool {
         self.has(Metric::TimeToTrip) | self.has(Metric::FalseTrips) | self.has_intervention_ticks()
     }
 
-    /// Whether ticks under intervention are counted.
+    /// Return true if ticks under intervention are counted.
     pub(super) const fn has_intervention_ticks(self) -> bool {
         self.has(Metric::InterventionTime) | self.has(Metric::InterventionTicks)
     }
 
-    /// Whether anything of a hand that turns is measured.
+    /// Return true if a metric of a hand that turns is measured.
     #[inline(always)]
     pub(super) const fn has_rotation(self) -> bool {
         self.0 & Self::OF_ROTATION.0 != 0
@@ -149,7 +149,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_set_has_what_it_was_made_of_and_by_default_all() {
+    fn set_has_its_metrics_and_by_default_all() {
         let all: Metrics = Metric::ALL.into_iter().collect();
         assert_eq!((all, Metrics::default()), (Metrics::ALL, Metrics::ALL));
         for metric in Metric::ALL {

@@ -1,4 +1,4 @@
-//! Scenes: a whole experiment as one value, run in virtual time alone or by the thousand.
+//! Scenes: whole experiments as values, run in virtual time, one by one or in sweeps.
 
 mod assemble;
 mod bilateral;
@@ -50,20 +50,20 @@ pub use sweep::{Progress, Refused, SweepError, SweepPart, SweepSettings, Variati
 pub use timed::Timed;
 pub use tool_environment::{ToolEnvironment, tool_environment};
 
-/// Run a scene as JSON, in the form of [`SceneSpec`], unless `stop` is set meanwhile.
+/// Run a scene given as JSON in the form of [`SceneSpec`], to its end or until `stop` is set.
 ///
 /// # Errors
 ///
-/// As [`run`], and what is no scene.
+/// As [`run`], and if the text is not a scene.
 pub fn simulate(scene: &[u8], stop: &AtomicBool) -> Result<SceneRun, SceneError> {
     simulate_recorded(scene, stop, None, None)
 }
 
-/// The same, recorded to files where there are any, and with controllers of the caller's own where the scene asks for one.
+/// Same as [`simulate`], with recording to `files` and research controllers from `research`.
 ///
 /// # Errors
 ///
-/// As [`simulate`], and files that cannot be written, or of a scene without an arm.
+/// As [`simulate`], and if a file cannot be written, or the scene to record has no arm.
 pub fn simulate_recorded(
     scene: &[u8],
     stop: &AtomicBool,
@@ -73,8 +73,8 @@ pub fn simulate_recorded(
     simulate_keeping(scene, stop, &Keeping { files, research, ..Keeping::default() })
 }
 
-/// The same with every frame as its bytes between the two sides, encoded and decoded as on a live link: the result is
-/// that of [`simulate`], to the bit, and takes longer.
+/// Same as [`simulate`], but every frame is encoded and decoded as on a live link. The result is bit-identical, and
+/// the run takes longer.
 ///
 /// # Errors
 ///
@@ -91,17 +91,16 @@ fn simulate_keeping(scene: &[u8], stop: &AtomicBool, kept: &Keeping<'_>) -> Resu
     )
 }
 
-/// Run a scene, unless `stop` is set meanwhile.
+/// Run a scene to its end or until `stop` is set.
 ///
 /// # Errors
 ///
-/// A number or a combination that no part can have, or [`SceneError::Stopped`]; a diverging loop is no error but an
-/// outcome.
+/// A number or combination of settings is invalid, or [`SceneError::Stopped`]. Divergence is an outcome, not an error.
 pub fn run<const N: usize>(scene: &SceneSpec<N>, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
     run_keeping(scene, stop, &Keeping::default())
 }
 
-/// The same for its outcome alone, in less time.
+/// Same as [`run`], for the outcome only and in less time.
 pub(crate) fn outcome<const N: usize>(
     scene: &SceneSpec<N>,
     stop: &AtomicBool,

@@ -1,11 +1,11 @@
-//! The numbers of a scene that its number of axes does not change.
+//! Scene data that is read before the number of axes is known.
 
 use serde::{Deserialize, de::DeserializeOwned, de::IgnoredAny};
 
 use super::{assemble::SceneError, spec::SceneSpec};
 use crate::SideKind;
 
-/// What a caller must know of a scene before its [`SceneSpec`] is read.
+/// Scene data that a caller needs before it reads the [`SceneSpec`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SceneOutline {
     /// Number of axes.
@@ -14,17 +14,17 @@ pub struct SceneOutline {
     pub kind: SideKind,
     /// Period of the master in s.
     pub period_s: f64,
-    /// Period of the slave in s; that of the master without an arm.
+    /// Period of the slave in s; without an arm, that of the master.
     pub slave_period_s: f64,
-    /// Whether the finger feels its trigger.
+    /// True if the trigger has force feedback.
     pub feels_trigger: bool,
 }
 
-/// Read the outline of a scene as JSON; the rest of it is not looked at.
+/// Read the outline of a scene as JSON; other fields are ignored.
 ///
 /// # Errors
 ///
-/// No JSON, or a number that is missing.
+/// The text is not valid JSON, or a number is missing.
 pub fn scene_outline(json: &[u8]) -> Result<SceneOutline, SceneError> {
     #[derive(Deserialize)]
     struct Master {
@@ -52,13 +52,14 @@ pub fn scene_outline(json: &[u8]) -> Result<SceneOutline, SceneError> {
     })
 }
 
-/// Read a scene as JSON, of as many axes as [`SceneOutline::axes`] says.
+/// Read a scene as JSON, with the number of axes in [`SceneOutline::axes`].
 ///
-/// Through a tree of values, as the rows of a sweep: the reader of each table is then compiled once.
+/// It is read through a tree of values, like the rows of a sweep, so that the reader of each table is compiled only
+/// once.
 ///
 /// # Errors
 ///
-/// No JSON, or no scene of so many axes.
+/// The text is not valid JSON, or not a scene with N axes.
 pub(super) fn scene_spec<const N: usize>(json: &[u8]) -> Result<SceneSpec<N>, SceneError>
 where
     SceneSpec<N>: DeserializeOwned,

@@ -1,41 +1,41 @@
-//! The result of a run: signals, events and what it is judged by.
+//! Result of a run: signals, events and measures.
 
 use haptether_safety::{Axes, controller::Tripped};
 
 use super::{measures::Outcome, spec::SceneSpec};
 use crate::live::LoopReport;
 
-/// The result of a run.
+/// Result of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneRun {
-    /// Signals; empty where the scene records nothing.
+    /// Signals; empty if the scene records none.
     pub signals: Vec<Signal>,
-    /// What happened.
+    /// Events.
     pub events: Vec<SceneEvent>,
-    /// What it is judged by.
+    /// Measured values.
     pub outcome: Outcome,
     /// dT of the master in s.
     pub period_s: f64,
-    /// How the loops of master and slave went; none without an arm.
+    /// Reports of the loops of master and slave; none without an arm.
     pub reports: Option<[LoopReport; 2]>,
 }
 
 /// One signal over time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Signal {
-    /// Its name.
+    /// Name.
     pub name: &'static str,
     /// Values per sample: 1 for a scalar.
     pub width: usize,
-    /// The samples, one after the other.
+    /// Samples in order of time.
     pub values: Vec<f64>,
 }
 
-/// Signals of one loop, sampled every so many ticks.
+/// Signals of one loop, sampled at a fixed interval of ticks.
 #[derive(Clone, Debug)]
 pub(crate) struct Recorder {
     every: u64,
-    /// Ticks that the run has at most: room is made for them at once.
+    /// Largest number of ticks of the run; memory is reserved for all of them at once.
     max_ticks: u64,
     ticks: u64,
     signals: Vec<Signal>,
@@ -48,12 +48,13 @@ pub(crate) enum Sample<'a, const N: usize> {
 }
 
 impl Recorder {
-    /// Record every `every`-th of `max_ticks` ticks; nothing for 0.
+    /// Record every `every`-th of at most `max_ticks` ticks; 0 records nothing.
     pub(crate) fn new(every: u64, max_ticks: u64) -> Self {
         Self { every, max_ticks, ticks: 0, signals: Vec::new() }
     }
 
-    /// Count a tick that is not recorded; return whether there was none, so that a [`take`](Self::take) must follow.
+    /// Count a tick that is not recorded. Returns true if the tick is recorded instead: then [`take`](Self::take) must
+    /// follow.
     #[inline]
     pub(crate) fn begin_tick(&mut self) -> bool {
         if self.every == 0 {
@@ -64,7 +65,7 @@ impl Recorder {
         is_recorded
     }
 
-    /// Take a tick: the same signals in the same order each time.
+    /// Take a tick, with the same signals in the same order each time.
     #[inline]
     pub(crate) fn take<'a, const N: usize>(
         &mut self,
@@ -90,13 +91,13 @@ impl Recorder {
         self.ticks += 1;
     }
 
-    /// Take further signals of the tick that was taken last, the same in the same order each time.
+    /// Add further signals to the tick taken last, the same in the same order each time.
     pub(crate) fn also(&mut self, add: impl FnOnce(&mut dyn FnMut(&'static str, &[f64]))) {
         if self.every == 0 || !(self.ticks - 1).is_multiple_of(self.every) {
             return;
         }
         let room = usize::try_from(self.max_ticks.div_ceil(self.every)).unwrap_or(0);
-        // Behind those that this tick has already: they are longer by it.
+        // Further signals come after those that already have a value for this tick.
         let ticks = self.signals.first().map_or(0, |first| first.values.len() / first.width);
         let has_tick = |signal: &Signal| signal.values.len() == ticks * signal.width;
         let mut place = self.signals.iter().take_while(|signal| has_tick(signal)).count();
@@ -115,33 +116,37 @@ impl Recorder {
     }
 }
 
-/// Something that happened.
+/// Event of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneEvent {
-    /// When, in s.
+    /// Time in s.
     pub time_s: f64,
-    /// `disengaged`, `aligning`, `engaged`, `hold`, `stop` and `fault` of the ladder, `release` and `regrasp` of the
-    /// hand, `contact` and `free` of what is touched, `grip` and `drop` of the gripper, `trip` and `recover` of the controllers (`trigger` where they are those of a felt
-    /// trigger), `settled`, `diverged`,
-    /// `coarse`, `lost` or `refused`.
+    /// Kind of event:
+    ///
+    /// - ladder: `disengaged`, `aligning`, `engaged`, `hold`, `stop`, `fault`;
+    /// - hand: `release`, `regrasp`;
+    /// - contact: `contact`, `free`;
+    /// - gripper: `grip`, `drop`;
+    /// - controllers: `trip`, `recover`, with `trigger` in the detail for those of a trigger with force feedback;
+    /// - run: `settled`, `diverged`, `coarse`, `lost`, `refused`, `never-engaged`, `overflow`, `truncated`.
     pub kind: &'static str,
-    /// What more there is to say.
+    /// Further detail.
     pub detail: String,
 }
 
-/// Events of a run, as signals change from tick to tick.
+/// Events of a run, from changes between ticks.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct EventLog {
     events: Vec<SceneEvent>,
-    /// Of the hand, and of the trigger that a finger feels.
+    /// Bits of the tripped controllers: of the hand, and of a trigger with force feedback.
     tripped: [u8; 2],
-    /// Trips and contacts beyond those that are kept.
+    /// Trips, contacts and grips that were not stored because the log was full.
     dropped: u64,
     touches: bool,
     grips: bool,
 }
 
-/// Largest number of events that is kept; a loop that chatters would fill the memory.
+/// Largest number of stored events; a loop that chatters would otherwise fill the memory.
 const MAX_EVENTS: usize = 10_000;
 
 impl EventLog {
@@ -154,20 +159,20 @@ impl EventLog {
         }
     }
 
-    /// How many steps of the environment were too stiff to be followed to full accuracy, if any.
+    /// Add the number of environment steps that were too stiff for full accuracy, if any.
     pub(crate) fn coarse(&mut self, time_s: f64, steps: u64) {
         if steps > 0 {
             self.add(time_s, "coarse", format!("{steps} steps of the environment were too stiff"));
         }
     }
 
-    /// Who intervenes at this tick on force and torque of the hand.
+    /// Take the controllers that intervene on force and torque of the hand at this tick.
     #[inline]
     pub(crate) fn tripped(&mut self, time_s: f64, tripped: Tripped) {
         self.changed(time_s, 0, tripped);
     }
 
-    /// Who intervenes at this tick on the force of a trigger that the finger feels.
+    /// Take the controllers that intervene on the force of a trigger with force feedback at this tick.
     #[inline]
     pub(crate) fn trigger_tripped(&mut self, time_s: f64, tripped: Tripped) {
         self.changed(time_s, 1, tripped);
@@ -193,7 +198,7 @@ impl EventLog {
         }
     }
 
-    /// Whether there is contact at this tick.
+    /// Take the state of contact at this tick.
     #[inline]
     pub(crate) fn touches(&mut self, time_s: f64, touches: bool) {
         if touches != self.touches {
@@ -202,7 +207,7 @@ impl EventLog {
         }
     }
 
-    /// Whether the gripper holds something at this tick.
+    /// Take the state of the grip at this tick.
     #[inline]
     pub(crate) fn grips(&mut self, time_s: f64, grips: bool) {
         if grips != self.grips {
@@ -211,7 +216,7 @@ impl EventLog {
         }
     }
 
-    /// What the scene itself schedules, up to where the run ended, from `engaged_s` on; and how it diverged.
+    /// Add the scene's scheduled events up to the end of the run, counted from `engaged_s`, and the divergence.
     pub(crate) fn schedule<const N: usize>(
         &mut self,
         scene: &SceneSpec<N>,
@@ -239,7 +244,7 @@ impl EventLog {
         }
     }
 
-    /// All events in the order of their times.
+    /// Return all events in order of time.
     pub(crate) fn into_events(mut self) -> Vec<SceneEvent> {
         if self.dropped > 0 {
             let last = self.events.iter().map(|event| event.time_s).fold(0.0, f64::max);
@@ -256,7 +261,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn keeps_every_so_many_ticks() {
+    fn every_third_tick_is_recorded() {
         let mut recorder = Recorder::new(3, 10);
         for tick in 0..10 {
             let x = Axes::<2>::new(f64::from(tick), -1.0);

@@ -1,4 +1,4 @@
-//! What a recorded side of a hand would have exerted under other settings.
+//! Replay of a recorded master: the force it would have exerted with other settings.
 
 mod columns;
 
@@ -12,25 +12,26 @@ use crate::{
 
 pub use columns::{RecordedColumns, ReplayError, ReplayedColumn, ReplayedColumns, replay_columns};
 
-/// A run of its own: nobody hears of it.
+/// Run number of the replay; it has no peer.
 const RUN_ID: u64 = 1;
 
 /// One tick of a recording.
 #[derive(Clone, Copy, Debug)]
 pub struct RecordedTick<const N: usize> {
-    /// Since the run began.
+    /// Time since the run began.
     pub time_ns: u64,
-    /// What the device measured.
+    /// Measurements of the device.
     pub reading: MasterReading<N>,
-    /// What was decided by.
+    /// Inputs of the decision.
     pub input: HandInput<N>,
     /// `F_device` in N that was exerted.
     pub device_force: Axes<N>,
-    /// Whether the hand holds the device, 0 or 1; of a modelled hand only.
+    /// Grip: 1 if the hand holds the device, 0 if not; for a modelled hand only.
     pub grip: f64,
 }
 
-/// What a hand adds to a device that it holds: `M x'' + B x' + K x = -F_hand` about the way that it went.
+/// Impedance that a hand adds to a device it holds: `M x'' + B x' + K x = -F_hand`, with x relative to the recorded
+/// path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HandImpedance {
     /// M in kg.
@@ -41,29 +42,29 @@ pub struct HandImpedance {
     pub stiffness: f64,
 }
 
-/// One tick, again.
+/// Result of one replayed tick.
 #[derive(Clone, Copy, Debug)]
 pub struct ReplayedTick<const N: usize> {
-    /// What the safety layer saw and decided.
+    /// Observations and decision of the safety layer.
     pub safety: SafetyTick<N>,
-    /// The same of the torque, of a hand that turns.
+    /// Same for the torque, if the hand turns.
     pub rotation: Option<SafetyTick<3>>,
-    /// How far in m a modelled hand is from where the recorded one was; zero without one.
+    /// Displacement in m of a modelled hand from its recorded position; zero without a modelled hand.
     pub displacement: Axes<N>,
-    /// By how much in m/s it is faster.
+    /// Rate of the displacement in m/s.
     pub displacement_rate: Axes<N>,
 }
 
-/// The side of a hand, fed with what was recorded of it.
+/// Replay of a master from its recorded inputs.
 #[derive(Clone, Debug)]
 pub struct Replay<const N: usize> {
     endpoint: MasterEndpoint<N>,
-    /// Of the operator with their times; done, so many.
+    /// Operator commands with their times; the first `done` of them have been applied.
     commands: Vec<(u64, OperatorCommand)>,
     done: usize,
-    /// Whether the ladder left a share of the force at the last tick.
+    /// True if the gain of the ladder was above 0 at the last tick.
     had_force: bool,
-    /// Whether the coupling requests anew of what was received.
+    /// True if the coupling recomputes the request from the received force.
     recouples: bool,
     hand: Option<HandImpedance>,
     mass_kg: Axes<N>,
@@ -71,17 +72,18 @@ pub struct Replay<const N: usize> {
     /// Mechanical stops of the device, lower and upper, in m.
     stops: (Axes<N>, Axes<N>),
     period_s: f64,
-    /// When, and what the force was more than the recorded one, at the last tick.
+    /// Time of the last tick in ns, and its force in N beyond the recorded force.
     last: Option<(u64, Axes<N>)>,
     displacement: [Axes<N>; 2],
 }
 
 impl<const N: usize> Replay<N> {
-    /// A side of the settings of `scene`; `recouples` says that its coupling is not that of the recording.
+    /// Build the master from the settings of `scene`; `recouples` is true if its coupling differs from the recorded
+    /// one.
     ///
     /// # Errors
     ///
-    /// A number or a combination that no part can have.
+    /// A number or combination of settings is invalid.
     pub fn new(
         scene: &SceneSpec<N>,
         recouples: bool,
@@ -104,10 +106,10 @@ impl<const N: usize> Replay<N> {
         })
     }
 
-    /// The next tick.
+    /// Replay the next tick.
     pub fn step(&mut self, tick: &RecordedTick<N>) -> ReplayedTick<N> {
         while let Some((_, command)) = self.commands.get(self.done).filter(|(at, _)| *at <= tick.time_ns) {
-            // They were checked when the scene was built. Where there was a force, they faded.
+            // The commands were checked when the scene was built. A change fades only if there was a force.
             let ticks = if self.had_force { self.endpoint.exchange.fade_in_ticks() } else { 0 };
             let _ = self.endpoint.change(*command, ticks);
             self.done += 1;
@@ -127,14 +129,14 @@ impl<const N: usize> Replay<N> {
         ReplayedTick { safety, rotation, displacement, displacement_rate }
     }
 
-    /// Move device and hand by the force of the last tick that was not there when it was recorded.
+    /// Move device and hand by the difference of replayed and recorded force at the last tick.
     ///
-    /// The trapezoidal rule, which is stable whatever the stiffness:
+    /// Uses the trapezoidal rule, which is stable for any stiffness:
     /// `M (v' - v) = dt (F - B (v + v')/2 - K (x + x')/2)`, `x' = x + dt (v + v')/2`.
     fn displace(&mut self, hand: &HandImpedance, tick: &RecordedTick<N>) {
         let Some((before_ns, force)) = self.last else { return };
         let elapsed_s = tick.time_ns.saturating_sub(before_ns) as f64 * 1e-9;
-        // A hole in the recording says nothing of what was exerted in it.
+        // The force in a gap of the recording is unknown, so only the missed ticks are counted.
         let dt = elapsed_s.min(self.period_s * (tick.input.missed + 1) as f64);
         if dt <= 0.0 {
             return;
@@ -148,7 +150,7 @@ impl<const N: usize> Replay<N> {
             let resistance = 0.5 * damping + 0.25 * dt * stiffness;
             let next =
                 ((mass / dt - resistance) * v + force[axis] - stiffness * x) / (mass / dt + resistance);
-            // What was recorded at a stop or beyond it, the stop has borne there, too.
+            // If the recorded position is at or beyond a mechanical stop, the stop carries the force here too.
             let at = tick.reading.position[axis];
             let (lower, upper) = ((self.stops.0[axis] - at).min(0.0), (self.stops.1[axis] - at).max(0.0));
             let free = x + 0.5 * dt * (v + next);

@@ -1,4 +1,4 @@
-//! Controllers of the caller's own, for research: one for each simulated run.
+//! Research controllers: custom controllers of the caller, one for each simulated run.
 
 use std::fmt::Debug;
 
@@ -9,9 +9,10 @@ use super::{
     spec::{ResearchSpec, SceneSpec},
 };
 
-/// Makes a controller for each run, on any thread.
+/// Factory of a controller for each run, on any thread.
 pub trait ResearchFactory: Sync + Debug {
-    /// One that has seen nothing, of a device with so many axes that is sampled every `period_s`, or why there is none.
+    /// Return a new controller for a device with this number of axes, sampled every `period_s`, or the reason of a
+    /// refusal.
     fn controller(
         &self,
         spec: &ResearchSpec,
@@ -20,8 +21,8 @@ pub trait ResearchFactory: Sync + Debug {
     ) -> Result<Box<dyn ResearchController>, String>;
 }
 
-/// The controller that the scene asks for, if any. Without a factory it is refused, never left out: whoever wrote the
-/// scene takes it that somebody watches.
+/// Return the controller that the scene names, if any. Without a factory the scene is refused: its author expects that
+/// the controller acts.
 pub(crate) fn research_controller<const N: usize>(
     scene: &SceneSpec<N>,
     factory: Option<&dyn ResearchFactory>,

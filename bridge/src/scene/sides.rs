@@ -1,4 +1,4 @@
-//! The two sides of a scene, each by itself: what a run in virtual time couples, and what runs live.
+//! The two sides of a scene, built separately: coupled in virtual time, or run live.
 
 use haptether_master::SimulatedMaster;
 use haptether_safety::SampleBounds;
@@ -22,7 +22,7 @@ use crate::{
     endpoint::{Arm, Hand, TOOL_LEVER_M, period_s},
 };
 
-/// How a driven arm brakes where it is no longer led, in m/s^2, unless the scene bounds its acceleration.
+/// Deceleration in m/s² of a driven arm that no longer follows, unless the scene bounds its acceleration.
 const DECELERATION: f64 = 5.0;
 
 fn master_settings<const N: usize>(
@@ -43,7 +43,7 @@ fn master_settings<const N: usize>(
     })
 }
 
-/// Sample bounds of a side of this kind, with the speed bound of its device and a quantum in m (rad).
+/// Return the sample bounds of a side of this kind, with the speed bound of its device and a quantum in m (rad).
 fn point_samples(kind: SideKind, speed_bound: Option<f64>, quantum: f64) -> SampleBounds {
     let of_kind = match kind {
         SideKind::Joints => SampleBounds::JOINTS,
@@ -52,7 +52,7 @@ fn point_samples(kind: SideKind, speed_bound: Option<f64>, quantum: f64) -> Samp
     SampleBounds { speed: speed_bound.unwrap_or(of_kind.speed), quantum, ..of_kind }
 }
 
-/// Sample bounds of the device, of position and rotation.
+/// Return the sample bounds of the device, for position and rotation.
 fn master_samples<const N: usize>(scene: &SceneSpec<N>) -> [SampleBounds; 2] {
     let master = &scene.master;
     let point = point_samples(master.kind, master.speed_bound, master.device.encoder_quantum);
@@ -66,14 +66,14 @@ fn master_samples<const N: usize>(scene: &SceneSpec<N>) -> [SampleBounds; 2] {
     [point, rotation]
 }
 
-/// Sample bounds of the arm, of position and rotation.
+/// Return the sample bounds of the arm, for position and rotation.
 fn slave_samples<const N: usize>(scene: &SceneSpec<N>) -> [SampleBounds; 2] {
     let speed_bound = scene.slave.as_ref().and_then(|slave| slave.speed_bound);
     [point_samples(scene.master.kind, speed_bound, 0.0), SampleBounds::LINEAR.at_lever(TOOL_LEVER_M)]
 }
 
-/// What decides over the force on a hand that neither turns nor leads a gripper, by itself, and the coupling that it requests
-/// by: that of [`master_endpoint`].
+/// Build only the hand of [`master_endpoint`] and the coupling that requests its force. The hand must neither turn nor
+/// lead a gripper.
 pub(super) fn hand_alone<const N: usize>(
     scene: &SceneSpec<N>,
 ) -> Result<(Hand<N>, PositionForce<N>), SceneError> {
@@ -82,7 +82,7 @@ pub(super) fn hand_alone<const N: usize>(
     Ok((MasterEndpoint::hand_of(&settings)?.with_samples(master_samples(scene)), coupling))
 }
 
-/// What decides at the side of the hand; `research` makes a controller of the caller's own, and is None of what is live.
+/// Build the endpoint of the master; `research` builds a research controller and is None for live sides.
 pub(super) fn master_endpoint<const N: usize>(
     scene: &SceneSpec<N>,
     run_id: u64,
@@ -136,13 +136,13 @@ fn slave_settings<const N: usize>(scene: &SceneSpec<N>, run_id: u64) -> Result<S
     })
 }
 
-/// What decides over the command to an arm that does not turn, by itself: that of [`slave_endpoint`].
+/// Build only the arm of [`slave_endpoint`]; it must not turn.
 pub(super) fn arm_alone<const N: usize>(scene: &SceneSpec<N>) -> Result<Arm<N>, SceneError> {
     let settings = slave_settings(scene, 0)?;
     Ok(Arm::new(&settings)?.with_samples(slave_samples(scene), period_s(settings.period_ns)))
 }
 
-/// What decides at the side of the robot.
+/// Build the endpoint of the slave.
 pub(super) fn slave_endpoint<const N: usize>(
     scene: &SceneSpec<N>,
     run_id: u64,
@@ -178,7 +178,7 @@ pub(super) fn slave_endpoint<const N: usize>(
     Ok(endpoint)
 }
 
-/// What leads the gripper of the scene's arm, where that has one: the operator's trigger, or that of a driver.
+/// Return the trigger that leads the gripper of the scene's arm: the operator's or a driver's; none without a gripper.
 pub(super) fn trigger<const N: usize>(
     scene: &SceneSpec<N>,
     is_driven: bool,
@@ -193,14 +193,14 @@ pub(super) fn trigger<const N: usize>(
     simulated_trigger(scene, arm).map(Some)
 }
 
-/// The model of the gripper of the scene's arm.
+/// Build the model of the gripper of the scene's arm.
 pub(super) fn simulated_gripper<const N: usize>(
     scene: &SceneSpec<N>,
 ) -> Result<Option<LedGripper>, SceneError> {
     Ok(scene.coupled()?.0.gripper.map(LedGripper::simulated).transpose()?)
 }
 
-/// The scene's arm in its environment.
+/// Build the scene's arm in its environment.
 pub(super) fn simulated_arm<const N: usize>(scene: &SceneSpec<N>) -> Result<SimulatedSlave<N>, SceneError> {
     let (slave, _) = scene.coupled()?;
     Ok(SimulatedSlave::in_environment(
@@ -217,19 +217,19 @@ pub(super) fn waiting_master<const N: usize>(mut plant: SimulatedMaster<N>) -> S
     plant
 }
 
-/// A model of a device and its hand.
+/// Device of a live master.
 pub type LiveDevice<const N: usize> = Box<dyn MasterPlant<N> + Send>;
 
-/// The scene's device in the scene's hand, which waits for the engagement.
+/// Build the scene's device in the scene's hand, which waits for the engagement.
 fn simulated_device<const N: usize>(scene: &SceneSpec<N>) -> Result<LiveDevice<N>, SceneError> {
     Ok(Box::new(waiting_master(exact_master(scene)?)))
 }
 
-/// The side of the hand with the scene's device in the scene's hand; `run_id` is drawn anew at every start.
+/// Build the master with the scene's device in the scene's hand; `run_id` is drawn at random at every start.
 ///
 /// # Errors
 ///
-/// A number or a combination that no part can have, as for all of these.
+/// A number or combination of settings is invalid. All builders of a side return such errors.
 pub fn simulated_master<const N: usize>(
     scene: &SceneSpec<N>,
     run_id: u64,
@@ -241,7 +241,7 @@ pub fn simulated_master<const N: usize>(
     Ok(Timed::new(side, commands::<N>(scene.coupled()?.1)?))
 }
 
-/// The same with a device that turns.
+/// Same as [`simulated_master`], with a device that turns.
 ///
 /// # Errors
 ///
@@ -258,7 +258,7 @@ pub fn simulated_pose_master(
     Ok(Timed::new(side, commands::<3>(scene.coupled()?.1)?))
 }
 
-/// The side of the robot with the scene's arm in the scene's environment.
+/// Build the slave with the scene's arm in the scene's environment.
 ///
 /// # Errors
 ///
@@ -267,13 +267,13 @@ pub fn simulated_slave<const N: usize>(
     scene: &SceneSpec<N>,
     run_id: u64,
 ) -> Result<Timed<SlaveSide<SimulatedSlave<N>, N>>, SceneError> {
-    research_controller(scene, None)?; // what its master refuses, too
+    research_controller(scene, None)?; // refused as at its master
     let side = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, run_id)?)
         .with_gripper(simulated_gripper(scene)?);
     Ok(Timed::new(side, commands::<N>(scene.coupled()?.1)?))
 }
 
-/// The same with an arm that turns.
+/// Same as [`simulated_slave`], with an arm that turns.
 ///
 /// # Errors
 ///
@@ -290,12 +290,12 @@ pub fn simulated_pose_slave(
     Ok(Timed::new(side, commands::<3>(coupling)?))
 }
 
-/// The side of the hand with a device whose driver is elsewhere; `simulated_clutch` has a simulated operator press anew
-/// where it has no button.
+/// Build the master with a device that a driver reads and writes. With `simulated_clutch`, a simulated operator
+/// presses the clutch of a device without a button again after a hold.
 ///
 /// # Errors
 ///
-/// As [`simulated_master`], and times at which the clutch would be pressed.
+/// As [`simulated_master`], and if the scene has press times of the clutch.
 pub fn driven_master<const N: usize>(
     scene: &SceneSpec<N>,
     run_id: u64,
@@ -312,7 +312,7 @@ pub fn driven_master<const N: usize>(
     Ok(Timed::new(side, commands::<N>(scene.coupled()?.1)?))
 }
 
-/// The side of the robot with an arm whose driver is elsewhere.
+/// Build the slave with an arm that a driver reads and writes.
 ///
 /// # Errors
 ///
@@ -322,7 +322,7 @@ pub fn driven_slave<const N: usize>(
     run_id: u64,
 ) -> Result<Timed<SlaveSide<DrivenSlave<N>, N>>, SceneError> {
     let (slave, coupling) = scene.coupled()?;
-    research_controller(scene, None)?; // what its master refuses, too
+    research_controller(scene, None)?; // refused as at its master
     let plant = DrivenSlave::new(slave.max_acceleration.unwrap_or(DECELERATION))
         .map_err(|error| SceneError::Contradiction(format!("slave.max_acceleration: {error}")))?;
     let gripper = slave.gripper.map(LedGripper::driven).transpose()?;

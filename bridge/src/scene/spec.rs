@@ -1,8 +1,8 @@
-//! A scene as numbers: what the TOML file says, checked and with its defaults filled in.
+//! A scene as numbers: the checked content of its TOML file, with all defaults filled in.
 //!
-//! The tables that a user writes, their documentation, ranges and defaults are those of `bridge/scene/tables/`. What
-//! describes one part (device, leg, arm, estimator, ladder, link) is the type that the part itself is built from. A
-//! test holds the schema of these types against that of the tables.
+//! The tables that a user writes, with documentation, ranges and defaults, are in `bridge/scene/tables/`. A part
+//! (device, leg, arm, estimator, ladder, link) is read as the settings type of that part itself. A test compares the
+//! schema of these types with that of the tables.
 
 use haptether_master::{
     DeviceParameters, Leg, Regrasp, Release, RotationHandParameters, RotationParameters, Tremor,
@@ -28,8 +28,7 @@ use crate::{
     scene::metrics::Metrics,
 };
 
-/// Runs an expression for the number of axes of a device; `$n` is that number as a constant, `$other` what any other
-/// number leads to.
+/// Run an expression with the number of axes as the constant `$n`; for any other number, run `$refused` with `$other`.
 macro_rules! of_axes {
     ($axes:expr, $n:ident => $body:expr, $other:ident => $refused:expr) => {
         match $axes {
@@ -67,40 +66,40 @@ macro_rules! of_axes {
 }
 pub(super) use of_axes;
 
-/// A scene of N axes, read from JSON: vectors are lists with one number per axis.
+/// Scene of N axes, read from JSON: vectors are lists with one number per axis.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SceneSpec<const N: usize> {
-    /// How it is run.
+    /// Duration and computation of the run.
     pub run: RunSpec,
-    /// The device.
+    /// Haptic device.
     pub master: MasterSpec<N>,
-    /// The hand; without it nobody holds the device.
+    /// Hand; without it, no hand holds the device.
     pub operator: Option<OperatorSpec<N>>,
-    /// The arm; without it the environment is rendered on the device itself.
+    /// Arm; without it, the environment is rendered on the device itself.
     pub slave: Option<ArmSettings<N>>,
-    /// What is touched.
+    /// Objects and pushes.
     pub environment: Option<EnvironmentSpec<N>>,
-    /// The network; without it the two sides share one wire without delay.
+    /// Network; without it, the sides share one link without delay.
     pub link: Option<LinksSpec>,
-    /// How master and slave are coupled; only with an arm.
+    /// Coupling of master and slave; only with an arm.
     pub coupling: Option<CouplingSpec>,
-    /// The session in which frames travel; without it, in the clear.
+    /// Session of the frames; without it, frames are not encrypted.
     pub security: Option<SecuritySpec>,
-    /// Who watches the hand.
+    /// Safety layer of the hand.
     pub safety: SafetySpec,
-    /// What is recorded; without it only metrics and events are kept.
+    /// Recorded signals; without it, only metrics and events are kept.
     pub record: Option<RecordSpec>,
-    /// What is measured: all, unless a sweep asks for less. No part of a scene as JSON.
+    /// Measured quantities: all by default, a subset in a sweep. Not part of the JSON of a scene.
     #[serde(skip)]
     pub metrics: Metrics,
 }
 
-/// The number of axes of a scene as JSON, for which its [`SceneSpec`] is read; the rest of it is not looked at.
+/// Return the number of axes of a scene as JSON, which selects its [`SceneSpec`]. The other fields are ignored.
 ///
 /// # Errors
 ///
-/// It is no JSON, or has no such number.
+/// The text is not valid JSON, or has no number of axes.
 pub fn scene_axes(json: &[u8]) -> Result<usize, serde_json::Error> {
     #[derive(Deserialize)]
     struct Master {
@@ -113,7 +112,7 @@ pub fn scene_axes(json: &[u8]) -> Result<usize, serde_json::Error> {
     serde_json::from_slice(json).map(|Scene { master: Master { axes } }| axes)
 }
 
-/// The schema of a scene, as JSON.
+/// Return the schema of a scene as JSON.
 pub fn scene_schema() -> String {
     schemars::schema_for!(SceneSpec<1>).as_value().to_string()
 }
@@ -122,13 +121,13 @@ pub fn scene_schema() -> String {
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RunSpec {
-    /// In s.
+    /// Duration in s.
     pub duration_s: f64,
     /// dT of the master in s.
     pub period_s: f64,
-    /// Seed of all randomness.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Ends the run when nothing that is measured can change any more.
+    /// True to end the run when no measured quantity can change any more.
     pub stop_early: bool,
     /// |x| in m beyond which the loop has diverged.
     pub diverged_position: f64,
@@ -139,16 +138,16 @@ pub struct RunSpec {
 /// `[master]`, after its preset has been filled in.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 pub struct MasterSpec<const N: usize> {
-    /// What its coordinates are, and those of the slave.
+    /// Kind of coordinates of master and slave.
     pub kind: SideKind,
     /// Number of axes: 1 to 7.
     pub axes: usize,
     /// Mechanics, encoder and motors.
     #[serde(flatten)]
     pub device: DeviceParameters<N>,
-    /// Speed bound in m/s (rad/s) that its samples are held against; without it that of its kind.
+    /// Speed limit in m/s (rad/s) of its samples; by default the limit of its kind.
     pub speed_bound: Option<f64>,
-    /// Where it starts, in m per axis.
+    /// Start position in m per axis.
     #[schemars(with = "Vec<f64>")]
     pub position: Axes<N>,
     /// V at the start, in m/s per axis.
@@ -156,17 +155,18 @@ pub struct MasterSpec<const N: usize> {
     pub velocity: Axes<N>,
     /// Mechanics of its rotation; of kind `pose` only.
     pub rotation: Option<RotationParameters>,
-    /// What its buttons do.
+    /// Functions of its buttons.
     pub buttons: Option<ButtonSettings>,
-    /// Its trigger, where the finger feels what the gripper holds.
+    /// Trigger with force feedback.
     pub gripper: Option<TriggerSpec>,
 }
 
-/// `[master.gripper]`: a trigger with a motor. `m A + b V + c sign(V) = F_device + F_finger` along its closing way.
+/// `[master.gripper]`: trigger with force feedback. `m A + b V + c sign(V) = F_device + F_finger` in closing
+/// direction.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TriggerSpec {
-    /// From open to closed, in m.
+    /// Travel from open to closed in m.
     pub travel_m: f64,
     /// m in kg, at the finger.
     pub mass_kg: f64,
@@ -174,15 +174,15 @@ pub struct TriggerSpec {
     pub viscous: f64,
     /// c in N.
     pub coulomb: f64,
-    /// Resolution of its position in m; 0 is exact.
+    /// Position resolution in m; 0 is exact.
     pub encoder_quantum: f64,
-    /// Finger force per force between the jaws.
+    /// Ratio of finger force to jaw force.
     pub force_scale: f64,
     /// Largest force in N.
     pub max_force_n: f64,
     /// Largest growth of the force in N/s.
     pub max_slew_n_per_s: f64,
-    /// Largest power in W that it may put into the finger.
+    /// Largest power in W into the finger.
     pub max_power_w: f64,
 }
 
@@ -194,36 +194,36 @@ pub struct OperatorSpec<const N: usize> {
     pub stiffness: f64,
     /// `B_h` in N s/m.
     pub damping: f64,
-    /// Grip strength in N; none without a bound.
+    /// Grip strength in N; by default no bound.
     pub grip_strength_n: Option<f64>,
-    /// Where the path begins, in m per axis.
+    /// Start of the path in m per axis.
     #[schemars(with = "Vec<f64>")]
     pub start: Axes<N>,
-    /// The legs of the path.
+    /// Legs of the path.
     pub legs: Vec<Leg<N>>,
-    /// A recorded path instead of legs.
+    /// Recorded path, as an alternative to legs.
     pub recorded: Option<SeriesSettings<N>>,
-    /// When it lets go.
+    /// Release of the device.
     pub release: Option<Release>,
-    /// How it takes hold again.
+    /// Grasp after the release.
     pub regrasp: Option<Regrasp>,
     /// Tremor.
     pub tremor: Option<Tremor>,
-    /// What the operator does with the clutch, where no times are given.
+    /// Clutch, if no times are given.
     pub clutch: ClutchSpec,
     /// Press and release times of the clutch in s.
     pub clutch_times: Option<Vec<(f64, f64)>>,
-    /// From when both sides are ready after a hold to the new press, in s.
+    /// Time in s from when both sides are ready after a hold to the next press.
     pub clutch_reaction_s: f64,
-    /// Times in s since engagement and positions of the trigger that leads the gripper.
+    /// Command of the gripper: pairs of time in s since engagement and trigger position.
     pub trigger: Vec<[f64; 2]>,
-    /// The finger at a trigger that it feels.
+    /// Finger on a trigger with force feedback.
     pub finger: Option<FingerSpec>,
-    /// How it turns a device of kind `pose`; without it, nobody does.
+    /// Rotation of a device of kind `pose` by the hand; by default none.
     pub rotation: Option<RotationHandParameters>,
 }
 
-/// `[operator.finger]`: `F_finger = K_f (travel p_target - x) - B_f V`, up to its strength.
+/// `[operator.finger]`: `F_finger = K_f (travel p_target - x) - B_f V`, saturated at its strength.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FingerSpec {
@@ -231,19 +231,19 @@ pub struct FingerSpec {
     pub stiffness: f64,
     /// `B_f` in N s/m.
     pub damping: f64,
-    /// Its strength in N; none without a bound.
+    /// Strength in N; by default no bound.
     pub strength_n: Option<f64>,
-    /// When it lets go of the trigger.
+    /// Release of the trigger.
     pub release: Option<Release>,
 }
 
-/// What a simulated operator does with the clutch.
+/// Clutch of a simulated operator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ClutchSpec {
-    /// Presses at the start and, after letting go, after each hold.
+    /// Press at the start; after each hold release and press again.
     Auto,
-    /// Presses at the start.
+    /// Press at the start only.
     Once,
 }
 
@@ -251,15 +251,15 @@ pub enum ClutchSpec {
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EnvironmentSpec<const N: usize> {
-    /// How it acts on a device without an arm between.
+    /// Action on a device without an arm.
     pub rendering: RenderingSpec,
-    /// Ticks by which its force is late; only sampled, without an arm.
+    /// Delay of its force in ticks; only if sampled, without an arm.
     pub delay_ticks: usize,
-    /// What is touched.
+    /// Objects that can be touched.
     pub objects: Vec<ObjectSettings<N>>,
-    /// What pushes by itself.
+    /// Independent forces.
     pub pushers: Vec<PusherSettings<N>>,
-    /// What turns by itself; of kind `pose` only, as all that follows.
+    /// Independent torques; of kind `pose` only, like all fields below.
     pub torques: Vec<TorqueSpec<N>>,
     /// Holes.
     pub holes: Vec<HoleSettings>,
@@ -269,13 +269,13 @@ pub struct EnvironmentSpec<const N: usize> {
     pub bodies: Vec<RigidBodySettings>,
 }
 
-/// How a torque goes.
+/// Course of a torque over time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum TorqueKind {
-    /// At once.
+    /// Constant from its start.
     Step,
-    /// Rising linearly and staying.
+    /// Linear rise, then constant.
     Ramp,
     /// `tau sin(pi t / duration)`.
     HalfSine,
@@ -283,26 +283,26 @@ pub enum TorqueKind {
     Sine,
 }
 
-/// `[[environment.torques]]`: a torque of its own on the tool.
+/// `[[environment.torques]]`: independent torque on the tool.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TorqueSpec<const N: usize> {
-    /// Its course.
+    /// Course over time.
     pub shape: TorqueKind,
-    /// When it begins, in s since engagement.
+    /// Start in s since engagement.
     pub at_s: f64,
-    /// How long it lasts, in s.
+    /// Duration in s.
     pub duration_s: f64,
-    /// Time in s in which a ramp rises.
+    /// Rise time of a ramp in s.
     pub rise_s: f64,
-    /// Of a sine, in Hz.
+    /// Frequency of a sine in Hz.
     pub frequency_hz: f64,
-    /// In N m.
+    /// Torque in N m.
     #[schemars(with = "Vec<f64>")]
     pub torque_n_m: Axes<N>,
 }
 
-/// How an environment acts on a device without an arm between.
+/// Action of an environment on a device without an arm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum RenderingSpec {
@@ -316,13 +316,13 @@ pub enum RenderingSpec {
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LinksSpec {
-    /// From master to slave.
+    /// Link from master to slave.
     pub forward: Option<LinkSettings>,
-    /// From slave to master.
+    /// Link from slave to master.
     pub backward: Option<LinkSettings>,
-    /// What the master's clock shows; without it, true time.
+    /// Clock of the master; by default exact.
     pub master_clock: Option<ClockSettings>,
-    /// What the slave's clock shows.
+    /// Clock of the slave; by default exact.
     pub slave_clock: Option<ClockSettings>,
 }
 
@@ -330,45 +330,45 @@ pub struct LinksSpec {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SecuritySpec {
-    /// Whether frames are encrypted and authenticated.
+    /// True to encrypt and authenticate frames.
     pub secure: bool,
 }
 
 /// `[coupling]`.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 pub struct CouplingSpec {
-    /// Which.
+    /// Coupling method.
     pub kind: CouplingKind,
-    /// `lambda_p`.
+    /// `lambda_p`: slave motion per master motion.
     pub position_scale: f64,
-    /// `lambda_f`.
+    /// `lambda_f`: rendered force per measured force.
     pub force_scale: f64,
     /// Rotation from the master's frame to the slave's, a unit quaternion.
     pub quat_wxyz: [f64; 4],
-    /// The slave's axes that do not follow, from 0.
+    /// Slave axes, from 0, that do not follow.
     pub locked_axes: Vec<usize>,
-    /// What the slave takes of a remote command.
+    /// Bounds on a remote position command at the slave.
     #[serde(flatten)]
     pub bounds: CommandBounds,
-    /// `lambda_r`.
+    /// `lambda_r` of the rotation.
     pub rotation_scale: f64,
-    /// `lambda_tau`.
+    /// `lambda_tau`: rendered torque per measured torque.
     pub torque_scale: f64,
-    /// Whether the slave keeps its orientation.
+    /// True if the slave keeps its orientation.
     pub locks_rotation: bool,
-    /// The axis of the slave's base frame about which alone it turns.
+    /// Unit axis in the slave's base frame about which it turns; by default all axes.
     pub rotation_axis: Option<[f64; 3]>,
-    /// What the slave takes of a remote command of its orientation.
+    /// Bounds on a remote orientation command at the slave.
     #[serde(flatten)]
     pub rotation_bounds: RotationBounds,
-    /// How the slave turns to the master before the two engage.
+    /// Alignment of the slave with the master before engagement.
     pub alignment: Option<AlignmentSettings>,
-    /// The point of the tool that is coupled, in its frame.
+    /// Coupled point of the tool, in the tool frame; by default the tool point.
     pub reference_point: Option<[f64; 3]>,
-    /// Largest factor, up and down, by which a scale may be changed while the clutch is closed.
+    /// Largest factor, up and down, by which a scale may change while the clutch is closed.
     #[serde(default = "change_factor")]
     pub change_factor: f64,
-    /// What is changed while it runs.
+    /// Changes during the run.
     pub changes: Vec<ChangeSpec>,
 }
 
@@ -376,11 +376,11 @@ const fn change_factor() -> f64 {
     CHANGE_FACTOR
 }
 
-/// `[[coupling.changes]]`: what is not given stays as it is.
+/// `[[coupling.changes]]`: omitted fields keep their values.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ChangeSpec {
-    /// When, in s since the start.
+    /// Time in s since the start.
     pub at_s: f64,
     /// The new `lambda_p`.
     pub position_scale: Option<f64>,
@@ -392,119 +392,119 @@ pub struct ChangeSpec {
     pub torque_scale: Option<f64>,
     /// The new rotation.
     pub quat_wxyz: Option<[f64; 4]>,
-    /// The new locks.
+    /// The new locked axes.
     pub locked_axes: Option<Vec<usize>>,
 }
 
-/// Which coupling.
+/// Coupling method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum CouplingKind {
-    /// Position forth, measured force back.
+    /// Position forward, measured force backward.
     PositionForce,
 }
 
 /// `[safety]`.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 pub struct SafetySpec {
-    /// Who watches, and the thresholds.
+    /// Controllers and thresholds.
     #[serde(flatten)]
     pub settings: SafetySettings,
-    /// What the observers see.
+    /// Input of the observers.
     pub signals: SignalsSpec,
-    /// How V and A are estimated.
+    /// Estimator of V and A.
     pub estimator: EstimatorKind,
-    /// Bounds on the device force; none only where a study switches them off.
+    /// Bounds of the device force; none only in studies that disable them.
     pub limiter: Option<LimiterSettings>,
     /// Times of the ladder; only with an arm.
     pub ladder: Option<LadderSettings>,
-    /// What differs for torques, of kind `pose` only.
+    /// Settings that differ for torques; of kind `pose` only.
     pub rotation: Option<RotationSafetySpec>,
-    /// What differs for the force at the trigger, with `[master.gripper]` only.
+    /// Settings that differ for the trigger force; with `[master.gripper]` only.
     pub gripper: Option<TriggerSafetySpec>,
-    /// A controller of the caller's own behind the others.
+    /// Custom controller, evaluated after the others.
     pub research: Option<ResearchSpec>,
 }
 
-/// `[safety.research]`: a controller of the caller's own, in simulated runs only.
+/// `[safety.research]`: custom controller, in simulated runs only.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ResearchSpec {
-    /// Its name.
+    /// Name of the controller.
     pub controller: String,
-    /// What it is made with.
+    /// Keyword arguments of its factory.
     pub options: BTreeMap<String, serde_json::Value>,
 }
 
-/// `[safety.gripper]`: who watches the finger; what is not given is that of the hand, scaled.
+/// `[safety.gripper]`: controllers of the trigger force. Omitted values follow from those of the hand, scaled.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TriggerSafetySpec {
-    /// Way of the hand in m that the thresholds of the hand are for.
+    /// Travel of the hand in m for which its thresholds hold.
     pub reach_m: f64,
-    /// Who watches.
+    /// Active controllers.
     pub controllers: Option<Controllers>,
     /// mu in N s/m.
     pub damping: Option<f64>,
-    /// In m/s, of VFC.
+    /// VFC velocity threshold in m/s.
     pub velocity_threshold: Option<f64>,
-    /// In N, of VFC.
+    /// VFC force threshold in N.
     pub vfc_force_threshold_n: Option<f64>,
-    /// zeta, of HSC.
+    /// zeta of HSC.
     pub grasp_threshold: Option<f64>,
-    /// alpha in N, of HSC.
+    /// alpha of HSC in N.
     pub grasp_floor_n: Option<f64>,
-    /// In N, of HSC.
+    /// HSC force threshold in N.
     pub hsc_force_threshold_n: Option<f64>,
-    /// delta in J, of WSC.
+    /// delta of WSC in J.
     pub energy_threshold_j: Option<f64>,
-    /// Bound in N s/m on the damping of PC.
+    /// Damping bound of PC in N s/m.
     pub pc_max_damping: Option<f64>,
 }
 
-/// `[safety.rotation]`: who watches torques; what is not given is that of forces at a lever.
+/// `[safety.rotation]`: controllers of the torque. Omitted values follow from those of the force at a lever.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RotationSafetySpec {
-    /// Lever in m at which the hand holds the handle.
+    /// Distance in m of the hand from the centre of the handle.
     pub lever_m: f64,
-    /// Whether a trip of force or torque acts on both.
+    /// True if a trip of force or torque acts on both.
     pub shares_trips: bool,
-    /// Who watches.
+    /// Active controllers.
     pub controllers: Option<Controllers>,
     /// mu in N m s/rad.
     pub damping: Option<f64>,
-    /// In rad/s, of VFC.
+    /// VFC velocity threshold in rad/s.
     pub velocity_threshold: Option<f64>,
-    /// In N m, of VFC.
+    /// VFC torque threshold in N m.
     pub vfc_torque_threshold_n_m: Option<f64>,
-    /// zeta, of HSC.
+    /// zeta of HSC.
     pub grasp_threshold: Option<f64>,
-    /// alpha in N m, of HSC.
+    /// alpha of HSC in N m.
     pub grasp_floor_n_m: Option<f64>,
-    /// In N m, of HSC.
+    /// HSC torque threshold in N m.
     pub hsc_torque_threshold_n_m: Option<f64>,
-    /// delta in J, of WSC.
+    /// delta of WSC in J.
     pub energy_threshold_j: Option<f64>,
-    /// Bound in N m s/rad on the damping of PC.
+    /// Damping bound of PC in N m s/rad.
     pub pc_max_damping: Option<f64>,
     /// Largest torque in N m.
     pub max_torque_n_m: Option<f64>,
     /// Largest growth of the torque in N m/s.
     pub max_slew_n_m_per_s: Option<f64>,
-    /// Largest power in W that the torque may put into the hand.
+    /// Largest power in W from the torque into the hand.
     pub max_power_w: Option<f64>,
-    /// Resolution of an angle in rad that the estimator takes the device to have.
+    /// Angular resolution in rad that the estimator assumes for the device.
     pub quantum_rad: Option<f64>,
 }
 
-/// What the observers see.
+/// Input of the observers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum SignalsSpec {
-    /// What the estimator makes of the measured positions, as live.
+    /// Estimates from measured positions, as live.
     Estimated,
-    /// The model's own velocity and hand force.
+    /// Velocity and hand force of the model.
     True,
 }
 
@@ -512,6 +512,6 @@ pub enum SignalsSpec {
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RecordSpec {
-    /// Every so many ticks.
+    /// Sampling interval in ticks.
     pub every: u64,
 }

@@ -1,4 +1,4 @@
-//! A side whose operator commands at given times.
+//! A side whose operator gives commands at fixed times.
 
 use crate::{
     Exchange, Feeling, MasterPlant, MasterRotation, MasterSide, OperatorCommand, Side, SlavePlant,
@@ -6,7 +6,7 @@ use crate::{
     coupling::{CouplingError, ScaleRanges},
 };
 
-/// The commands of an operator with their times in ns since the start, in order.
+/// Commands of an operator with their times in ns since the start, in order of time.
 #[derive(Clone, Debug)]
 pub(super) struct Commands {
     list: Vec<(u64, OperatorCommand)>,
@@ -14,12 +14,12 @@ pub(super) struct Commands {
 }
 
 impl Commands {
-    /// `list` in the order of its times.
+    /// Build from a `list` in order of time.
     pub(super) fn new(list: Vec<(u64, OperatorCommand)>) -> Self {
         Self { list, done: 0 }
     }
 
-    /// The next command that is due by `since_start_ns`.
+    /// Return the next command that is due at `since_start_ns`.
     #[inline]
     pub(super) fn due(&mut self, since_start_ns: u64) -> Option<OperatorCommand> {
         let (_, command) = self.list.get(self.done).filter(|(at, _)| *at <= since_start_ns)?;
@@ -37,14 +37,14 @@ pub struct Timed<S> {
 }
 
 impl<S> Timed<S> {
-    /// `commands` in the order of their times.
+    /// Build from a side and `commands` in order of time.
     pub(crate) fn new(side: S, commands: Vec<(u64, OperatorCommand)>) -> Self {
         Self { side, commands: Commands::new(commands) }
     }
 }
 
 impl<P, const N: usize> Timed<MasterSide<P, N>> {
-    /// The same side with records of a hand that turns.
+    /// Return the side with records of a hand that turns.
     #[must_use]
     pub fn turning(self) -> Timed<MasterSide<P, N, MasterRotation>>
     where
@@ -56,7 +56,7 @@ impl<P, const N: usize> Timed<MasterSide<P, N>> {
 }
 
 impl<P: MasterPlant<N>, const N: usize, R> Timed<MasterSide<P, N, R>> {
-    /// The same side with records of what the finger at the trigger feels.
+    /// Return the side with records of the force on the finger at the trigger.
     #[must_use]
     pub fn feeling(self) -> Timed<MasterSide<P, N, Feeling<R>>> {
         let Self { side, commands } = self;
@@ -65,7 +65,7 @@ impl<P: MasterPlant<N>, const N: usize, R> Timed<MasterSide<P, N, R>> {
 }
 
 impl<P, const N: usize> Timed<SlaveSide<P, N>> {
-    /// The same side with records of an arm that turns.
+    /// Return the side with records of an arm that turns.
     #[must_use]
     pub fn turning(self) -> Timed<SlaveSide<P, N, SlaveRotation>>
     where
@@ -86,7 +86,7 @@ impl<S: Side> Side for Timed<S> {
     #[inline(always)] // once a tick, from few places
     fn tick_into(&mut self, time: TickTime, record: &mut S::Record) {
         while let Some(command) = self.commands.due(time.now_ns - time.start_ns) {
-            // They were checked when the scene was built.
+            // The commands were checked when the scene was built.
             let _ = self.side.command(time.clock_ns, command);
         }
         self.side.tick_into(time, record);

@@ -1,4 +1,4 @@
-//! The environment of a scene around the tool of an arm that somebody else models, such as an emulated one.
+//! Environment of a scene around the tool of an arm that is modelled elsewhere, for example an emulated arm.
 
 use dyn_clone::DynClone;
 use haptether_safety::Axes;
@@ -9,21 +9,21 @@ use super::{
     outline::{scene_outline, scene_spec},
 };
 
-/// An environment along the first one to three axes of a base; positions and forces have three numbers.
+/// Environment along the first one to three axes of a base; positions and forces have three values.
 pub trait ToolEnvironment: DynClone + Send + Sync {
-    /// Number of axes.
+    /// Return the number of axes.
     fn axes(&self) -> usize;
 
-    /// Whether the tool touches something, as of the last force.
+    /// Return true if the tool touched an object at the last force.
     fn touches(&self) -> bool;
 
     /// Start the pushers at a time in s; infinity keeps them at rest.
     fn push_from(&mut self, time_s: f64);
 
-    /// The force in N on a tool at a position in m with a velocity in m/s.
+    /// Return the force in N on a tool at a position in m with a velocity in m/s.
     fn force(&mut self, time_s: f64, position: &[f64; 3], velocity: &[f64; 3]) -> [f64; 3];
 
-    /// Move what is free in it on by a step in s.
+    /// Advance the free parts of the environment by a step in s.
     fn advance(&mut self, time_s: f64, step_s: f64, position: &[f64; 3], velocity: &[f64; 3]);
 }
 
@@ -59,11 +59,11 @@ impl<const N: usize> ToolEnvironment for Environment<N> {
     }
 }
 
-/// The environment of a scene as JSON, whose pushers rest, and the position in m at which its arm starts.
+/// Return the environment of a scene as JSON, with its pushers at rest, and the start position in m of its arm.
 ///
 /// # Errors
 ///
-/// No scene, more than three axes, or a number that no environment has.
+/// The text is not a scene, has more than three axes, or has a number that is invalid for an environment.
 pub fn tool_environment(json: &[u8]) -> Result<(Box<dyn ToolEnvironment>, [f64; 3]), SceneError> {
     fn of<const N: usize>(json: &[u8]) -> Result<(Box<dyn ToolEnvironment>, [f64; 3]), SceneError> {
         let scene = scene_spec::<N>(json)?;

@@ -1,4 +1,4 @@
-//! How far the two sides of a run are apart, of one run or of several side by side.
+//! Tracking errors between the two sides, for one run or for several lanes.
 
 use haptether_safety::{Axes, Real};
 
@@ -7,7 +7,7 @@ use super::{
     metrics::{Metric, Metrics},
 };
 
-/// The differences of motion and force between two sides, under the coupling as it is at each time.
+/// Differences of motion and force between the two sides, with the coupling at each time.
 #[derive(Clone)]
 pub(super) struct Tracking<const N: usize, S: Real = f64> {
     metrics: Metrics,
@@ -16,15 +16,15 @@ pub(super) struct Tracking<const N: usize, S: Real = f64> {
     near_position: Option<Axes<N, S>>,
     /// `F_e` in N at the newest tick of the slave.
     far_force: Axes<N, S>,
-    /// Where master and slave were when both had engaged.
+    /// Positions in m of master and slave at engagement.
     anchor: Option<[Axes<N, S>; 2]>,
-    /// Sums of the squared differences of position and force, and how many.
+    /// Sums of the squared differences of position and force; `samples` counts them.
     squares: [S; 2],
     samples: [u64; 2],
 }
 
 impl<const N: usize, S: Real> Tracking<N, S> {
-    /// Before the first tick.
+    /// Build the measure before the first tick.
     pub(super) fn new(metrics: Metrics, coupling: Present<N, S>) -> Self {
         Self {
             metrics,
@@ -37,7 +37,7 @@ impl<const N: usize, S: Real> Tracking<N, S> {
         }
     }
 
-    /// Run side by side, before their first tick; None unless they measure the same under the same commands.
+    /// Combine runs into lanes before their first tick; None unless their metrics and commands are equal.
     pub(super) fn gather(of: &[&Tracking<N>]) -> Option<Self> {
         let metrics = of.first()?.metrics;
         let begins = |one: &&Tracking<N>| one.metrics == metrics && one.near_position.is_none();
@@ -48,12 +48,12 @@ impl<const N: usize, S: Real> Tracking<N, S> {
         Some(Self::new(metrics, coupling))
     }
 
-    /// The operator has changed the coupling: the slave goes on from where it is, so it is measured from there.
+    /// Restart from the present positions: after a change of the coupling, the slave continues from where it is.
     pub(super) fn begin_anew(&mut self) {
         self.anchor = None;
     }
 
-    /// Take a tick of the master: x and `F_device`, and whether both sides are coupled.
+    /// Take a tick of the master: x and `F_device`. `is_coupled` is true if both sides are coupled.
     #[inline(always)] // once a tick, from few places
     pub(super) fn near(&mut self, is_coupled: bool, position: &Axes<N, S>, device_force: &Axes<N, S>) {
         if is_coupled && self.metrics.has(Metric::ForceError) {
@@ -64,14 +64,14 @@ impl<const N: usize, S: Real> Tracking<N, S> {
         self.near_position = Some(*position);
     }
 
-    /// Take a tick of the slave: x and `F_e`, and whether both sides are coupled.
-    #[inline(always)] // as of the master
+    /// Take a tick of the slave: x and `F_e`. `is_coupled` is true if both sides are coupled.
+    #[inline(always)] // as near
     pub(super) fn far(&mut self, is_coupled: bool, position: &Axes<N, S>, environment_force: &Axes<N, S>) {
         self.far_force = *environment_force;
         if !self.metrics.has(Metric::PositionError) {
-            // Nobody asks for it.
+            // The metric is not requested.
         } else if !is_coupled {
-            // They engage anew from where both are then.
+            // The next engagement starts from the positions at that time.
             self.anchor = None;
         } else if let Some(near_position) = &self.near_position {
             let [near, far] = self.anchor.get_or_insert([*near_position, *position]);
@@ -82,12 +82,12 @@ impl<const N: usize, S: Real> Tracking<N, S> {
         }
     }
 
-    /// The roots of the mean squared differences of position in m and of force in N, of one lane; none where none was measured.
+    /// Return the root mean square of the differences in one lane: position in m, force in N; none without samples.
     pub(super) fn rmse(&self, lane: usize) -> [Option<f64>; 2] {
         [0, 1].map(|which| {
             let mean = (self.samples[which] > 0)
                 .then(|| (self.squares[which].extract(lane) / self.samples[which] as f64).sqrt());
-            // What overflows says nothing beyond that it did.
+            // A sum that overflows has no useful value.
             mean.filter(|rmse| rmse.is_finite())
         })
     }

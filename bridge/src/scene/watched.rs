@@ -1,4 +1,4 @@
-//! What is seen of both sides of a run as they tick, and what it comes to.
+//! Observation of both sides of a run at each tick, and the outcome.
 
 mod lanes;
 
@@ -27,46 +27,47 @@ use haptether_safety::{
     norm,
 };
 
-/// What is seen of both sides as they run.
+/// Observer of both sides of a run.
 #[derive(Clone)]
 pub(super) struct Watched<const N: usize> {
     has_gripper: bool,
     judged: MeasureSettings,
     measures: Measures<N>,
-    /// Of the arm in m, beyond which the loop has diverged.
+    /// Distance of the arm in m that counts as divergence.
     max_distance: f64,
     log: EventLog,
     near: Recorder,
     far: Recorder,
-    /// Of the master and the slave.
+    /// Ladder states of master and slave.
     states: [LadderState; 2],
     engaged_s: Option<f64>,
-    /// What ended the first try to engage, of a side that aligned.
+    /// Reason that ended the first attempt to engage with alignment.
     ended_by: Option<Reason>,
-    /// When each side first was coupled, in ns since the start; `u64::MAX` if never.
+    /// Time in ns since the start at which each side first coupled; `u64::MAX` if never.
     engaged_ns: [u64; 2],
-    /// Of the newest tick of the master.
+    /// Time in ns of the newest tick of the master.
     newest_ns: u64,
     tracking: Tracking<N>,
     ticks: u64,
     diverged: Option<Divergence>,
     settled: bool,
-    /// Frames that were dropped because too many were in flight.
+    /// Frames dropped because too many were in flight.
     overflowed: u64,
-    /// Of a hand that turns.
+    /// Measures of the rotation, if the hand turns.
     rotation: Option<RotationMeasures>,
-    /// When that lets go of it, in s since engagement.
+    /// Time in s since engagement at which the hand lets go of the rotation.
     turn_release_s: Option<f64>,
-    /// What the operator commanded that the coupling refused.
+    /// Error of an operator command that the coupling refused.
     refused: Option<CouplingError>,
-    /// For how long a change fades, out and in, and until when the last one does, in ns: what is measured meanwhile is held
-    /// against no coupling.
+    /// Duration in ns of a fade, out and in. The last fade ends at `fades_until_ns`; until then tracking errors are
+    /// not measured.
     fade_ns: u64,
     fades_until_ns: u64,
 }
 
 impl<const N: usize> Watched<N> {
-    /// Before the first tick of a device that stands at `start` in m, under `commands` with their times.
+    /// Build the observer before the first tick of a device at `start` in m, with the operator commands and their
+    /// times.
     pub(super) fn new(
         scene: &SceneSpec<N>,
         settings: &VirtualSettings,
@@ -85,10 +86,10 @@ impl<const N: usize> Watched<N> {
         let coupling = Present::new(coupling, commands);
         let longest_ns = settings.period_ns.max(settings.slave_period_ns);
         let every = scene.record.as_ref().map_or(0, |record| record.every);
-        // The recording keeps about the same rate on both sides.
+        // Both sides are recorded at about the same rate.
         let far_every = (every * settings.period_ns).div_ceil(settings.slave_period_ns);
         let judged = MeasureSettings::of(scene);
-        // Until the two engage, a release that is scheduled lies ahead.
+        // Until engagement, a scheduled release lies in the future.
         let ahead = MeasureSettings { release_s: judged.release_s.map(|_| f64::INFINITY), ..judged };
         Ok(Self {
             has_gripper,
@@ -119,7 +120,7 @@ impl<const N: usize> Watched<N> {
         })
     }
 
-    /// Take the record of a tick of either side; breaks off where the run has diverged or settled.
+    /// Take the record of a tick of either side; break if the run has diverged or settled.
     #[inline(always)] // once a tick, from few places
     pub(super) fn take<P, A, R, Q>(
         &mut self,
@@ -139,7 +140,7 @@ impl<const N: usize> Watched<N> {
         }
     }
 
-    /// Take what the operator has changed by then.
+    /// Apply the operator's changes due at `now_ns`.
     #[inline(always)] // most ticks have none due
     fn change(&mut self, now_ns: u64) {
         match self.changed(now_ns) {
@@ -154,13 +155,13 @@ impl<const N: usize> Watched<N> {
         }
     }
 
-    /// Whether both sides are coupled as the scene says at `now_ns`.
+    /// Return true if both sides are coupled and no change is fading at `now_ns`.
     #[inline(always)] // as change
     fn is_comparable(&self, now_ns: u64) -> bool {
         self.states.iter().all(|state| state.is_coupled()) && now_ns >= self.fades_until_ns
     }
 
-    /// The same, and whether anything was.
+    /// Apply the due changes to coupling and rotation; return true if anything changed.
     #[inline(always)] // as change
     fn changed(&mut self, now_ns: u64) -> Result<bool, CouplingError> {
         let coupling = &mut self.tracking.coupling;
@@ -177,7 +178,7 @@ impl<const N: usize> Watched<N> {
         Ok(changed)
     }
 
-    /// The hand's schedule begins when the two engage, and so do the measures that hang on it.
+    /// Restart the measures at engagement, because the hand's schedule begins there.
     fn engage(&mut self, time_s: f64, start: &Axes<N>) {
         self.engaged_s = Some(time_s);
         self.judged = from_engagement(&self.judged, time_s);
@@ -201,7 +202,8 @@ impl<const N: usize> Watched<N> {
         if state.is_coupled() {
             self.engaged_ns[side] = self.engaged_ns[side].min(time_ns);
         }
-        // Late frames may come and go a thousand times, and change little; the signals have them.
+        // Changes between coupled states are not logged: late frames may cause thousands of them, and the signals show
+        // them.
         if !(before.is_coupled() && state.is_coupled()) {
             let side = ["master", "slave"][side];
             let detail = match Reason::from_code(reason) {
@@ -209,7 +211,7 @@ impl<const N: usize> Watched<N> {
                 None => side.to_owned(),
             };
             self.log.add(time_s, state.name(), detail);
-            // The side that ends a try knows why; the other one hears it after that.
+            // The side that ends the attempt has the reason; the peer receives it later.
             if before == LadderState::Aligning && !state.is_coupled() {
                 self.ended_by = self.ended_by.or(Reason::from_code(reason));
             }
@@ -221,7 +223,7 @@ impl<const N: usize> Watched<N> {
         ControlFlow::Break(())
     }
 
-    /// Numbers that a model cannot have are those of a loop that has diverged: its two sides stay apart.
+    /// Count a fault as divergence: a model produces invalid numbers only after its loop has diverged.
     fn faults(&mut self, side: &'static str, time_s: f64, code: u8) -> ControlFlow<()> {
         match Fault::from_code(code) {
             Some(fault) => self.diverge(time_s, DivergenceCause::Fault(side, fault)),
@@ -248,7 +250,7 @@ impl<const N: usize> Watched<N> {
         flow
     }
 
-    /// Take the record of a tick of the master without its signals; breaks off as [`take`](Self::take).
+    /// Take the record of a tick of the master without its signals; break as in [`take`](Self::take).
     #[inline(always)] // as take
     pub(super) fn measure_near<R: MasterTurn>(&mut self, record: &MasterRecord<N, R>) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 / 1e9;
@@ -287,7 +289,7 @@ impl<const N: usize> Watched<N> {
         if self.settled { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
-    /// The signals of a tick of the master.
+    /// Record the signals of a tick of the master.
     #[inline(never)]
     fn record_near<P: MasterPlant<N>, R: MasterTurn>(
         &mut self,
@@ -333,7 +335,7 @@ impl<const N: usize> Watched<N> {
         ControlFlow::Continue(())
     }
 
-    /// Take the record of a tick of the slave without its signals; breaks off where the run has diverged.
+    /// Take the record of a tick of the slave without its signals; break if the run has diverged.
     #[inline(always)] // as take
     pub(super) fn measure_far<Q: SlaveTurn>(&mut self, record: &SlaveRecord<N, Q>) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 / 1e9;
@@ -357,7 +359,7 @@ impl<const N: usize> Watched<N> {
         ControlFlow::Continue(())
     }
 
-    /// The signals of a tick of the slave.
+    /// Record the signals of a tick of the slave.
     #[inline(never)]
     fn record_far<Q: SlaveTurn>(&mut self, record: &SlaveRecord<N, Q>, arm: &impl ModelArm, time_s: f64) {
         let gripper = self.has_gripper.then_some([
@@ -385,7 +387,7 @@ impl<const N: usize> Watched<N> {
         }
     }
 
-    /// Why the two never engaged.
+    /// Return the reason why the sides never engaged.
     fn never_engaged(&self, heard: bool) -> &'static str {
         match self.ended_by {
             _ if !heard => "master and slave did not hear each other",
@@ -409,7 +411,7 @@ impl<const N: usize> Watched<N> {
         }
     }
 
-    /// What the run has come to.
+    /// Return the outcome of the run.
     pub(super) fn outcome(&self) -> Result<Outcome, SceneError> {
         if let Some(error) = self.refused {
             return Err(EndpointError::from(error).into());
@@ -422,7 +424,7 @@ impl<const N: usize> Watched<N> {
         Ok(if self.engaged_s.is_none() { outcome.never_engaged() } else { outcome })
     }
 
-    /// The same with its signals, events and reports, of sides as they stand after it.
+    /// Return the outcome with signals, events and reports, from the sides after the last tick.
     pub(super) fn finish<P, A, R, Q>(
         mut self,
         scene: &SceneSpec<N>,
@@ -447,7 +449,7 @@ impl<const N: usize> Watched<N> {
         ];
         let links = reports.each_ref().map(|report| report.link);
         let outcome = self.outcome()?;
-        // A clock that is not right does not tick once in each period of true time.
+        // With a clock error, the number of ticks does not give the true time.
         let end_s = self.newest_ns as f64 / 1e9 + scene.run.period_s;
         self.log.schedule(scene, self.engaged_s.unwrap_or(f64::INFINITY), &outcome);
         if self.engaged_s.is_none() && self.diverged.is_none() {
@@ -488,9 +490,9 @@ impl<const N: usize> Watched<N> {
     }
 }
 
-/// How a run is judged whose two sides engaged at that time in s: the schedule of the hand begins there.
+/// Shift the times of the measures by the engagement at `time_s`, where the hand's schedule begins.
 fn from_engagement(judged: &MeasureSettings, time_s: f64) -> MeasureSettings {
-    // Whole ns, as the ticks that are held against it.
+    // Round to whole ns, like the tick times compared with it.
     let since = |release: f64| ((release + time_s) * 1e9).round() / 1e9;
     MeasureSettings {
         release_s: judged.release_s.map(since),
@@ -499,14 +501,14 @@ fn from_engagement(judged: &MeasureSettings, time_s: f64) -> MeasureSettings {
     }
 }
 
-/// When the hand lets go of the rotation, in s since engagement; without that, when it lets go of the device.
+/// Return when the hand lets go of the rotation, in s since engagement; by default when it lets go of the device.
 fn turn_release_s<const N: usize>(scene: &SceneSpec<N>) -> Option<f64> {
     let operator = scene.operator.as_ref()?;
     let of_turn = operator.rotation.as_ref().and_then(|rotation| rotation.release);
     of_turn.or(operator.release).map(|release| release.at_s)
 }
 
-/// How a loop went, as it is reported live.
+/// Return the report of a loop, in the form of a live run.
 fn report(exchange: &Exchange, counts: &LoopCounts, engaged_ns: u64, secure: bool) -> LoopReport {
     let LoopCounts { ticks, skipped, clock_ns, rejections } = *counts;
     let of_side = exchange.counts();

@@ -1,4 +1,4 @@
-//! An arm that is turned to its master before the two engage, through delays, in virtual time.
+//! Alignment of an arm with its master before engagement, with delays, in virtual time.
 #![allow(clippy::unwrap_used)] // a test may
 
 use std::{collections::VecDeque, f64::consts::PI};
@@ -27,7 +27,7 @@ use LadderState::{Aligning, Disengaged, Engaged, Fault, Hold};
 const MS: u64 = 1_000_000;
 const SPEED: f64 = 0.5;
 const ALIGNMENT: AlignmentSettings = AlignmentSettings { speed: SPEED, max_angle: 1.5 };
-/// Rounding of an angle that is taken by an inverse tangent of products: 3e-8 at 0.
+/// Rounding error of an angle from an inverse tangent of products: 3e-8 at 0.
 const ROUNDING: f64 = 3e-8;
 
 type Orientation = UnitQuaternion<f64>;
@@ -38,9 +38,9 @@ struct Set {
     bounds: RotationBounds,
     /// C.
     frame: Orientation,
-    /// Of the hand and of the tool.
+    /// Orientations of the hand and of the tool.
     start: [Orientation; 2],
-    /// One way, in ticks: to the slave, and back.
+    /// One-way delays in ticks: to the slave, and back.
     delays: [usize; 2],
 }
 
@@ -61,7 +61,7 @@ struct Pair {
     slave: SlaveSide<DrivenSlave<3>, 3, SlaveRotation>,
     under_way: [VecDeque<Vec<u8>>; 2],
     delays: [usize; 2],
-    /// Whether frames to the slave and to the master are lost.
+    /// True if frames to the slave, and to the master, are lost.
     is_silent: [bool; 2],
     tick: u64,
     frame: Orientation,
@@ -71,7 +71,7 @@ fn turned(x: f64, y: f64, z: f64) -> Orientation {
     UnitQuaternion::from_scaled_axis(Axes::<3>::new(x, y, z))
 }
 
-/// A hand that is `angle` from where the slave is, as the slave's frame has it.
+/// Return the settings with the hand at `angle` from the slave's orientation, in the slave's frame.
 fn off_by(set: Set, angle: f64) -> Set {
     let way = UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.6, 0.0, -0.8) * angle);
     let hand = set.frame.inverse() * way * set.start[1] * set.frame;
@@ -94,7 +94,7 @@ fn slave_settings() -> SlaveSettings {
 }
 
 impl Pair {
-    /// With an open clutch.
+    /// Build a pair with an open clutch.
     fn new(set: Set) -> Self {
         let safety =
             SafetySettings { controllers: Controllers::NONE, damping: 0.0, ..SafetySettings::default() };
@@ -139,7 +139,7 @@ impl Pair {
             Some(RotationState { orientation: tool, torque, ..RotationState::default() });
         pair.slave.plant.sample[0] = Axes::<3>::new(0.4, 0.1, 0.2);
         pair.slave.plant.sample[2] = Axes::<3>::new(0.3, 0.0, 0.0);
-        // Until both hear one another.
+        // Run until both sides hear each other.
         pair.ticks(100 + delays[0] + delays[1]);
         pair
     }
@@ -190,7 +190,7 @@ impl Pair {
         states
     }
 
-    /// What is commanded, how fast it turns, and where the tool point is to be.
+    /// Return commanded orientation, angular velocity and position of the tool point.
     fn order(&self) -> (Orientation, Axes<3>, Axes<3>) {
         match self.slave.plant.order() {
             SlaveOrder::Move { position, velocity, rotation: Some((orientation, w)) } => {
@@ -201,7 +201,7 @@ impl Pair {
         }
     }
 
-    /// `C R_m C'`, of the hand as it is now.
+    /// Return `C R_m C'` for the present orientation of the hand.
     fn target(&self) -> Orientation {
         self.frame * self.master.plant.rotation.unwrap().orientation * self.frame.inverse()
     }
@@ -215,7 +215,7 @@ impl Pair {
         flight.diagnosis().map(Diagnosis::explain)
     }
 
-    /// The hand turns from one angle off the slave's start to another, slowly enough for a hand.
+    /// Turn the hand from one angle off the slave's start to another, at a speed possible for a hand.
     fn sweep(&mut self, set: &Set, from: f64, to: f64) {
         for n in 1..=500 {
             self.hand(off_by(*set, from + (to - from) * f64::from(n) / 500.0).start[0]);
@@ -223,7 +223,7 @@ impl Pair {
         }
     }
 
-    /// Presses, and waits until the arm has been turned for so many ticks.
+    /// Press, and wait until the arm has turned for this number of ticks.
     fn turn_for(&mut self, ticks: usize) {
         self.press(true);
         self.ticks(self.delays[0] + ticks);
@@ -231,12 +231,12 @@ impl Pair {
         assert!((self.order().1.norm() - SPEED).abs() < 1e-9, "it turns");
     }
 
-    /// Was turned until this tick.
+    /// Check that the arm turned until this tick.
     fn begins_to_brake(&self) {
         assert!(self.order().1.norm() > 0.9 * SPEED, "evenly, not at once");
     }
 
-    /// Was turned and is no longer: brakes evenly, and stands from then on, whatever else it is sent.
+    /// Check that the arm, no longer turned, brakes evenly and then stands, whatever frames arrive.
     fn comes_to_rest(&mut self, ticks: usize) {
         let (mut before, mut w_before, place) = self.order();
         let from = before;
@@ -247,17 +247,17 @@ impl Pair {
             assert!(now.angle_to(&before) <= SPEED * 1e-3 + ROUNDING, "{n}");
             assert!(w.norm() <= w_before.norm() + 1e-12, "{n}");
             assert!((w - w_before).norm() <= 25e-3 + 1e-9, "{n}: evenly, not at once");
-            // 25 rad/s² from 0.5 rad/s: 20 ms.
+            // From 0.5 rad/s with 25 rad/s²: 20 ms.
             assert!(n < 22 || w.norm() == 0.0 && now.angle_to(&before) < ROUNDING, "{n}");
             assert_eq!(position, place);
             (before, w_before) = (now, w);
         }
-        // w² / 2 a, and one tick.
+        // w² / 2 a, plus one tick.
         assert!(before.angle_to(&from) < SPEED * SPEED / 50.0 + SPEED * 1e-3 + ROUNDING);
     }
 }
 
-/// The whole of an alignment, checked at each tick: how many ticks the slave has turned.
+/// Run a whole alignment with checks at each tick; return the number of ticks for which the slave turned.
 fn aligns(pair: &mut Pair, speed: f64, mut hand: impl FnMut(u64) -> Option<Orientation>) -> u64 {
     pair.press(true);
     let (start, place) = (pair.slave.plant.rotation.unwrap().orientation, pair.slave.plant.sample[0]);
@@ -293,7 +293,7 @@ fn aligns(pair: &mut Pair, speed: f64, mut hand: impl FnMut(u64) -> Option<Orien
     panic!("never engaged");
 }
 
-/// Both engaged, `R_s = C R_m C'` of a delay ago, however the hand goes on.
+/// Check after engagement that `R_s = C R_m C'` of one delay ago, for further motion of the hand.
 fn stays_aligned(pair: &mut Pair, start: Orientation) {
     pair.ticks(pair.delays[0] + 1);
     let mut sent = VecDeque::from(vec![pair.target(); pair.delays[0] + 1]);
@@ -314,9 +314,9 @@ fn stays_aligned(pair: &mut Pair, start: Orientation) {
     assert!(pair.pushes(), "force and torque fade in from then on");
 }
 
-/// It takes the angle over the speed, no less and no more, and nothing jumps when the two engage.
+/// Alignment takes exactly the angle divided by the speed, and nothing jumps at engagement.
 #[test]
-fn the_arm_is_turned_to_the_hand_within_the_angle_over_the_speed() {
+fn alignment_takes_the_angle_over_the_speed() {
     for (angle, speed, delays) in [
         (1.4, 0.5, [10, 15]),
         (1.4, 2.5, [0, 0]),
@@ -329,11 +329,11 @@ fn the_arm_is_turned_to_the_hand_within_the_angle_over_the_speed() {
         let set = off_by(Set { alignment, delays, ..Set::default() }, angle);
         let mut pair = Pair::new(set);
         let ticks = aligns(&mut pair, speed, |_| None) as f64;
-        // The last step is that at which it engages.
+        // The slave engages at the last step.
         let expected = (angle / (speed * 1e-3)).ceil() - 1.0;
         assert!((ticks - expected).abs() <= 1.0, "{angle} at {speed}: {ticks} ticks, must be {expected}");
         assert!(pair.order().0.angle_to(&pair.target()) < 1e-7);
-        // Nothing of what the arm touched while it was turned has gone over the link.
+        // No energy of contacts during the alignment was sent.
         let energy = pair.master.exchange().link().newest().unwrap().energy;
         assert_eq!([energy.in_j, energy.out_j], [0.0; 2]);
         stays_aligned(&mut pair, set.start[0]);
@@ -349,9 +349,9 @@ fn orientations() -> impl Strategy<Value = Orientation> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(40))]
 
-    /// Any frame, any two orientations, any delays, a hand at rest or one that turns slower than the arm may.
+    /// Any frame, two orientations and delays, with a hand at rest or slower than the arm.
     #[test]
-    fn from_any_two_orientations_it_arrives_and_stays(
+    fn any_two_orientations_align_and_stay_aligned(
         (frame, hand, tool) in (orientations(), orientations(), orientations()),
         delays in prop::array::uniform2(0..120_usize),
         (speed, rate) in (0.8..2.4_f64, prop::array::uniform3(-0.1..0.1_f64)),
@@ -361,7 +361,7 @@ proptest! {
         let mut pair = Pair::new(set);
         let angle = pair.target().angle_to(&tool);
         let rate = Axes::<3>::from(rate);
-        // Beyond pi the shorter way is the other one, about another axis: a hand may lead it there and back.
+        // Beyond pi, the shorter way is about another axis, and a moving hand could lead the arm back and forth.
         let rate = if angle > 2.8 { Axes::<3>::zeros() } else { rate };
         let moved = |n: u64| UnitQuaternion::from_scaled_axis(rate * (1e-3 * n as f64)) * hand;
         let mut last = hand;
@@ -370,16 +370,17 @@ proptest! {
             Some(last)
         }) as f64;
         let (fast, slow) = (angle / (speed + rate.norm()), angle / (speed - rate.norm()));
-        // While the press was under way the hand has turned as well.
+        // The hand also turned while the press was in flight.
         let lead_s = rate.norm() * 0.3 / speed;
         prop_assert!(ticks * 1e-3 >= fast - lead_s - 3e-3 && ticks * 1e-3 <= slow + lead_s + 3e-3, "{ticks} {fast} {slow}");
         stays_aligned(&mut pair, last);
     }
 }
 
-/// A hand that trembles faster than the arm may turn: near for long enough is near enough, and nothing jumps.
+/// For a hand that trembles faster than the arm may turn, staying near for long enough counts as aligned, and nothing
+/// jumps.
 #[test]
-fn a_hand_that_trembles_is_met_to_within_the_tolerance() {
+fn trembling_hand_is_met_within_the_tolerance() {
     let alignment = Some(AlignmentSettings { speed: 0.1, max_angle: 0.4 });
     let set = off_by(Set { alignment, ..Set::default() }, 0.1);
     let mut pair = Pair::new(set);
@@ -389,7 +390,7 @@ fn a_hand_that_trembles_is_met_to_within_the_tolerance() {
         turned(4e-3 * sine, 4e-3 * cosine, 4e-3 * sine * cosine)
     };
     let ticks = aligns(&mut pair, 0.1, |n| Some(tremor(n) * set.start[0]));
-    // 0.1 rad at 0.1 rad/s but for the tolerance, and 0.2 s within that.
+    // 0.1 rad at 0.1 rad/s, less the tolerance, and 0.2 s within it.
     assert!((1050..1350).contains(&ticks), "{ticks}");
     pair.hand(set.start[0]);
     pair.ticks(pair.delays[0] + 1);
@@ -397,9 +398,9 @@ fn a_hand_that_trembles_is_met_to_within_the_tolerance() {
     assert!(left > 1e-4 && left < ALIGNED_RAD + 0.5e-3, "{left}");
 }
 
-/// Beyond the angle nothing moves; both sides say why at once, and what to do.
+/// Beyond the largest angle nothing moves; both sides report the reason and the remedy at once.
 #[test]
-fn too_far_is_refused_without_a_motion_and_both_say_why() {
+fn too_large_angle_is_refused_without_motion_and_with_reason() {
     let tight = RotationBounds { speed: 2.5, turn: 0.3 };
     for (angle, bounds) in [(1.51, RotationBounds::default()), (3.1, RotationBounds::default()), (1.0, tight)]
     {
@@ -428,7 +429,7 @@ fn too_far_is_refused_without_a_motion_and_both_say_why() {
         }
         let last = pair.slave.exchange().ladder().history().last().unwrap();
         assert_eq!(last.reason, Reason::TurnRefused);
-        // A hand that is turned back presses nothing by that.
+        // A hand that turns back does not count as a press.
         pair.sweep(&set, angle, 0.2);
         for _ in 0..300 {
             pair.tick();
@@ -442,13 +443,13 @@ fn too_far_is_refused_without_a_motion_and_both_say_why() {
     }
 }
 
-/// A hand that turns out of reach while the arm is turned: it brakes, and engages by no way back of the hand.
+/// If the hand turns out of reach during the alignment, the arm brakes, and the return of the hand does not engage.
 #[test]
-fn a_hand_that_turns_out_of_reach_ends_it() {
+fn hand_out_of_reach_ends_the_alignment() {
     let set = off_by(Set::default(), 1.4);
     let mut pair = Pair::new(set);
     pair.turn_for(200);
-    // 1.3 rad are left, and 0.1 rad every 25 ms are faster than the arm.
+    // 1.3 rad are left, and 0.1 rad per 25 ms is faster than the arm.
     let mut angle = 1.4;
     while pair.slave.exchange().state() == Aligning {
         angle += 4e-3;
@@ -466,13 +467,13 @@ fn a_hand_that_turns_out_of_reach_ends_it() {
     pair.comes_to_rest(300);
 }
 
-/// An arm that somebody has turned beyond `command_turn` since it began is led back no faster than any other.
+/// An arm that a person has turned beyond `command_turn` since its start is led back no faster than any other.
 #[test]
-fn an_arm_that_stands_beyond_its_bound_is_turned_no_faster() {
+fn arm_beyond_its_bound_is_turned_no_faster() {
     let bounds = RotationBounds { speed: 2.5, turn: 0.5 };
     let set = off_by(Set { bounds, ..Set::default() }, 0.3);
     let mut pair = Pair::new(set);
-    // It began at set.start[1]; 1.1 rad from there the other way, it is 1.4 rad off the hand.
+    // The arm started at set.start[1]. Turned 1.1 rad the other way from there, it is 1.4 rad off the hand.
     let way = UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.6, 0.0, -0.8) * -1.1);
     let turned_away = way * set.start[1];
     for n in 1..=500 {
@@ -486,9 +487,9 @@ fn an_arm_that_stands_beyond_its_bound_is_turned_no_faster() {
     assert!(turned_away.angle_to(&pair.target()) > 1.39 && pair.order().0.angle_to(&pair.target()) < 1e-7);
 }
 
-/// Pressed again before the force has faded, the hand feels nothing of what the arm touches while it is turned.
+/// After a press during the fade, the hand feels none of the contacts of the arm during the alignment.
 #[test]
-fn what_still_fades_has_nothing_of_what_the_arm_touches_while_it_turns() {
+fn fading_force_has_no_contacts_of_the_alignment() {
     let mut pair = Pair::new(off_by(Set { delays: [0, 0], ..Set::default() }, 0.01));
     aligns(&mut pair, SPEED, |_| None);
     assert_eq!(pair.ticks(400), [Engaged; 2]);
@@ -512,14 +513,14 @@ fn what_still_fades_has_nothing_of_what_the_arm_touches_while_it_turns() {
     }
 }
 
-/// What ends it midway, and what that leaves the two in.
+/// Errors midway, and the states they lead to.
 #[test]
-fn whatever_is_wrong_midway_brakes_the_arm_and_needs_a_new_press() {
+fn any_error_midway_brakes_the_arm_and_needs_a_new_press() {
     type Wrong = fn(&mut Pair);
     let cases: [(&str, Wrong, usize, Reason); 7] = [
         ("released", |pair| pair.press(false), 11, Reason::ClutchReleased),
         ("silence to the slave", |pair| pair.is_silent[0] = true, 22, Reason::TurnCut),
-        // The master hears nothing and says so, a delay later.
+        // The master hears nothing, and its frames report that one delay later.
         ("silence to the master", |pair| pair.is_silent[1] = true, 32, Reason::TurnCut),
         (
             "a late loop of the slave",
@@ -531,7 +532,7 @@ fn whatever_is_wrong_midway_brakes_the_arm_and_needs_a_new_press() {
             Reason::OwnDelay,
         ),
         (
-            "an orientation of the hand that is none",
+            "an invalid orientation of the hand",
             |pair| pair.hand(Unit::new_unchecked(Quaternion::from([f64::NAN; 4]))),
             11,
             Reason::PeerFaulted,
@@ -553,7 +554,7 @@ fn whatever_is_wrong_midway_brakes_the_arm_and_needs_a_new_press() {
         assert_eq!(pair.slave.exchange().ladder().history().last().unwrap().reason, reason, "{what}");
         pair.begins_to_brake();
         pair.comes_to_rest(60);
-        // All is well again, and the clutch still closed where nobody opened it: nothing moves.
+        // The error is over and the clutch may still be closed, but nothing moves.
         pair.is_silent = [false; 2];
         pair.hand(set.start[0]);
         pair.comes_to_rest(300);
@@ -581,13 +582,13 @@ fn whatever_is_wrong_midway_brakes_the_arm_and_needs_a_new_press() {
         assert!(left > 1.2 && left < 1.3, "{what}: {left}");
         pair.ticks(10 + 2000);
         assert_eq!(pair.slave.exchange().state(), Aligning, "{what}");
-        // 2.6 s at most, and back.
+        // At most 2.6 s, and back.
         assert_eq!(pair.ticks(600 + 20), [Engaged; 2], "{what}");
         assert!(pair.order().0.angle_to(&pair.target()) < 1e-7);
     }
 }
 
-/// A fault of the arm itself is a stop, and its acknowledgement turns nothing.
+/// A fault of the arm itself is a stop, and its acknowledgement causes no motion.
 #[test]
 fn a_fault_of_the_arm_midway_stops_it() {
     let mut pair = Pair::new(off_by(Set::default(), 1.4));
@@ -606,9 +607,9 @@ fn a_fault_of_the_arm_midway_stops_it() {
     assert_eq!(pair.slave.exchange().state(), Disengaged);
 }
 
-/// A hand that the arm never catches up with: followed within the rate, until the press is over.
+/// A hand that the arm never reaches is followed within the speed limit until the press times out.
 #[test]
-fn a_hand_that_keeps_away_is_given_up_when_the_press_is_over() {
+fn unreachable_hand_is_followed_until_the_press_times_out() {
     let set = off_by(Set::default(), 1.2);
     let mut pair = Pair::new(set);
     let axis = Axes::<3>::new(0.6, 0.0, -0.8);
@@ -651,7 +652,7 @@ fn a_late_tick_turns_no_further_than_two_of_them() {
     }
 }
 
-/// A master that does not hear the arm: its press turns nothing until it does, and nothing at all where that comes too late.
+/// A press of a master that does not hear the arm turns nothing until it does, and nothing at all if that is too late.
 #[test]
 fn a_press_of_a_deaf_master_turns_nothing() {
     for (deaf_for, is_late) in [(20, false), (100, true)] {
@@ -681,7 +682,7 @@ fn a_press_of_a_deaf_master_turns_nothing() {
     }
 }
 
-/// Out of a hold as well: the new press turns the arm first, from where it stands.
+/// The same after a hold: a new press first turns the arm, from where it stands.
 #[test]
 fn a_press_after_a_hold_turns_it_first() {
     let set = off_by(Set::default(), 0.2);
@@ -708,9 +709,9 @@ fn a_press_after_a_hold_turns_it_first() {
     assert!(pair.order().0.angle_to(&pair.target()) < 1e-7);
 }
 
-/// Without the setting the two engage at once, however they are turned, and the arm stays as it is.
+/// Without the setting both engage at once in any orientation, and the arm keeps its orientation.
 #[test]
-fn without_the_setting_they_engage_as_they_are() {
+fn without_alignment_sides_engage_as_they_are() {
     let set = off_by(Set { alignment: None, ..Set::default() }, 2.5);
     let mut pair = Pair::new(set);
     pair.press(true);
@@ -720,7 +721,7 @@ fn without_the_setting_they_engage_as_they_are() {
 }
 
 #[test]
-fn an_alignment_that_cannot_be_is_refused_with_its_reason() {
+fn invalid_alignment_is_refused_with_its_reason() {
     let good = rotation_settings(&Set::default());
     let with = |speed, max_angle| SlaveRotationSettings {
         alignment: Some(AlignmentSettings { speed, max_angle }),
@@ -742,7 +743,7 @@ fn an_alignment_that_cannot_be_is_refused_with_its_reason() {
         assert!(error.starts_with(text) || error.contains(text), "{error}");
     }
     SlaveEndpoint::<3>::of_pose(&slave_settings(), &with(0.25, 1.0)).unwrap();
-    // Nor may it be changed while it runs.
+    // The scale may not be changed during a run either.
     let mut endpoint = SlaveEndpoint::<3>::of_pose(&slave_settings(), &good).unwrap();
     let error = endpoint.command(0, OperatorCommand::RotationScale(1.5)).unwrap_err().to_string();
     assert!(error.contains("rotation_scale = 1.5: must be 1"), "{error}");

@@ -1,4 +1,4 @@
-//! What the ladder makes of a link whose delay changes, on both sides, in virtual time.
+//! Reaction of the ladder to a link with a changing delay, on both sides, in virtual time.
 #![allow(clippy::unwrap_used)] // a test may
 
 use std::ops::ControlFlow;
@@ -17,7 +17,7 @@ use haptether_slave::{ArmParameters, SimulatedSlave, Wall};
 
 const MS: u64 = 1_000_000;
 
-/// State and force of the master, state and command of the slave, each ms.
+/// State and force of the master, and state and command of the slave, each ms.
 type Shown = ((LadderState, f64), (LadderState, f64));
 
 fn run(ticks: u64, clutch: Clutch, forward: Vec<DelayChange>, backward: Vec<DelayChange>) -> Vec<Shown> {
@@ -25,7 +25,7 @@ fn run(ticks: u64, clutch: Clutch, forward: Vec<DelayChange>, backward: Vec<Dela
     run_over(ticks, clutch, [link(forward), link(backward)], 0).0
 }
 
-/// With the reason of each hold of the master and of the slave.
+/// Same, with the reason of each hold of the master and of the slave.
 fn run_over(
     ticks: u64,
     clutch: Clutch,
@@ -105,10 +105,10 @@ fn worst(history: &[Shown]) -> LadderState {
     history.iter().map(|((near, _), (far, _))| (*near).max(*far)).max().unwrap()
 }
 
-/// A way that is 100 ms longer from one moment on is a silence of 100 ms: both hold. The frames come back, and nothing
-/// engages by itself; pressed anew, both run at the new delay and stay.
+/// A delay that becomes 100 ms longer at once is a silence of 100 ms: both sides hold. Later frames do not engage
+/// them. After a new press both run at the new delay and stay engaged.
 #[test]
-fn a_delay_that_steps_up_for_good_holds_and_then_runs_at_the_new_one() {
+fn permanent_delay_step_holds_and_then_runs_at_the_new_delay() {
     for both in [true, false] {
         let back = if both { step(1.0, 0.11) } else { Vec::new() };
         let held = run(3000, Clutch::Once, step(1.0, 0.11), back.clone());
@@ -122,13 +122,13 @@ fn a_delay_that_steps_up_for_good_holds_and_then_runs_at_the_new_one() {
         let again = run(5000, PERSON, step(1.0, 0.11), back);
         let engaged = again.iter().skip(1150).position(|((near, _), _)| *near == Engaged).unwrap() + 1150;
         assert!((1500..2300).contains(&engaged), "{engaged}");
-        // Until the slave knows as well, and no further.
+        // Until the slave has engaged as well, and no further.
         assert_eq!(worst(&again[engaged + 300..]), Engaged, "{both}");
         assert!(again.last().unwrap().0.1 > 0.3, "the hand feels the wall again");
     }
 }
 
-/// 15 ms more, once: frames are late for 15 ms, the arm goes on for a moment, and all is as before.
+/// A single step of 15 ms: frames are late for 15 ms, the arm extrapolates briefly, and operation continues.
 #[test]
 fn a_delay_that_steps_up_by_less_than_a_hold_is_stale_once() {
     let history = run(2000, Clutch::Once, step(0.3, 0.025), Vec::new());
@@ -136,13 +136,13 @@ fn a_delay_that_steps_up_by_less_than_a_hold_is_stale_once() {
     assert!(!stale.is_empty() && stale.len() <= 15 && stale[0] >= 310, "{stale:?}");
     assert!(stale.windows(2).all(|pair| pair[1] == pair[0] + 1), "once: {stale:?}");
     assert_eq!(worst(&history[100..]), Stale);
-    // Down again, what comes is newer than what was expected, and nothing happens at all.
+    // After a step down, frames are newer than expected, and nothing happens.
     let history = run(2000, Clutch::Once, step(0.3, 0.001), Vec::new());
     assert_eq!(worst(&history[100..]), Engaged);
 }
 
-/// A delay that swings by 6 ms each way within 0.2 s, for two seconds: the arm follows all the time, for no news is
-/// older than it was by 20 ms.
+/// A delay that swings by 6 ms within 0.2 s, for two seconds: the arm follows throughout, because no frame is 20 ms
+/// older than usual.
 #[test]
 fn a_delay_that_swings_gently_goes_unnoticed() {
     let swing: Vec<_> = (0..20)
@@ -155,8 +155,8 @@ fn a_delay_that_swings_gently_goes_unnoticed() {
     assert_eq!(worst(&history[100..]), Engaged);
 }
 
-/// A delay that jumps up by 30 ms and down again, each 0.2 s: the first jump holds, and nothing of what follows engages
-/// or moves anything.
+/// A delay that jumps up by 30 ms and back every 0.2 s: the first jump holds, and later frames neither engage nor move
+/// anything.
 #[test]
 fn a_delay_that_jumps_to_and_fro_holds_once_and_stays() {
     let jumps: Vec<_> = (0..10)
@@ -175,8 +175,8 @@ fn a_delay_that_jumps_to_and_fro_holds_once_and_stays() {
     }
 }
 
-/// A delay that creeps up by 12 ms a second, without a gap, holds both sides once news is 20 ms older than it was, and
-/// a press engages at the new delay.
+/// A delay that grows by 12 ms per second without a gap holds both sides once frames are 20 ms older than usual. A
+/// press engages at the new delay.
 #[test]
 fn a_delay_that_creeps_up_holds_once_news_is_old() {
     let creep = |max_s: f64| vec![DelayChange { at_s: 3.0, delay_s: 0.01 + max_s, ramp_s: 10.0 }];
@@ -193,8 +193,8 @@ fn a_delay_that_creeps_up_holds_once_news_is_old() {
         assert_eq!(worst(&history[100..4600]), Engaged);
         let held =
             |side: fn(&Shown) -> LadderState| history.iter().position(|one| side(one) == Hold).unwrap();
-        // 20 ms are there after 1.667 s. Each loop waits for its tick, a frame may wait for the next, and of the first
-        // guess of the deviation some 0.2 ms are left: 3 ms at most, so 0.25 s. The other side hears of it in 30 ms.
+        // 20 ms are reached after 1.667 s. Waits for the ticks of both loops, and 0.2 ms left of the first deviation
+        // estimate, add at most 3 ms: 0.25 s. The other side learns of it within 30 ms.
         for at in [held(|one| one.0.0), held(|one| one.1.0)] {
             assert!((4667..4667 + 250 + 35).contains(&at), "{at}");
         }
@@ -209,9 +209,9 @@ fn a_delay_that_creeps_up_holds_once_news_is_old() {
     }
 }
 
-/// Over the network of the demonstration nothing is ever so old that it holds.
+/// On the network of the demonstration, frames never become so old that a side holds.
 #[test]
-fn ordinary_jitter_and_loss_are_no_old_news() {
+fn ordinary_jitter_and_loss_do_not_hold_for_age() {
     let link = LinkSettings { delay_s: 0.05, jitter_s: 0.005, loss: 0.01, ..LinkSettings::default() };
     for seed in 0..4 {
         let (_, reasons) = run_over(60_000, PERSON, [link.clone(), link.clone()], seed);

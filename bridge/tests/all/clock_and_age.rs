@@ -1,4 +1,4 @@
-//! The peer's clock and the age of packets from real frames, over links of netsim and clocks that are wrong.
+//! Clock of the peer and age of packets, from real frames over netsim links with clock errors.
 #![allow(clippy::unwrap_used)] // a test may
 
 use std::ops::ControlFlow;
@@ -17,27 +17,27 @@ const MS: u64 = 1_000_000;
 const S: u64 = 1000 * MS;
 const TICKS: u64 = 20_000;
 
-/// A side that only measures.
+/// Side that only measures.
 struct Measuring {
     exchange: Exchange,
     faults: Vec<(u64, ClockFault)>,
 }
 
-/// What it knows at a tick.
+/// State of a side at a tick.
 #[derive(Clone, Copy, Default)]
 struct Known {
     time: TickTime,
     /// Sequence of the newest frame of the peer.
     newest: Option<u64>,
     offset: Option<PeerOffset>,
-    /// Bound of its age in ns.
+    /// Upper bound of the frame's age in ns.
     max_age_ns: Option<u64>,
     steps: u64,
 }
 
 impl Measuring {
     fn new(role: Role, session: u64) -> Self {
-        // A link whose lease outlasts what it meets; nobody presses.
+        // The lease of the link is longer than any silence here, and the clutch is never pressed.
         let ladder = LadderSettings { stop_after_ns: 10 * S, ..LadderSettings::default() };
         Self { exchange: Exchange::new(role, 1, session, MS, ladder).unwrap(), faults: Vec::new() }
     }
@@ -88,7 +88,7 @@ impl Side for Measuring {
     }
 }
 
-/// When a clock steps.
+/// Time of a clock step in ns.
 const STEP_NS: u64 = 10 * S;
 
 fn endpoint_clock(offset_s: f64, drift_ppm: f64, step_s: f64) -> ClockOf {
@@ -99,7 +99,7 @@ fn link(delay_s: f64, jitter_s: f64, loss: f64) -> LinkSettings {
     LinkSettings { delay_s, jitter_s, distribution: Distribution::Uniform, loss, ..LinkSettings::default() }
 }
 
-/// True times at which frames were sent, by sequence, and the truth against which a side is held.
+/// True send times of frames in ns, by sequence, and the true clocks for the checks.
 struct Truth {
     clocks: [EndpointClock; 2],
     steps: [bool; 2],
@@ -108,7 +108,7 @@ struct Truth {
 }
 
 impl Truth {
-    /// Check what the side `own` knows.
+    /// Check the state of side `own`.
     fn check(&mut self, own: usize, known: &Known) {
         let (now_ns, peer) = (known.time.now_ns, 1 - own);
         self.sent_ns[own].push(now_ns);
@@ -117,12 +117,12 @@ impl Truth {
             && seen
         {
             let truth = self.clocks[peer].reading_ns(now_ns) - self.clocks[own].reading_ns(now_ns);
-            // A loop wakes up to 1 ns after its deadline, which is the time that frames carry, on either side.
+            // On either side, a loop wakes up to 1 ns after its deadline, and frames carry the deadline.
             let error = offset_ns.abs_diff(truth);
             assert!(error <= bound_ns + 2, "{own} at {now_ns}: {error} of {bound_ns}");
             self.checked[own] += 1;
         }
-        // An age is measured on our clock: only the peer's may step.
+        // Age is measured on the side's own clock, so only the peer's clock may step.
         if let (Some(sequence), Some(max_age_ns), false) = (known.newest, known.max_age_ns, self.steps[own]) {
             let sent_ns = self.sent_ns[peer][usize::try_from(sequence).unwrap()];
             let own_ns = |true_ns| self.clocks[own].reading_ns(true_ns);
@@ -132,7 +132,7 @@ impl Truth {
     }
 }
 
-/// Both sides at the end, and how often each was held against the truth.
+/// Return both sides after the run, and the number of checks of each.
 fn run(settings: [ClockOf; 2], links: [LinkSettings; 2], seed: u64) -> (Vec<Measuring>, [u64; 2]) {
     let clocks = settings.map(|settings| EndpointClock::new(&settings).unwrap());
     let [forward, backward] = links;
@@ -163,11 +163,11 @@ fn run(settings: [ClockOf; 2], links: [LinkSettings; 2], seed: u64) -> (Vec<Meas
 }
 
 #[test]
-fn wrong_clocks_and_bad_links_leave_every_bound_true_and_report_no_fault() {
+fn bounds_hold_without_faults_for_wrong_clocks_and_bad_links() {
     let paths = [
         [link(0.0, 0.0, 0.0), link(0.0, 0.0, 0.0)],
         [link(0.02, 0.005, 0.05), link(0.02, 0.005, 0.05)],
-        // Of which the offset cannot know that one direction takes twelve times the other.
+        // The offset cannot show that one direction takes twelve times as long as the other.
         [link(0.005, 0.001, 0.3), link(0.06, 0.02, 0.3)],
     ];
     for (seed, links) in (0..).zip(&paths) {
@@ -192,7 +192,7 @@ fn a_step_is_reported_within_a_round_trip_by_both_sides() {
         let clocks = [endpoint_clock(-1.5, 80.0, steps_s[0]), endpoint_clock(1e6, -100.0, steps_s[1])];
         let settings = clocks.map(|clock| EndpointClock::new(&clock).unwrap());
         let (sides, checked) = run(clocks, links.clone(), 7);
-        // Known anew a round trip after the proof.
+        // The offset is known again one round trip after the proof of the step.
         assert!(checked[0] > TICKS * 9 / 10 && checked[1] > TICKS * 4 / 10, "{checked:?}");
         for (own, side) in sides.iter().enumerate() {
             assert_eq!(
@@ -211,18 +211,19 @@ fn a_step_is_reported_within_a_round_trip_by_both_sides() {
             assert_eq!(by_ns > 0, seen_s > 0.0, "{whose} {step_s}, {own}: {by_ns}");
             let step_ns = u64::from(step_ms.unsigned_abs()) * MS;
             assert!(at_least_ns <= step_ns, "{whose} {step_s}: {at_least_ns}");
-            // A loop whose own clock is set back waits; in the backlog that it then finds, the step grows from frame to
-            // frame, and the first proof is reported.
+            // A loop whose own clock is set back waits. In the backlog after that, the apparent step grows from frame
+            // to frame, and the first proof is reported.
             if own != whose || step_s > 0.0 {
-                // Less both directions, of at most 20 + 8.7 ms and ticks, whose share cannot be distinguished from
-                // theirs, and what clocks may part by 200 ppm in the time of a step of our own.
+                // The bound is lower by both directions and ticks, at most 20 + 8.7 ms each, because their share
+                // cannot be distinguished from a step. It is also lower by the drift of 200 ppm over the step of the
+                // side's own clock.
                 let parted_ns = step_ns / 5_000;
                 assert!(at_least_ns >= step_ns - 64 * MS - parted_ns, "{whose} {step_s}: {at_least_ns}");
                 let off_ns = by_ns.unsigned_abs().abs_diff(step_ns);
                 assert!(off_ns < 40 * MS + 2 * parted_ns, "{whose} {step_s}: {by_ns}");
             }
             let (at_ns, _) = side.faults[0];
-            // 62 ms of both directions and ticks, and ten frames lost together, which 5 % never are here.
+            // 62 ms for both directions and ticks, and ten frames lost in a row, which never happens here at 5 %.
             let stepped_ns = settings[own].reading_ns(10 * S).cast_unsigned().wrapping_add(1 << 62);
             assert!(
                 at_ns.saturating_sub(stepped_ns) < 82 * MS + step_ns.min(300 * MS),

@@ -1,4 +1,4 @@
-//! A device that fails: what a person did before anybody could see it takes nothing of it away.
+//! Failing devices: a person's command given before the failure is visible does not clear it.
 #![allow(clippy::unwrap_used)] // a test may
 
 use std::{f64::consts::PI, net::SocketAddr, ops::ControlFlow, time::Duration};
@@ -51,10 +51,10 @@ fn slave() -> SlaveSide<DrivenSlave<1>, 1> {
     SlaveSide::new(DrivenSlave::new(2.0).unwrap(), endpoint)
 }
 
-/// At what a test looks.
+/// Access of a test to a side.
 trait Seen: Side + Send + 'static {
     fn spoil(&mut self, bad: bool);
-    /// State of the ladder, and the fault's code.
+    /// State of the ladder, and code of the fault.
     fn shown(record: &Self::Record) -> (LadderState, u8)
     where
         Self: Sized;
@@ -80,7 +80,7 @@ impl Seen for SlaveSide<DrivenSlave<1>, 1> {
     }
 }
 
-/// What there is to be met at one tick.
+/// Events of one tick.
 #[derive(Clone, Copy)]
 struct Met {
     acknowledged: bool,
@@ -90,7 +90,8 @@ struct Met {
 
 const NOTHING: Met = Met { acknowledged: false, failed: false, bad: false };
 
-/// The failure is reported before the commands of the same tick, as a loop does, or after them.
+/// Run ticks with these events. The failure is reported before the commands of the same tick, as in a loop, or after
+/// them.
 fn ticks<S: Seen>(mut side: S, failed_first: bool, met: &[Met]) -> Vec<(LadderState, u8)> {
     side.begin(0);
     let mut tick = |(n, met): (u64, &Met)| {
@@ -110,7 +111,7 @@ fn ticks<S: Seen>(mut side: S, failed_first: bool, met: &[Met]) -> Vec<(LadderSt
     (0..).zip(met).map(&mut tick).collect()
 }
 
-fn a_failure_outlasts_the_acts_of_its_tick<S: Seen>(side: impl Fn() -> S) {
+fn failure_outlasts_commands_of_its_tick<S: Seen>(side: impl Fn() -> S) {
     let failed = Met { failed: true, ..NOTHING };
     let bad = Met { bad: true, ..NOTHING };
     let acknowledged = Met { acknowledged: true, ..NOTHING };
@@ -118,14 +119,14 @@ fn a_failure_outlasts_the_acts_of_its_tick<S: Seen>(side: impl Fn() -> S) {
     let device = (LadderState::Fault, Fault::Device.code());
     for failed_first in [true, false] {
         let run = |met: &[Met]| ticks(side(), failed_first, met);
-        // One sample says so, and none after it.
+        // One sample reports the failure, and no later one does.
         let seen = run(&[NOTHING, both, NOTHING, NOTHING, acknowledged, NOTHING]);
         assert_eq!(seen[1..4], [device; 3], "{failed_first}");
-        // Once it was seen it is mended as any other is.
+        // After that it can be acknowledged like any other fault.
         for (state, fault) in &seen[4..] {
             assert!(*state != LadderState::Fault && *fault == 0, "{failed_first} {state:?} {fault}");
         }
-        // What is acknowledged is the fault before; the new one stands, and under its own name.
+        // The acknowledgement applies to the earlier fault; the new one stays, with its own code.
         let seen = run(&[NOTHING, bad, NOTHING, both, NOTHING]);
         assert!(seen[2].0 == LadderState::Fault && seen[2].1 != device.1, "{failed_first}");
         assert_eq!(seen[3..], [device; 2], "{failed_first}");
@@ -133,17 +134,17 @@ fn a_failure_outlasts_the_acts_of_its_tick<S: Seen>(side: impl Fn() -> S) {
 }
 
 #[test]
-fn a_failure_outlasts_an_acknowledgement_of_the_same_tick() {
-    a_failure_outlasts_the_acts_of_its_tick(master);
-    a_failure_outlasts_the_acts_of_its_tick(slave);
+fn failure_outlasts_an_acknowledgement_of_the_same_tick() {
+    failure_outlasts_commands_of_its_tick(master);
+    failure_outlasts_commands_of_its_tick(slave);
 }
 
-/// A loop whose driver is here, with nobody at the other end.
+/// Start a loop with a driver in this test and without a peer.
 fn paced<S: Seen>(side: S, role: Role) -> Paced<S> {
     started(side, role, None)
 }
 
-/// One that a person started at a time of the monotonic clock.
+/// Start a loop that a person started at a time of the monotonic clock.
 fn started<S: Seen>(side: S, role: Role, started_ns: Option<u64>) -> Paced<S> {
     let local: SocketAddr = "127.0.0.1:0".parse().unwrap();
     let settings = LiveSettings {
@@ -159,7 +160,7 @@ fn started<S: Seen>(side: S, role: Role, started_ns: Option<u64>) -> Paced<S> {
     paced_by_device(side, socket, settings, Security::Insecure, outputs).unwrap()
 }
 
-/// The same in the loop that drivers turn: an act waits when the sample comes that says so.
+/// Same in a loop stepped by a driver: the command is waiting when the failing sample arrives.
 fn a_loop_keeps_a_failure<S: Seen>(side: S, role: Role) {
     let (mut paced, mut watch, _) = paced(side, role);
     paced.begin().unwrap();
@@ -182,12 +183,12 @@ fn a_loop_keeps_a_failure<S: Seen>(side: S, role: Role) {
 }
 
 #[test]
-fn a_live_loop_keeps_a_failure_that_an_act_had_come_before() {
+fn live_loop_keeps_a_failure_after_an_earlier_command() {
     a_loop_keeps_a_failure(master(), Role::Master);
     a_loop_keeps_a_failure(slave(), Role::Slave);
 }
 
-/// A start that is still to come would never grow old.
+/// A start in the future would never become old.
 #[test]
 fn only_a_start_of_the_last_seconds_is_a_press() {
     const SECOND: u64 = 1_000_000_000;
@@ -211,9 +212,9 @@ fn only_a_start_of_the_last_seconds_is_a_press() {
     }
 }
 
-/// A button presses where the start does not.
+/// A button can press even if the start does not count.
 #[test]
-fn a_start_of_long_ago_is_not_void_where_a_button_can_press() {
+fn old_start_is_not_void_with_a_button() {
     let (mut paced, watch, _) = started(master(), Role::Master, Some(0));
     paced.begin().unwrap();
     paced.step(None, |side| side.plant.clutch = Some(true), |_| {});
@@ -221,9 +222,9 @@ fn a_start_of_long_ago_is_not_void_where_a_button_can_press() {
     assert!(!watch.handle().is_start_void());
 }
 
-/// Before the first tick as well: what is passed over is said.
+/// A press that is ignored is reported, even before the first tick.
 #[test]
-fn a_press_beside_a_button_is_said_to_do_nothing_from_the_first_tick_on() {
+fn press_beside_a_button_is_reported_ineffective_from_the_first_tick() {
     for (button, ineffective) in [(Some(false), (1, Some(Ineffective::HasButton))), (None, (0, None))] {
         let (mut paced, watch, _) = started(master(), Role::Master, Some(now_ns()));
         paced.begin().unwrap();
@@ -233,13 +234,13 @@ fn a_press_beside_a_button_is_said_to_do_nothing_from_the_first_tick_on() {
     }
 }
 
-/// Whoever says at any time that it is mended.
-fn a_device_that_is_gone_is_gone<S: Seen + Send + 'static>(side: S, role: Role) {
+/// A person acknowledges all the time while the device fails.
+fn lost_device_stays_lost<S: Seen + Send + 'static>(side: S, role: Role) {
     let (mut paced, mut watch, records) = paced(side, role);
     paced.begin().unwrap();
     let failing = std::thread::spawn(move || paced.fail(&FaultText::new("the bus is down")));
     while !failing.is_finished() {
-        // Full where the loop has not taken them yet.
+        // The queue may be full until the loop takes the commands.
         let _ = watch.command(OperatorCommand::Acknowledge);
         std::thread::sleep(Duration::from_micros(100));
     }
@@ -252,12 +253,12 @@ fn a_device_that_is_gone_is_gone<S: Seen + Send + 'static>(side: S, role: Role) 
 }
 
 #[test]
-fn a_device_that_is_gone_cannot_be_mended_while_the_peer_is_told() {
-    a_device_that_is_gone_is_gone(master(), Role::Master);
-    a_device_that_is_gone_is_gone(slave(), Role::Slave);
+fn lost_device_cannot_be_acknowledged_while_the_peer_is_notified() {
+    lost_device_stays_lost(master(), Role::Master);
+    lost_device_stays_lost(slave(), Role::Slave);
 }
 
-/// What the operator of a scene says of the clutch.
+/// Clutch of a scene's operator.
 enum Operator {
     Absent,
     Says(&'static str),
@@ -275,8 +276,8 @@ fn scene(operator: &Operator) -> SceneSpec<1> {
     serde_json::from_value(json).unwrap()
 }
 
-/// Engages with a slave, loses it for 60 ms, 300 ms or as the loop stands still, and goes on for 8 s with all in order:
-/// how often it engages, with a person who presses anew after 5 s or not.
+/// Engage with a slave, interrupt for 60 ms or 300 ms or by a stall of the loop, and continue for 8 s. Returns the
+/// number of engagements. With `pressed_again`, a person presses again after 5 s.
 fn engagements(mut side: impl Side, slave: &mut impl Side, away: Away, pressed_again: bool) -> usize {
     let mut buffer = [0; MAX_FRAME];
     let (mut engagements, mut was) = (0, false);
@@ -314,12 +315,12 @@ fn engagements(mut side: impl Side, slave: &mut impl Side, away: Away, pressed_a
 
 #[derive(Clone, Copy, Debug)]
 enum Away {
-    /// For so many ms: to HOLD, or to STOP.
+    /// For this number of ms: to HOLD, or to STOP.
     Link(u64),
     Blocked,
 }
 
-/// Nobody presses for a real device but its start, its button and a call: whatever its scene has or lacks.
+/// Only start, button and command press the clutch of a real device, whatever operator its scene has.
 #[test]
 fn nobody_simulated_presses_for_a_real_device() {
     use Operator::{Absent, Says, Times};
@@ -330,7 +331,7 @@ fn nobody_simulated_presses_for_a_real_device() {
                 (false, false, None, 1),
                 (false, true, None, 2),
                 (true, false, None, 2),
-                // Held throughout: the button counts, and neither a call nor a simulated person.
+                // Held throughout: only the button counts, neither a command nor a simulated operator.
                 (false, true, Some(true), 1),
                 (true, true, Some(true), 1),
                 (true, true, Some(false), 0),
@@ -343,7 +344,7 @@ fn nobody_simulated_presses_for_a_real_device() {
                     format!("{away:?} {name} simulated {simulated}, again {pressed_again}, {button:?}");
                 assert_eq!(seen, expected, "{what}");
             }
-            // A simulated device without an operator is live by no other law.
+            // A simulated device without an operator follows the same rule.
             let mut slave = simulated_slave::<1>(&scene, 2).unwrap();
             let side = simulated_master::<1>(&scene, 1).unwrap();
             let expected = if name == "auto" { 2 } else { 1 };
@@ -364,8 +365,8 @@ fn nobody_simulated_presses_for_a_real_device() {
     assert_eq!(engagements(never, &mut slave, Away::Link(60), true), 0);
 }
 
-/// A force at the arm beyond what can be measured: fault at the slave in its tick, and a delay later the master stops.
-/// Nothing of it reaches the hand.
+/// A force on the arm beyond the measurable range is a fault of the slave in the same tick. One delay later the master
+/// stops. The hand feels none of it.
 #[test]
 fn a_force_that_cannot_be_measured_stops_both_sides() {
     const PUSHED_MS: usize = 1000;
@@ -418,19 +419,19 @@ fn a_force_that_cannot_be_measured_stops_both_sides() {
         assert!(far[far_held..].iter().all(|(_, command)| *command == far[far_held].1), "the command stays");
         assert!(near[near_held + FADE_MS + 1..].iter().all(|(_, force)| *force == 0.0), "{force_n}");
         let most = |forces: &[(LadderState, f64)]| forces.iter().map(|(_, force)| *force).fold(0.0, f64::max);
-        // The press still settles, by less than that; the least of the shove would be a newton, the limiter's step.
+        // The press still settles by less than this. The smallest effect of the push would be 1 N, the limiter's step.
         assert!(most(&near[pushed..]) <= most(&near[..pushed]) + 1e-6, "{force_n}");
         assert!(most(&near[..pushed]) > 1.0, "the hand felt the wall");
     }
 }
 
-/// A sample beyond the speed bound may be an outlier: the fourth says that it is none.
+/// Ticks before a sample beyond the speed bound is decided: the fourth such sample shows that it is no outlier.
 const DECIDED: u64 = 3;
 
 #[test]
-fn a_place_that_no_arm_can_have_reached_is_a_fault() {
+fn unreachable_position_of_an_arm_is_a_fault() {
     let jumped = Fault::TooFast(Signal::Position).code();
-    // 20 mm in 1 ms is 20 m/s; two ticks that follow closely are a period apart at least.
+    // 20 mm in 1 ms is 20 m/s. Two ticks in close succession count as at least one period apart.
     for (by, after_ns, is_jump) in [
         (0.019, MS, false),
         (0.021, MS, true),
@@ -460,9 +461,9 @@ fn a_place_that_no_arm_can_have_reached_is_a_fault() {
     }
 }
 
-/// 60 mrad in 1 ms is 60 rad/s; a turn past pi is the short one the other way.
+/// 60 mrad in 1 ms is 60 rad/s; a turn beyond pi is the shorter turn the other way.
 #[test]
-fn a_tool_that_turns_as_no_arm_does_is_a_fault() {
+fn impossible_turn_of_a_tool_is_a_fault() {
     let jumped = Some(Fault::TooFast(Signal::Orientation));
     for (by, is_jump) in [(0.059, false), (0.062, true), (-3.0, true), (2.0 * PI - 0.05, false)] {
         let settings = SlaveSettings {
@@ -500,9 +501,9 @@ fn a_tool_that_turns_as_no_arm_does_is_a_fault() {
     }
 }
 
-/// No force answers it before: the estimators have not seen it.
+/// No force answers before the fault, because the estimators have not received the sample.
 #[test]
-fn a_position_that_no_device_can_have_reached_is_a_fault() {
+fn unreachable_position_of_a_device_is_a_fault() {
     let jumped = Fault::TooFast(Signal::Position).code();
     // 20 mm in 1 ms is 20 m/s.
     for (by, is_jump) in [(0.019, false), (-0.019, false), (0.021, true), (-5.0, true)] {

@@ -1,4 +1,4 @@
-//! A trigger that the finger feels, through both sides and frames between them: picked up, held, apart, and read badly.
+//! Trigger with force feedback, through both sides and their frames: pick-up, hold, separation and invalid readings.
 #![allow(clippy::unwrap_used)] // a test may
 
 use haptether_bridge::{
@@ -18,7 +18,7 @@ const MS: u64 = 1_000_000;
 const JAWS_N: f64 = 40.0;
 const SCALE: f64 = 0.05;
 const TRAVEL_M: f64 = 0.03;
-/// Of the ladder, in ticks.
+/// Fades of the ladder in ticks.
 const FADE_IN: u64 = 200;
 const FADE_OUT: u64 = 75;
 
@@ -54,7 +54,7 @@ fn endpoint(safety: SafetySettings, trigger: &TriggerSettings) -> MasterEndpoint
     .unwrap()
 }
 
-/// Both sides over a wire that may be cut, with jaws that begin at `jaws` and meet something at 0.6.
+/// Both sides on a wire that may be cut; the jaws start at `jaws` and meet an object at 0.6.
 struct Pair {
     master: MasterSide<DrivenMaster<1>, 1>,
     slave: SlaveSide<SimulatedSlave<1>, 1>,
@@ -87,7 +87,7 @@ impl Pair {
         Self { master, slave, tick: 0, is_cut: false }
     }
 
-    /// One tick of both; the master's record and the force at the trigger.
+    /// Tick both sides; return the master's record and the force in N at the trigger.
     fn step(&mut self) -> (MasterRecord<1>, f64) {
         let (now_ns, mut buffer) = (self.tick * MS, [0; MAX_FRAME]);
         self.tick += 1;
@@ -112,7 +112,7 @@ impl Pair {
         self.master.trigger = Some(Trigger::Driven(to));
     }
 
-    /// The trigger closes on what the jaws meet, and all of their force is felt.
+    /// Close the trigger until the jaws hold the object and its whole force is felt.
     fn grip(&mut self) {
         self.lead(Some(0.0));
         self.steps(2 * FADE_IN);
@@ -150,7 +150,7 @@ fn a_finger_closes_feels_what_is_held_and_balances_it() {
 
 #[test]
 fn nothing_is_felt_before_the_gripper_is_picked_up() {
-    // The jaws hold something already, and the trigger is open.
+    // The jaws already hold an object, and the trigger is open.
     let mut pair = Pair::new(Trigger::Driven(Some(0.3)), 0.6);
     for _ in 0..1000 {
         let (record, felt) = pair.step();
@@ -165,7 +165,7 @@ fn nothing_is_felt_before_the_gripper_is_picked_up() {
 }
 
 #[test]
-fn it_fades_with_the_force_when_the_peer_falls_silent_and_is_zero_while_they_are_apart() {
+fn trigger_force_fades_in_silence_and_is_zero_while_uncoupled() {
     let mut pair = Pair::new(Trigger::Driven(Some(0.0)), 0.0);
     pair.grip();
     pair.is_cut = true;
@@ -174,7 +174,7 @@ fn it_fades_with_the_force_when_the_peer_falls_silent_and_is_zero_while_they_are
         let (record, felt) = pair.step();
         assert!(felt <= 0.0 && -felt <= last + 1e-12, "{:?}: {felt} after {last}", record.state);
         match record.state {
-            // Late frames take nothing of the force away.
+            // Late frames do not reduce the force.
             LadderState::Engaged | LadderState::Stale => assert_eq!(-felt, SCALE * JAWS_N),
             _ => {
                 faded += u64::from(felt != 0.0);
@@ -188,16 +188,16 @@ fn it_fades_with_the_force_when_the_peer_falls_silent_and_is_zero_while_they_are
         }
     }
     assert_eq!(states, [LadderState::Engaged, LadderState::Stale, LadderState::Hold, LadderState::Stop]);
-    // Gone within the fade, and not at once.
+    // The force ends within the fade, and not at once.
     assert!((FADE_OUT - 2..=FADE_OUT).contains(&faded), "{faded} ticks");
     assert_eq!(last, 0.0);
-    // The wire mends and nobody presses: still nothing.
+    // The wire is whole again but nobody presses: still no force.
     pair.is_cut = false;
     for _ in 0..400 {
         let (record, felt) = pair.step();
         assert!(!record.state.is_coupled() && felt == 0.0, "{:?}", record.state);
     }
-    // Pressed anew, it must be picked up anew: the trigger has been let go meanwhile.
+    // After a new press the gripper must be picked up again, because the trigger was released meanwhile.
     pair.lead(Some(0.2));
     pair.step();
     pair.master.command(pair.tick * MS, OperatorCommand::Press).unwrap();
@@ -210,7 +210,7 @@ fn it_fades_with_the_force_when_the_peer_falls_silent_and_is_zero_while_they_are
 }
 
 #[test]
-fn a_finger_does_not_feel_what_a_button_holds() {
+fn finger_does_not_feel_a_grip_by_button() {
     let mut pair = Pair::new(Trigger::Driven(Some(0.8)), 0.0);
     let works = ButtonSettings { clutch: None, engage: None, gripper: Some(0) };
     pair.master = pair.master.with_buttons(Some(works)).unwrap();
@@ -226,33 +226,33 @@ fn a_finger_does_not_feel_what_a_button_holds() {
 }
 
 #[test]
-fn a_stall_of_the_loop_is_no_motion_of_the_finger() {
+fn loop_stall_is_no_motion_of_the_finger() {
     let mut pair = Pair::new(Trigger::Driven(Some(0.0)), 0.0);
     pair.grip();
     pair.tick += 500;
     pair.master.exchange_mut().stalled(pair.tick * MS);
-    // Meanwhile it was opened, which is no speed of one tick, and what is felt ends here.
+    // The trigger opened during the stall, which is not a velocity within one tick, and the force ends here.
     pair.lead(Some(0.1));
     let (_, felt) = pair.step();
     assert_eq!((felt, pair.master.felt().unwrap().motion.velocity[0]), (0.0, 0.0));
 }
 
 #[test]
-fn a_trigger_that_is_not_known_is_no_force_and_no_fault() {
+fn unknown_trigger_is_no_force_and_no_fault() {
     for unknown in [None, Some(f64::NAN), Some(f64::INFINITY), Some(-0.1), Some(1.1)] {
         let mut pair = Pair::new(Trigger::Driven(Some(0.0)), 0.0);
         pair.grip();
         pair.lead(unknown);
         let (record, felt) = pair.step();
         assert_eq!((felt, record.fault, record.state), (0.0, 0, LadderState::Engaged), "{unknown:?}");
-        // Known again, it rises from zero, once the jaws follow it again.
+        // When the trigger is known again, the force rises from zero, once the jaws follow it.
         pair.lead(Some(0.8));
         let (_, felt) = pair.step();
         assert!(felt.abs() <= SCALE * JAWS_N / FADE_IN as f64 + 1e-12, "{unknown:?}: {felt}");
     }
 }
 
-/// A wrong sample of a trigger counts once, with force feedback and without.
+/// A wrong sample of a trigger counts once, with and without force feedback.
 #[test]
 fn a_wrong_sample_of_a_trigger_counts_once() {
     let mut pair = Pair::new(Trigger::Driven(Some(0.3)), 0.3);
@@ -267,7 +267,7 @@ fn a_wrong_sample_of_a_trigger_counts_once() {
 }
 
 #[test]
-fn a_fault_of_the_hand_stops_the_trigger_until_it_is_mended() {
+fn fault_of_the_hand_stops_the_trigger_until_acknowledged() {
     let mut pair = Pair::new(Trigger::Driven(Some(0.0)), 0.0);
     pair.grip();
     pair.master.plant.position = Axes::<1>::new(f64::NAN);
@@ -288,7 +288,7 @@ fn a_fault_of_the_hand_stops_the_trigger_until_it_is_mended() {
 
 #[test]
 fn a_fault_of_the_trigger_stops_the_hand() {
-    // It goes 1 m within a tick, which no finger does.
+    // It moves by 1 m within a tick, which no finger can do.
     let safety = SafetySettings { controllers: [ControllerKind::Hsc].into(), ..SafetySettings::default() };
     let estimator = EstimatorKind::BackwardDifference {};
     let settings = TriggerSettings { travel_m: 1.0, estimator, safety, ..feedback() };
@@ -307,7 +307,7 @@ fn a_fault_of_the_trigger_stops_the_hand() {
 }
 
 #[test]
-fn a_trip_of_the_finger_takes_nothing_from_the_hand_and_the_other_way() {
+fn trips_of_finger_and_hand_are_independent() {
     let watched = SafetySettings { controllers: [ControllerKind::Vfc].into(), ..SafetySettings::default() };
     let scaled = SafetySettings { damping: 5.0, ..watched.at_scale(5.0 / 7.9, TRAVEL_M / 0.14) };
     for is_finger in [true, false] {
@@ -318,7 +318,7 @@ fn a_trip_of_the_finger_takes_nothing_from_the_hand_and_the_other_way() {
         assert!(before.device_force[0] > 1.0, "the arm is pushed: {}", before.device_force[0]);
         let mut tripped = [false; 2];
         for n in 0..30 {
-            // One of the two gives way to its force.
+            // Either the finger or the hand yields to its force.
             if is_finger {
                 pair.lead(Some(0.8 - 0.01 * f64::from(n)));
             } else {

@@ -1,8 +1,9 @@
-//! What must never be, over random scenes in virtual time: parameters, networks, attacks, clocks, clutches, faults of
-//! devices and changes by people, all drawn from a seed; of points and of hands that turn, with buttons and grippers.
+//! Invariants of both sides over random scenes in virtual time. A seed draws parameters, networks, attacks, clocks,
+//! clutches, device faults and changes by people. The scenes have points or hands that turn, with buttons and
+//! grippers.
 //!
-//! Case i of the run has the seed `HAPTETHER_SEED + i` (0 by default), and `PROPTEST_CASES` says how many there are. A
-//! failing case prints its seed and all that was drawn: `HAPTETHER_SEED=<seed> PROPTEST_CASES=1` runs it again.
+//! Case i of the run has the seed `HAPTETHER_SEED + i` (0 by default); `PROPTEST_CASES` is the number of cases. A
+//! failing case prints its seed and its drawn scene. `HAPTETHER_SEED=<seed> PROPTEST_CASES=1` runs it again.
 #![allow(clippy::unwrap_used)] // a test may
 
 mod drawn;
@@ -32,7 +33,7 @@ use spied::{Far, Near, Seen, Sent, Turning};
 use turned::DrawnPose;
 use turning::{Arm, Complaint};
 
-/// Along the first axis.
+/// Return a vector along the first axis.
 fn along<const N: usize>(value: f64) -> Axes<N> {
     let mut axes = Axes::zeros();
     axes[0] = value;
@@ -43,7 +44,7 @@ fn device<const N: usize>(drawn: &Drawn) -> SimulatedMaster<N> {
     let [mass_kg, viscous, encoder_quantum] = drawn.device;
     let [stiffness, damping, strength_n] = drawn.hand;
     let legs = drawn.legs.iter().map(|&(duration_s, end)| {
-        // In space it goes across, too.
+        // With three axes, the path also has lateral components.
         let end = Axes::from_fn(|axis, _| if axis == 0 { end } else { 0.3 * end });
         Leg { duration_s, end, shape: LegShape::MinimumJerk }
     });
@@ -111,7 +112,7 @@ fn run<const N: usize>(drawn: &Drawn) -> Result<Seen, String> {
     between(drawn, near.feeling(), far, Turning::default())
 }
 
-/// The same of a hand and an arm that turn.
+/// Same as [`run`], with a hand and an arm that turn.
 fn run_pose(drawn: &Drawn, pose: &DrawnPose) -> Result<Seen, String> {
     let near = MasterEndpoint::of_pose(&near_settings(drawn), &pose.master, pose.lock)
         .map_err(|error| error.to_string())?;
@@ -156,7 +157,7 @@ fn near_side<P: MasterPlant<N>, const N: usize>(
         .with_trigger(drawn.gripper.as_ref().map(DrawnGripper::trigger))
 }
 
-/// Both sides over the network between them.
+/// Run both sides over their network.
 fn between<P, Q, R, S, const N: usize>(
     drawn: &Drawn,
     near: MasterSide<Plant<P, N>, N, Feeling<R>>,
@@ -213,7 +214,7 @@ fn what_must_never_be_is_not_in_ten_thousand_scenes() {
         }
     }
     println!("{seen:?}");
-    // Fewer do not meet everything.
+    // Fewer cases do not reach every condition.
     if cases >= 10_000 {
         for (side, ticks) in seen.ticks.iter().enumerate() {
             for state in LadderState::ALL {

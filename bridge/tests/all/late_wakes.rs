@@ -1,5 +1,5 @@
-//! Loops that wake late on one and the same clock: a tick's time is its deadline, and what it takes may have been sent
-//! after that. Nothing of it is a fault of a clock.
+//! Loops that wake late on the same clock. The time of a tick is its deadline, and a frame received in it may have
+//! been sent later. That is no clock fault.
 #![allow(clippy::unwrap_used)] // a test may
 
 use haptether_bridge::{
@@ -10,10 +10,10 @@ use haptether_bridge::{
 const US: u64 = 1_000;
 const MS: u64 = 1_000 * US;
 const TICKS: u64 = 20_000;
-/// What a frame takes.
+/// Transit time of a frame in ns.
 const ONE_WAY_NS: u64 = 30 * US;
 
-/// One loop: its end of the link, its next deadline, and what is in flight to it with the time of its arrival.
+/// One loop: its end of the link, its next deadline, and the frames in flight to it with their arrival times.
 struct Loop {
     link: FrameLink,
     deadline_ns: u64,
@@ -31,7 +31,7 @@ impl Loop {
         }
     }
 
-    /// Take what has arrived, and return what it sends with the time at which it leaves.
+    /// Take the frames that have arrived, and return the sent frame with its time.
     fn step(&mut self, knows: bool) -> (u64, Vec<u8>) {
         let (now_ns, woken_ns) = (self.deadline_ns, self.woken_ns);
         let time = LinkTime { tick_ns: now_ns, by_ns: if knows { woken_ns } else { now_ns } };
@@ -44,7 +44,7 @@ impl Loop {
     }
 }
 
-/// Faults of a clock that each side counts, and the shortest round trip of the first in ns.
+/// Return the clock faults that each side counts, and the shortest round trip of the first side in ns.
 fn run(knows: bool) -> ([u64; 2], u64) {
     let mut loops = [Loop::new(Role::Master, 1, 10 * MS), Loop::new(Role::Slave, 2, 10 * MS + 500 * US)];
     let mut draw = 1_u64;
@@ -52,7 +52,7 @@ fn run(knows: bool) -> ([u64; 2], u64) {
         let turns = usize::from(loops[1].woken_ns < loops[0].woken_ns);
         let (leaves_ns, datagram) = loops[turns].step(knows);
         loops[1 - turns].inward.push((leaves_ns + ONE_WAY_NS, datagram));
-        // Mostly 20 us late, one wake in sixteen by up to 0.95 ms.
+        // Usually 20 us late, and one wake in sixteen up to 0.95 ms.
         draw = draw.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         let late_ns = if draw >> 60 == 0 { (draw >> 20) % (950 * US) } else { 20 * US };
         loops[turns].deadline_ns += MS;
@@ -64,15 +64,15 @@ fn run(knows: bool) -> ([u64; 2], u64) {
 }
 
 #[test]
-fn late_wakes_are_no_fault_of_a_clock() {
+fn late_wakes_are_no_clock_fault() {
     let (faults, min_ns) = run(true);
     assert_eq!(faults, [0, 0]);
-    // Never below what a frame takes there and back.
+    // Never below the transit time there and back.
     assert!(min_ns >= 2 * ONE_WAY_NS, "{min_ns}");
 }
 
 #[test]
-fn and_would_be_if_their_lateness_were_not_known() {
+fn late_wakes_of_unknown_lateness_look_like_clock_faults() {
     let (faults, _) = run(false);
     assert!(faults[0] > 0 && faults[1] > 0, "{faults:?}");
 }

@@ -1,4 +1,4 @@
-//! What a silent peer leads to, on both sides, in virtual time.
+//! Effects of a silent peer on both sides, in virtual time.
 #![allow(clippy::unwrap_used)] // a test may
 
 use std::{collections::VecDeque, ops::ControlFlow};
@@ -64,12 +64,12 @@ fn sides_with(clutch: Clutch) -> (Master, Slave) {
     (MasterSide::new(device, master, clutch).unwrap(), SlaveSide::new(arm, slave))
 }
 
-/// Which way the network passes frames at a tick: (to the slave, to the master).
+/// Run both sides. `passes` returns for each tick whether frames reach the slave, and whether they reach the master.
 fn run(ticks: u64, passes: impl Fn(u64) -> (bool, bool)) -> Vec<[(LadderState, f64); 2]> {
     run_with(Clutch::Once, ticks, passes)
 }
 
-/// A simulated person who presses again half a second after both sides are ready.
+/// Simulated person who presses again half a second after both sides are ready.
 const PERSON: Clutch = Clutch::Auto { reaction_ns: 500 * MS };
 
 fn run_with(
@@ -102,16 +102,16 @@ fn run_with(
 fn a_contact_settles_where_three_springs_in_series_do() {
     let history = run(3000, |_| (true, true));
     let arm = ArmParameters::default().stiffness();
-    // Both begin at 0.02 m and the target lies 0.03 m deep: three springs in series.
+    // Both start at 0.02 m, and the target is 0.03 m deep: three springs in series.
     let force = 0.03 / (1.0 / 300.0 + 1.0 / arm + 1.0 / 100.0);
     let [(state, device_force), _] = history[2999];
     assert_eq!(state, LadderState::Engaged);
-    // Coulomb friction may hold the device up to c beside the balance.
+    // Coulomb friction may hold the device up to c off the balance.
     assert!((device_force - force).abs() < 0.038, "{device_force} {force}");
 }
 
 #[test]
-fn silence_takes_the_force_within_100_ms_and_the_arm_holds() {
+fn silence_removes_the_force_within_100_ms_and_holds_the_arm() {
     let history = run(2000, |tick| if tick < 1500 { (true, true) } else { (false, false) });
     assert!(history[1499][0].1 > 1.5);
     let held = history[1520][1].1;
@@ -138,11 +138,11 @@ fn one_dead_direction_holds_both_sides() {
     }
 }
 
-/// What holds of every run, whatever the network does: no jump of the command, no force that grows faster than it may.
+/// Check that the command never jumps and the force never changes too fast, whatever the network does.
 fn check_no_jump(history: &[[(LadderState, f64); 2]]) {
     for (tick, pair) in history.windows(2).enumerate() {
         let [[(_, before), (_, commanded)], [(_, after), (state, next)]] = [pair[0], pair[1]];
-        // 1000 N/s of the limiter is 1 N a tick; unloading over 75 ms is less.
+        // The limiter's 1000 N/s is 1 N per tick; unloading over 75 ms is slower.
         assert!((after - before).abs() <= 1.0 + 1e-9, "{tick}: {before} {after}");
         assert!((next - commanded).abs() < 2e-3, "{tick}: the arm is never asked to jump");
         assert!(state.is_coupled() || next == commanded, "{tick}: no motion in {state:?}");
@@ -150,7 +150,7 @@ fn check_no_jump(history: &[[(LadderState, f64); 2]]) {
 }
 
 #[test]
-fn a_short_outage_holds_until_the_clutch_is_pressed_anew() {
+fn short_outage_holds_until_a_new_press() {
     let outage = |tick| if (1500..1560).contains(&tick) { (false, false) } else { (true, true) };
     let history = run(4000, outage);
     assert_eq!(history[1540].map(|side| side.0), [LadderState::Hold; 2]);
@@ -166,9 +166,9 @@ fn a_short_outage_holds_until_the_clutch_is_pressed_anew() {
     check_no_jump(&history);
 }
 
-/// Outages of 10 ms to 10 s, both ways or one: what each leads to, and that a person can engage again after each.
+/// Outages up to 10 s, in both directions or one: the resulting state of each. After each, a person can engage again.
 #[test]
-fn outages_lead_down_the_ladder_and_a_person_leads_out_again() {
+fn person_can_engage_again_after_any_outage() {
     use LadderState::{Engaged, Hold, Stale, Stop};
     for dead in [(false, false), (false, true), (true, false)] {
         for (length, worst) in [
@@ -194,7 +194,8 @@ fn outages_lead_down_the_ladder_and_a_person_leads_out_again() {
                     .max()
             };
             let what = format!("{dead:?} {length}");
-            // The side that still hears follows when the peer says so, which for a short outage is never.
+            // The side that still hears follows when the peer reports the silence, which never happens in a short
+            // outage.
             let sides = match dead {
                 (false, true) => vec![1],
                 (true, false) => vec![0],
@@ -211,10 +212,10 @@ fn outages_lead_down_the_ladder_and_a_person_leads_out_again() {
     }
 }
 
-/// After silence of 15 ms and more the arm stands, and has gone on by less than with a constant velocity.
+/// After 15 ms of silence the arm stands, and it has moved less than with constant velocity.
 #[test]
-fn the_arm_goes_on_for_a_moment_and_comes_to_rest() {
-    // In the middle the hand moves at some 0.1 m/s; the last frame before the outage is that of tick 299.
+fn arm_extrapolates_briefly_and_comes_to_rest() {
+    // In the middle the hand moves at about 0.1 m/s; the last frame before the outage is that of tick 299.
     let history = run(400, |tick| if tick < 300 { (true, true) } else { (false, false) });
     let command = |tick: usize| history[tick][1].1;
     let velocity = (command(299) - command(298)) / 1e-3;
@@ -232,10 +233,10 @@ fn the_arm_goes_on_for_a_moment_and_comes_to_rest() {
     assert!((320..399).all(|tick| command(tick) == command(399)));
 }
 
-/// Links with a delay of their own, up to 500 ms each way: they engage and stay, because silence counts from what the
-/// link is used to.
+/// Links with delays up to 500 ms each way engage and stay engaged, because silence counts from the usual age of the
+/// link.
 #[test]
-fn a_long_way_engages_and_stays() {
+fn long_delay_engages_and_stays() {
     for delay in [0, 20, 100, 500_u64] {
         let (mut master, mut slave) = sides();
         let (mut there, mut back) = (VecDeque::new(), VecDeque::new());
@@ -261,12 +262,12 @@ fn a_long_way_engages_and_stays() {
                 assert_eq!(engaged_at, None, "{delay}: it stays");
             }
         }
-        // There and back once, so that each knows that it is heard.
+        // One round trip, so that each side knows that it is heard.
         assert_eq!(engaged_at, Some((2 * delay).max(1)), "{delay}");
     }
 }
 
-/// The clutch as an index finger: the hand goes back without the arm.
+/// Indexing with the clutch: the hand moves back without the arm.
 #[test]
 fn an_open_clutch_moves_the_hand_and_not_the_arm() {
     let clutch = Clutch::Schedule(vec![(0, 200 * MS), (600 * MS, 5000 * MS)]);
@@ -278,7 +279,7 @@ fn an_open_clutch_moves_the_hand_and_not_the_arm() {
         assert_eq!(sides[1].1, history[201][1].1);
     }
     assert_eq!(history[601].map(|side| side.0), [LadderState::Engaged; 2]);
-    // The hand went from about 0.015 m to -0.03 m meanwhile, and the arm did not follow.
+    // Meanwhile the hand moved from about 0.015 m to -0.03 m, and the arm did not follow.
     assert!(history[1499][1].1 > 0.0, "{}", history[1499][1].1);
 }
 
@@ -293,7 +294,7 @@ fn a_wild_command_is_clamped_and_counted_and_nothing_stops() {
         let now_ns = tick * MS;
         let aligning = if tick < 2 { LadderState::Aligning } else { LadderState::Engaged };
         let status = Status { state: aligning.code(), hears_peer: true, clutch: true, ..Status::default() };
-        // At 100 ms a pose that jumps by 500 m, and a velocity beyond all reason; back at 110 ms.
+        // At 100 ms the position jumps by 500 m with an extreme velocity; at 110 ms it is back.
         let wild = (100..110).contains(&tick);
         let pose = Axes::<1>::new(if wild { 500.0 } else { 0.0 });
         let speed = Axes::<1>::new(if wild { 900.0 } else { 0.0 });
@@ -316,7 +317,7 @@ fn a_wild_command_is_clamped_and_counted_and_nothing_stops() {
         assert!((command - last).abs() <= 3e-3 + 1e-12, "{tick}: {command}");
         assert!(output.command_velocity.norm() <= 3.0 + 1e-12);
         assert!(tick < 2 || output.state == LadderState::Engaged, "{tick}: {:?}", output.state);
-        // Ten steps out and ten back, the last of which just fits, but for rounding.
+        // Ten steps out and ten back; the last one just fits, except for rounding.
         assert!(tick == 119 || output.limited.any() == (100..119).contains(&tick), "{tick}");
         last = command;
     }
@@ -327,7 +328,7 @@ fn a_wild_command_is_clamped_and_counted_and_nothing_stops() {
     );
 }
 
-/// A network that delivers every frame 50 ms after it was sent, both ways, and a master that sleeps for a while.
+/// Run with a delay of 50 ms each way, and a master whose loop stalls for a while.
 fn run_with_stall(ticks: u64, asleep: std::ops::Range<u64>) -> Vec<(LadderState, f64)> {
     let (mut master, mut slave) = sides_with(PERSON);
     let (mut there, mut back) = (VecDeque::new(), VecDeque::new());
@@ -339,7 +340,7 @@ fn run_with_stall(ticks: u64, asleep: std::ops::Range<u64>) -> Vec<(LadderState,
             let woke = tick == asleep.end;
             while back.front().is_some_and(|(due, _)| *due <= tick) {
                 let (_, frame): (u64, Vec<u8>) = back.pop_front().unwrap();
-                // The live loop throws away what waited while it slept.
+                // The live loop drops frames that waited during a stall.
                 if !woke {
                     master.receive(LinkTime::at(now_ns), &frame).unwrap();
                 }
@@ -363,13 +364,13 @@ fn run_with_stall(ticks: u64, asleep: std::ops::Range<u64>) -> Vec<(LadderState,
 }
 
 #[test]
-fn a_loop_that_slept_starts_again_from_zero_force() {
+fn stalled_loop_restarts_from_zero_force() {
     for asleep in [30, 60, 90] {
         let history = run_with_stall(4000, 2000..2000 + asleep);
         assert!(history[1999].1 > 1.5, "the hand feels the wall");
         assert_eq!(history[2000], (LadderState::Hold, 0.0), "asleep for {asleep} ms");
         for pair in history[2000..].windows(2) {
-            // Up to 2.3 N within a fade-in of 200 ms, and the wall gives way meanwhile.
+            // Up to 2.3 N within a fade-in of 200 ms, and the wall yields meanwhile.
             assert!(pair[1].1 - pair[0].1 < 0.05, "asleep for {asleep} ms: {pair:?}");
         }
         assert_eq!(history.last().unwrap().0, LadderState::Engaged);
@@ -405,9 +406,9 @@ fn a_stopped_master_stays_stopped_whatever_arrives() {
     }
 }
 
-/// With WSC on, a fast hand is damped while the two are engaged; damping is a force too, and goes with the peer.
+/// With WSC a fast hand is damped while engaged. Damping is a force too, and ends without the peer.
 #[test]
-fn nothing_is_exerted_without_a_peer_however_the_hand_moves() {
+fn no_force_without_a_peer_for_any_motion() {
     for safety in [
         SafetySettings {
             controllers: [ControllerKind::Wsc, ControllerKind::Pc].into(),
@@ -452,9 +453,9 @@ fn a_bad_sample_stops_both_sides_and_says_why() {
     assert_eq!(faults[1499].3, LadderState::Stop);
 }
 
-/// Frame by frame: each sum is that of the powers of the ticks before it, and never falls, whatever is lost.
+/// In each frame, each sum is that of the powers of all earlier ticks. It never falls, even if frames are lost.
 #[test]
-fn frames_tell_the_energy_that_went_through_each_port() {
+fn frames_report_the_energy_through_each_port() {
     let (mut master, mut slave) = sides();
     let mut buffer = [0; MAX_FRAME];
     let mut sums = [[0.0_f64; 2]; 2];
@@ -473,7 +474,7 @@ fn frames_tell_the_energy_that_went_through_each_port() {
         for (sent, expected) in [frame.energy.in_j, frame.energy.out_j].iter().zip(expected) {
             assert!((sent - expected).abs() <= 1e-12, "master, {tick}: {sent} J, must be {expected} J");
         }
-        // Every third frame is lost, and what it said is in the next.
+        // Every third frame is lost; the next one contains its energy.
         if tick % 3 != 0 {
             let _ = slave.receive(LinkTime::at(now_ns), &buffer[..FrameLayout::of(1).length()]);
         }
@@ -491,7 +492,7 @@ fn frames_tell_the_energy_that_went_through_each_port() {
         }
         let _ = master.receive(LinkTime::at(now_ns), &buffer[..FrameLayout::of(1).length()]);
     }
-    // Into the wall and pressing: energy goes into it at the slave, and comes out of the hand at the master.
+    // The hand presses into the wall: energy enters the wall at the slave, and leaves the hand at the master.
     let [[master_in, _], [_, slave_out]] = sums;
     assert!(master_in > 1e-3 && slave_out > 1e-3, "{sums:?}");
 }
@@ -507,10 +508,10 @@ fn a_frame_from_a_stranger_changes_nothing() {
     assert_eq!(master.exchange().counts().link.refused, 50);
 }
 
-/// A round trip is measured on one clock, and what the peer held on the other: neither offset nor drift shows in it
-/// beyond the rounding up to ticks.
+/// A round trip is measured on one clock, and the peer's waiting time on the other. Offset and drift change it by no
+/// more than the rounding to ticks.
 #[test]
-fn the_round_trip_does_not_show_a_clock_that_is_wrong() {
+fn round_trip_is_independent_of_clock_errors() {
     let link = LinkSettings { delay_s: 0.05, ..LinkSettings::default() };
     for drift_ppm in [-100.0, 0.0, 100.0] {
         let clock = ClockSettings { offset_s: -1e6, drift_ppm, ..ClockSettings::default() };
@@ -537,8 +538,8 @@ fn the_round_trip_does_not_show_a_clock_that_is_wrong() {
     }
 }
 
-/// A link with a delay in ticks each way, and when what is sent to the slave and to the master is cut: dropped, or kept
-/// until the end of the cut.
+/// Link with a delay in ticks each way, and cuts of the frames to the slave and to the master. A cut drops frames, or
+/// keeps them until its end.
 struct Wire {
     delay: u64,
     cuts: [Vec<std::ops::Range<u64>>; 2],
@@ -546,19 +547,19 @@ struct Wire {
 }
 
 impl Wire {
-    /// Of 30 ms, cut both ways.
+    /// Build a wire with 30 ms delay and the same cut both ways.
     fn cut(cut: std::ops::Range<u64>, keeps: bool) -> Self {
         Self { delay: 30, cuts: [vec![cut.clone()], vec![cut]], keeps }
     }
 
-    /// The cut that holds what side `from` sends at a tick.
+    /// Return the cut that affects a frame sent by side `from` at a tick.
     fn cut_at(&self, from: usize, sent: u64) -> Option<&std::ops::Range<u64>> {
         self.cuts[from].iter().find(|cut| cut.contains(&sent))
     }
 }
 
-/// Two sides of these times of the ladder on a wire; a person who presses the clutch anew at `presses`; and a slave that
-/// is started anew at `restarts`. The states of both sides at each tick.
+/// Run both sides with these times of the ladder on a wire, and return their states at each tick. A person presses
+/// again at `presses`; the slave restarts at `restarts`.
 fn run_delayed(
     ticks: u64,
     wire: &Wire,
@@ -586,7 +587,7 @@ fn run_delayed(
             while frames.front().is_some_and(|(sent, _)| due_at(*sent) <= tick) {
                 let (sent, frame) = frames.pop_front().unwrap();
                 if wire.keeps || wire.cut_at(from, sent).is_none() {
-                    // Of a session that is over it is refused.
+                    // A frame of an old session is refused.
                     let _ = if from == 0 {
                         slave.receive(LinkTime::at(now_ns), &frame)
                     } else {
@@ -608,10 +609,10 @@ fn engagements(history: &[[LadderState; 2]]) -> usize {
     history.windows(2).filter(|pair| !pair[0][0].is_coupled() && pair[1][0].is_coupled()).count()
 }
 
-/// Held by an outage, pressed at 3 s, and cut so that the slave sees the release and not the press: when the link is
-/// back after 20 s, nothing but another press couples the two.
+/// The link is cut so that the slave receives the release of a press but not the press. When the link is back after
+/// 20 s, only another press couples the sides.
 #[test]
-fn a_press_that_the_slave_did_not_see_couples_nothing_when_the_link_is_back() {
+fn press_unseen_by_the_slave_couples_nothing_later() {
     use LadderState::{Aligning, Disengaged, Engaged, Stop};
     let held = |tick: u64| (1000..1600).contains(&tick);
     let ladder = LadderSettings::default();
@@ -619,7 +620,7 @@ fn a_press_that_the_slave_did_not_see_couples_nothing_when_the_link_is_back() {
     assert!(held(1599) && history[1999] == [Stop; 2]);
     for keeps in [false, true] {
         for restarts in [None, Some(15_000)] {
-            // Held by the restart of the link at 1 s: the first outage is made by hand here.
+            // The press at 2 s opens the clutch for 100 ms; the cut begins 15 ms before it closes again.
             let mut presses = vec![2000];
             let cut = 2100 - 15..22_000;
             let wire = Wire::cut(cut, keeps);
@@ -640,12 +641,13 @@ fn a_press_that_the_slave_did_not_see_couples_nothing_when_the_link_is_back() {
     }
 }
 
-/// Both engaged, or in STOP after an outage, and one direction cut from 5 ms before a press leaves until some time after it,
-/// while the other one arrives. What the peer says of the press for two round trips ends it; a shorter cut and a long way do not.
+/// Both sides are engaged, or in STOP after an outage. One direction is cut from 5 ms before a press until some time
+/// after it. If the peer's frames do not confirm the press for two round trips, it ends; after a shorter cut or on a
+/// long link it does not.
 #[test]
-fn a_press_ends_with_what_the_peer_says_of_it() {
+fn unconfirmed_press_ends() {
     use LadderState::{Aligning, Disengaged, Engaged, Stop};
-    // A silence that is no STOP for as long as a press waits.
+    // With these times no silence becomes STOP while a press waits.
     let patient = LadderSettings { stop_after_ns: 10_000 * MS, ..LadderSettings::default() };
     let usual = LadderSettings::default();
     for (name, was_stopped, to_slave, ladder, delay, back_after, engages) in [
@@ -698,11 +700,11 @@ fn a_press_ends_with_what_the_peer_says_of_it() {
     }
 }
 
-/// The same with the press out of HOLD, as of a person who waits until the link is good again.
+/// Same for a press in HOLD, by a person who waits until the link is good again.
 #[test]
 fn a_press_out_of_hold_ends_with_the_link() {
     use LadderState::{Aligning, Disengaged, Engaged, Hold};
-    // The arm's loop is late for a moment: both hold.
+    // The arm's loop is late for a moment: both sides hold.
     let (mut master, mut slave) = sides();
     let mut under_way: [VecDeque<(u64, Vec<u8>)>; 2] = Default::default();
     let mut buffer = [0; MAX_FRAME];
@@ -740,7 +742,7 @@ fn a_press_out_of_hold_ends_with_the_link() {
     assert!(states[2000..].iter().all(|sides| !sides[1].is_coupled()));
 }
 
-/// A master that is started long before its slave asks for another press; one that is started just before does not.
+/// A master that starts long before its slave needs another press; one that starts shortly before does not.
 #[test]
 fn a_start_is_a_press_for_as_long_as_any_is() {
     use LadderState::{Aligning, Disengaged, Engaged};
@@ -772,13 +774,13 @@ fn a_start_is_a_press_for_as_long_as_any_is() {
     }
 }
 
-/// A slave that is started anew while the master aligns, with a silence that is no stop: its first frame ends the
+/// A slave restarts during alignment of the master, after a silence too short for a stop: its first frame ends the
 /// press.
 #[test]
-fn a_slave_that_is_started_anew_while_the_master_aligns_ends_the_press() {
+fn slave_restarted_during_alignment_ends_the_press() {
     use LadderState::{Aligning, Disengaged, Engaged};
     let (mut master, mut slave) = sides();
-    // It has seen a fault, and takes up no press.
+    // It has had a fault and accepts no press.
     slave.endpoint.exchange.device_failed(None);
     let mut buffer = [0; MAX_FRAME];
     let mut states = Vec::new();
@@ -795,7 +797,7 @@ fn a_slave_that_is_started_anew_while_the_master_aligns_ends_the_press() {
         }
         states.push(master.tick(TickTime::at(now_ns)).state);
         let frame = master.send(LinkTime::at(now_ns), &mut buffer);
-        // The old one is deaf to the press, for less than ends it.
+        // The old slave does not hear the press, for less time than would end it.
         if !(20..60).contains(&tick) {
             slave.receive(LinkTime::at(now_ns), frame).unwrap();
         }

@@ -1,5 +1,5 @@
 //! Two ends of a session and the wire between them, in virtual time.
-#![allow(dead_code)] // each test file takes what it needs
+#![allow(dead_code)] // each test file uses a part
 
 use std::collections::BTreeMap;
 
@@ -13,12 +13,12 @@ use haptether_bridge::{
 
 pub(crate) const MS: u64 = 1_000_000;
 pub(crate) const PAYLOAD: usize = 92;
-/// The key that both sides share.
+/// Key shared by both sides.
 pub(crate) fn key() -> PreSharedKey {
     PreSharedKey::new(b"the key that both ends share: 32").unwrap()
 }
 
-/// `SplitMix64`: random enough for tests, and the same each time.
+/// `SplitMix64`: random enough for tests, and reproducible.
 #[derive(Clone, Debug)]
 pub(crate) struct Numbers(pub(crate) u64);
 
@@ -50,7 +50,7 @@ pub(crate) fn end(settings: SessionSettings, key: PreSharedKey, seed: u64) -> Se
     SessionEnd::secure(settings, key, &mut Numbers(seed)).unwrap()
 }
 
-/// A payload that says which it is.
+/// Payload that contains its number.
 pub(crate) fn payload(number: u64) -> [u8; PAYLOAD] {
     let mut bytes = [0; PAYLOAD];
     bytes[..8].copy_from_slice(&number.to_le_bytes());
@@ -61,7 +61,7 @@ pub(crate) fn number(payload: &[u8]) -> u64 {
     u64::from_le_bytes(payload[..8].try_into().unwrap())
 }
 
-/// All of an end but its counts of what it did not take.
+/// Return the state of an end as text, without its counts of rejections.
 pub(crate) fn state(end: &SessionEnd) -> String {
     let mut text = format!("{end:?}");
     for (start, stop) in [("rejections: Rejections([", "])"), ("forged: ", ",")] {
@@ -76,7 +76,7 @@ pub(crate) fn state(end: &SessionEnd) -> String {
     text
 }
 
-/// What the wire does with a datagram: its delays in ns, one for each copy that arrives.
+/// Fate of a datagram on the wire: delays in ns, one for each copy that arrives.
 pub(crate) type Fate = Box<dyn FnMut(u64, Role, &[u8]) -> Vec<u64>>;
 
 pub(crate) struct Pair {
@@ -84,9 +84,9 @@ pub(crate) struct Pair {
     pub(crate) slave: SessionEnd,
     pub(crate) now_ns: u64,
     pub(crate) fate: Fate,
-    /// What was sent, in order: when, to whom, what.
+    /// Sent datagrams in order: time in ns, receiver, bytes.
     pub(crate) sent: Vec<(u64, Role, Vec<u8>)>,
-    /// Payloads taken: at whom, number, arrival.
+    /// Accepted payloads: receiver, number, arrival.
     pub(crate) taken: Vec<(Role, u64, Arrival)>,
     pub(crate) rejected: Vec<(Role, Rejection)>,
     pub(crate) entropy: Numbers,
@@ -160,7 +160,7 @@ impl Pair {
         }
     }
 
-    /// A tick of 1 ms: what is due arrives, both sides poll and send what they can.
+    /// Tick by 1 ms: due datagrams arrive, and both sides poll and send.
     pub(crate) fn tick(&mut self, sends: bool) {
         self.now_ns += MS;
         while let Some(entry) = self.under_way.first_entry() {
@@ -190,7 +190,7 @@ impl Pair {
         }
     }
 
-    /// Both sides open, with the first payloads exchanged and nothing under way.
+    /// Return a pair with an open session, after the first payloads and with nothing in flight.
     pub(crate) fn opened() -> Self {
         let mut pair = Self::new();
         pair.run(40);

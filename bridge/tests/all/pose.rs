@@ -1,4 +1,4 @@
-//! A hand that turns and an arm that follows it, through a delay, in virtual time.
+//! A hand that turns and an arm that follows it through a delay, in virtual time.
 #![allow(clippy::unwrap_used)] // a test may
 
 use std::collections::VecDeque;
@@ -19,7 +19,7 @@ use haptether_safety::{
 use nalgebra::{Quaternion, Unit, UnitQuaternion};
 
 const MS: u64 = 1_000_000;
-/// One way, in ticks.
+/// One-way delay in ticks.
 const DELAY: usize = 10;
 const SCALE: f64 = 1.5;
 
@@ -29,7 +29,7 @@ struct Pair {
     under_way: [VecDeque<Vec<u8>>; 2],
     is_silent: bool,
     tick: u64,
-    /// The last record of the master.
+    /// Last record of the master.
     last: Option<MasterRecord<3, MasterRotation>>,
 }
 
@@ -97,7 +97,7 @@ impl Pair {
         self.master.plant.rotation = Some(RotationSample { orientation, angular_velocity: None });
     }
 
-    /// A tick of both sides, and the record of the master.
+    /// Tick both sides; return the record of the master.
     fn record(&mut self) -> MasterRecord<3, MasterRotation> {
         self.tick();
         self.last.unwrap()
@@ -157,7 +157,7 @@ fn the_arm_turns_as_the_hand_did_a_delay_ago() {
         pair.tick();
         let seen = phi(n.saturating_sub(DELAY)) * SCALE;
         let expected = UnitQuaternion::from_scaled_axis(c * seen) * start;
-        // Rounding of an angle that is taken by an inverse cosine: 3e-8 at 0.
+        // Rounding error of an angle from an inverse cosine: 3e-8 at 0.
         assert!(pair.order().0.angle_to(&expected) < 1e-7, "{n}");
     }
 }
@@ -180,7 +180,7 @@ fn the_command_keeps_within_speed_and_turn() {
     assert!((furthest - 0.4).abs() < 0.5e-3 + 3e-8, "{furthest}");
 }
 
-/// Beyond pi from the first orientation the shorter way to a bound is that through what the bound forbids.
+/// Beyond pi from the first orientation, the shorter way to a bound leads through the forbidden range.
 #[test]
 fn a_hand_that_turns_on_past_pi_does_not_lead_the_arm_out_of_its_bound() {
     for turn in [1.7, 2.4, 3.0] {
@@ -198,7 +198,7 @@ fn a_hand_that_turns_on_past_pi_does_not_lead_the_arm_out_of_its_bound() {
 }
 
 #[test]
-fn an_orientation_that_is_none_is_a_fault_without_force_or_torque() {
+fn invalid_orientation_is_a_fault_without_force_or_torque() {
     let long = Unit::new_unchecked(Quaternion::new(1.1, 0.0, 0.0, 0.0));
     let none = Unit::new_unchecked(Quaternion::from([f64::NAN; 4]));
     for (bad, at_master) in [(long, true), (none, true), (long, false), (none, false)] {
@@ -244,9 +244,9 @@ fn silence_brings_the_rotation_to_rest_and_then_to_a_stop() {
     assert_eq!(*pair.slave.plant.order(), SlaveOrder::Stop);
 }
 
-/// Where an arm says no orientation that can be, it has none to be held at, nor to be recorded.
+/// An arm without a valid orientation is held at none, and none is recorded.
 #[test]
-fn an_arm_that_does_not_know_how_it_came_to_rest_is_held_at_no_orientation() {
+fn arm_with_unknown_rest_orientation_is_held_at_none() {
     let at = turned(0.1, 0.2, -0.3);
     let long = Unit::new_unchecked(Quaternion::new(1.1, 0.0, 0.0, 0.0));
     for (rest, expected) in [(Some(at), Some(at)), (None, None), (Some(long), None)] {
@@ -260,18 +260,18 @@ fn an_arm_that_does_not_know_how_it_came_to_rest_is_held_at_no_orientation() {
     pair.engage();
     pair.slave.plant.rotation.as_mut().unwrap().orientation = long;
     assert_eq!(pair.tick()[1], LadderState::Fault);
-    assert_eq!(pair.slave.endpoint.last_orientation(), None, "whoever stops it decides how it rests");
+    assert_eq!(pair.slave.endpoint.last_orientation(), None, "its stop decides how it rests");
 }
 
-/// Of a hand that is much faster than the bound: what lags is given up, never led back the shorter way.
+/// If the hand is much faster than the bound, the lag is dropped; the arm is never led back the shorter way.
 #[test]
-fn a_command_that_lags_goes_on_the_same_way() {
+fn lagging_command_continues_in_its_direction() {
     let mut pair = Pair::new(RotationBounds::default());
     pair.engage();
     let start = pair.order().0;
     let (mut before, mut whole) = (start, 0.0_f64);
     for n in 0..1200 {
-        // 8 rad at 16 rad/s, 1.5 times that for the arm, which turns at 2.5 rad/s at most.
+        // 8 rad at 16 rad/s, scaled by 1.5 for the arm, which turns at 2.5 rad/s at most.
         let angle = 16e-3 * f64::from(n.min(500));
         pair.hand(turned(0.0, 0.0, angle) * turned(0.2, -0.1, 0.3));
         pair.tick();
@@ -282,21 +282,21 @@ fn a_command_that_lags_goes_on_the_same_way() {
         whole += step.z;
         before = now;
     }
-    // 2.5 rad/s for the 0.5 s of the hand, and what is left of a quarter turn after that.
+    // 2.5 rad/s during the 0.5 s of the hand, and at most a quarter turn after that.
     assert!(whole > 1.2 && whole < 1.25 + std::f64::consts::FRAC_PI_2 + 0.05, "{whole}");
     assert!(pair.slave.exchange().counts().limited > 400);
 }
 
-/// An angle that holds the orientation holds its velocity as well: whoever follows that would go beyond.
+/// If the bound holds the orientation, it also holds the velocity; otherwise a follower would go beyond it.
 #[test]
-fn what_a_bound_holds_does_not_go_on_turning() {
+fn bounded_orientation_has_no_velocity() {
     let mut pair = Pair::new(RotationBounds { speed: 2.5, turn: 0.4 });
     pair.engage();
     for n in 0..1000 {
         pair.hand(turned(0.0, 0.0, 1e-3 * f64::from(n)) * turned(0.2, -0.1, 0.3));
         pair.tick();
         let (now, w) = pair.order();
-        // 0.4 rad are reached after 0.27 s of 1.5 rad/s.
+        // 0.4 rad are reached after 0.27 s at 1.5 rad/s.
         if n > 320 {
             assert!((now.angle_to(&turned(-0.4, 0.2, 0.1)) - 0.4).abs() < 1e-7, "{n}");
             assert!(w.norm() < 1e-4, "{n}: {w}");
@@ -304,9 +304,9 @@ fn what_a_bound_holds_does_not_go_on_turning() {
     }
 }
 
-/// Bound hang on where the arm stood: at its first sample that can be, not at one that is none.
+/// The bounds refer to the arm's first valid sample, not to an invalid one.
 #[test]
-fn a_first_sample_that_is_none_leaves_the_bounds_in_force() {
+fn invalid_first_sample_keeps_the_bounds() {
     let bounds = RotationBounds { speed: 2.5, turn: 0.2 };
     for bad in [Quaternion::from([f64::NAN; 4]), Quaternion::from([0.0; 4])] {
         let mut pair = Pair::new(bounds);
@@ -334,9 +334,9 @@ fn a_first_sample_that_is_none_leaves_the_bounds_in_force() {
     }
 }
 
-/// A release of the clutch and a new press: the arm goes on from where it is, the torque from zero.
+/// After a release of the clutch and a new press, the arm continues from where it is, and the torque rises from zero.
 #[test]
-fn a_new_press_anchors_anew_without_a_jump() {
+fn new_press_sets_a_new_anchor_without_a_jump() {
     let mut pair = Pair::new(RotationBounds::default());
     pair.engage();
     for n in 0..300 {
@@ -350,20 +350,20 @@ fn a_new_press_anchors_anew_without_a_jump() {
     assert!(pair.master.command(pair.tick * MS, OperatorCommand::Press).unwrap());
     let mut before = held;
     for n in 0..1200 {
-        // The hand turns elsewhere while the clutch is open, for 0.1 s, and comes to rest.
+        // While the clutch is open, the hand turns elsewhere and comes to rest.
         pair.hand(turned(1e-3 * f64::from(n.min(60)), 0.0, 0.3) * turned(0.2, -0.1, 0.3));
         pair.tick();
         let now = pair.order().0;
         assert!(now.angle_to(&before) < 2e-3, "{n}");
-        // Fades within 75 ms, and the clutch is open for 100 ms.
+        // The torque fades within 75 ms, and the clutch is open for 100 ms.
         assert!(n != 80 || pair.master.plant.torque == Axes::<3>::zeros(), "{n}");
         before = now;
     }
     assert_eq!(pair.slave.exchange().state(), LadderState::Engaged);
-    assert!(before.angle_to(&held) < 1e-6, "what it turned while the two were apart is not made up for");
+    assert!(before.angle_to(&held) < 1e-6, "turns while uncoupled are not made up for");
 }
 
-/// What frames say of the energy is the sum of `f·v + tau·w` of all ticks, each way by itself.
+/// The energies in frames are the sums of `f·v + tau·w` of all ticks, separately for each direction.
 #[test]
 fn the_energy_of_the_frames_is_that_of_the_whole_wrench() {
     let mut pair = Pair::new(RotationBounds::default());
@@ -389,7 +389,7 @@ fn the_energy_of_the_frames_is_that_of_the_whole_wrench() {
         let power =
             record.rendered_force.dot(&record.velocity) + turn.rendered_torque.dot(&turn.angular_velocity);
         sums[usize::from(power > 0.0)] += power.abs() * 1e-3;
-        // The slave, as in `Pair::tick`, so that the two stay coupled.
+        // The slave is stepped as in `Pair::tick`, so that the sides stay coupled.
         let now = LinkTime::at(pair.tick * MS);
         let mut buffer = [0; MAX_FRAME];
         let frame = pair.master.send(now, &mut buffer).to_vec();
@@ -406,14 +406,14 @@ fn the_energy_of_the_frames_is_that_of_the_whole_wrench() {
     }
 }
 
-/// HSC sees a torque that the hand does not hold: while trips are shared, the force is cancelled as well.
+/// HSC detects a torque that the hand does not hold. If trips are shared, the force is cancelled too.
 #[test]
-fn a_trip_of_the_torque_acts_on_the_force_where_trips_are_shared() {
+fn shared_trip_of_the_torque_acts_on_the_force() {
     for shares_trips in [true, false] {
         let mut pair = Pair::watched([ControllerKind::Hsc].into(), shares_trips);
         pair.engage();
-        // Nobody holds a device that stands still under a torque: the estimate has a hand hold all of it. So it is let
-        // go: it turns as the torque alone would have it, I = 1e-4 kg m².
+        // A device that stands still under a torque looks held, because the estimate assigns all of the torque to a
+        // hand. So the device is released here: it turns by the torque alone, with I = 1e-4 kg m².
         let (mut angle, mut rate) = (0.0, 0.0);
         let mut seen = false;
         for _ in 0..120 {

@@ -1,4 +1,4 @@
-//! What an operator changes while both sides run: it fades, and stays within bounds that hang on the scene.
+//! Changes by an operator while both sides run: they fade, and stay within the bounds of the scene.
 #![allow(clippy::unwrap_used)] // a test may
 
 use OperatorCommand::{ForceScale, Frame, PositionScale, Press, Release};
@@ -16,7 +16,7 @@ use haptether_safety::{
 use haptether_slave::{ArmParameters, SimulatedSlave, Wall};
 
 const MS: u64 = 1_000_000;
-/// Ticks of the fade: that of an engagement.
+/// Ticks of the fade, equal to that of an engagement.
 const FADE: usize = 200;
 
 fn master_settings() -> MasterSettings<1> {
@@ -49,7 +49,7 @@ struct Pair {
 }
 
 impl Pair {
-    /// A hand that goes from 2 cm before a wall to `end` in 2 s and stays there.
+    /// Build a pair whose hand moves from 2 cm before a wall to `end` in 2 s and stays there.
     fn new(end: f64) -> Self {
         let legs = vec![Leg { duration_s: 2.0, end: Axes::<1>::new(end), shape: LegShape::MinimumJerk }];
         let hand = Hand::new(300.0, 8.0, 20.0, Path::new(Axes::<1>::new(0.02), legs).unwrap(), None).unwrap();
@@ -80,7 +80,7 @@ impl Pair {
         (0..ticks).map(|_| self.tick()).collect()
     }
 
-    /// Commands both sides, as a scene does; whether neither refuses.
+    /// Command both sides, as a scene does; return the error if a side refuses.
     fn command(&mut self, command: OperatorCommand) -> Result<(), String> {
         let now_ns = self.tick * MS;
         self.master.command(now_ns, command).map_err(|error| error.to_string())?;
@@ -88,14 +88,14 @@ impl Pair {
     }
 }
 
-/// Largest change from one tick to the next.
+/// Return the largest change from one tick to the next.
 fn largest_step(values: impl Iterator<Item = f64>) -> f64 {
     let values: Vec<_> = values.collect();
     values.windows(2).fold(0.0, |most, pair| (pair[1] - pair[0]).abs().max(most))
 }
 
-/// In contact at 2 N: at no tick the force changes by more than its share of the fade, up, down, and of axes that are locked and
-/// freed; a change on the way of another one as well. At the end it is what the scale says.
+/// In contact at 2 N, the force changes per tick by at most its share of the fade. That holds up, down, for locked and
+/// freed axes, and for a change during another one. At the end the force has the new scale.
 #[test]
 fn a_force_in_contact_fades_to_another_scale() {
     let locked = |locked| Frame { quat_wxyz: [1.0, 0.0, 0.0, 0.0], locked: [locked; 7] };
@@ -117,7 +117,7 @@ fn a_force_in_contact_fades_to_another_scale() {
             }
             seen.push(pair.tick());
         }
-        // Of what the hand feels at the most, 4 N, the share of a tick; half of it again for the arm that moves meanwhile.
+        // Share of a tick in the largest force felt, 4 N, and half of it again for the motion of the arm meanwhile.
         let most = 1.5 * 4.0 / FADE as f64;
         for step in [
             largest_step(seen.iter().map(|(near, _)| near.rendered_force[0])),
@@ -131,8 +131,8 @@ fn a_force_in_contact_fades_to_another_scale() {
     }
 }
 
-/// In free space at up to 0.19 m/s: the change moves nothing by itself, and the velocity goes over the fade from one scale to
-/// the other.
+/// In free space at up to 0.19 m/s, a change causes no motion by itself. The velocity passes from one scale to the
+/// other over the fade.
 #[test]
 fn a_motion_fades_to_another_scale() {
     for (name, command) in [("twice", PositionScale(2.0)), ("half", PositionScale(0.5))] {
@@ -153,7 +153,7 @@ fn a_motion_fades_to_another_scale() {
         for tick in 890..1700 {
             let share = ((tick as f64 - 899.0) / FADE as f64).clamp(0.0, 1.0);
             let expected = plain[tick] * (1.0 + share * (scale - 1.0));
-            // The hand feels nothing of it: both hands move alike.
+            // The hand feels no force from it, so both hands move alike.
             assert!(
                 (changed[tick] - expected).abs() < 1.01e-2 * plain[tick],
                 "{name} at {tick}: {} {expected}",
@@ -163,9 +163,9 @@ fn a_motion_fades_to_another_scale() {
     }
 }
 
-/// A scale of the scene of 1: what is refused, whatever was changed before, and in which words.
+/// With a scale of 1 in the scene: refused values, whatever was changed before, and the text of a refusal.
 #[test]
-fn no_change_leads_out_of_the_bounds_of_the_scene() {
+fn changes_stay_within_the_bounds_of_the_scene() {
     const CLOSED: [f64; 12] = [
         2.000_001,
         5.0,
@@ -204,7 +204,7 @@ fn no_change_leads_out_of_the_bounds_of_the_scene() {
     };
     pair.run(3000);
     refused(&mut pair, &CLOSED);
-    // In steps, each within a factor of 2 of the last one, and before the fade of that is over.
+    // In steps, each within a factor of 2 of the last one, and before its fade is over.
     for ticks in [0, 50, 300] {
         for scale in [1.4, 2.0, 0.5, 1.0, 2.0] {
             pair.command(ForceScale(scale)).unwrap();
@@ -217,7 +217,7 @@ fn no_change_leads_out_of_the_bounds_of_the_scene() {
     refused(&mut pair, &CLOSED);
     let after = pair.run(1).pop().unwrap().0.rendered_force[0];
     assert!((after - force).abs() < 1e-2, "a refusal changes nothing");
-    // An open clutch is one without force: while that fades out, it is none.
+    // A clutch counts as open only without force; during the fade-out it does not.
     pair.command(Release).unwrap();
     pair.run(10);
     refused(&mut pair, &[5.0]);
@@ -227,7 +227,7 @@ fn no_change_leads_out_of_the_bounds_of_the_scene() {
         pair.command(PositionScale(scale)).unwrap();
     }
     refused(&mut pair, &[100.1, 200.0, 1e308, 0.0, f64::NAN, 0.009]);
-    // What was set with an open clutch does not widen what a closed one allows.
+    // A value set with an open clutch does not widen the range of a closed one.
     pair.command(ForceScale(4.0)).unwrap();
     pair.command(Press).unwrap();
     pair.run(1000);
@@ -236,7 +236,7 @@ fn no_change_leads_out_of_the_bounds_of_the_scene() {
     pair.command(ForceScale(2.0)).unwrap();
 }
 
-/// A press and the largest change with an open clutch at once: the force comes with the engagement, without a step.
+/// A press together with the largest change of an open clutch: the force comes with the engagement, without a step.
 #[test]
 fn a_change_that_arrives_with_a_press_fades_in_with_it() {
     for (scale, before_press) in [(5.0, true), (5.0, false), (2.0, true), (2.0, false), (0.2, true)] {
@@ -258,7 +258,8 @@ fn a_change_that_arrives_with_a_press_fades_in_with_it() {
     }
 }
 
-/// A press with a scale that asks for more than the device renders: the largest force is reached at the end of the fade.
+/// A press with a scale that requests more than the device can render: the largest force is reached at the end of the
+/// fade.
 #[test]
 fn force_beyond_the_device_fades_in_with_a_press() {
     let most = LimiterSettings::default().max_force_n;
@@ -279,8 +280,8 @@ fn force_beyond_the_device_fades_in_with_a_press() {
     }
 }
 
-/// Of a side that turns, scales of rotation and torque as well; of one that does not there are none, and what is the other side's
-/// passes over. A scene states another factor, and values of its own changes.
+/// A side that turns also has scales of rotation and torque. A side that does not turn refuses its own and ignores
+/// those of the other side. A scene sets another factor, and the values of its own changes.
 #[test]
 fn each_side_has_the_bounds_of_its_scales() {
     use OperatorCommand::{RotationScale, TorqueScale};

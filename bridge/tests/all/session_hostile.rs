@@ -1,4 +1,4 @@
-//! The secure session against whoever writes datagrams without the key, or writes old ones again.
+//! The secure session against an attacker who sends datagrams without the key, or replays old ones.
 #![allow(clippy::unwrap_used)] // a test may
 
 use std::net::SocketAddr;
@@ -12,7 +12,8 @@ use haptether_bridge::{
     wire::Role,
 };
 
-/// Give `datagram` to the end of `role` and say why it was not taken; whatever else the end knows stays.
+/// Pass `datagram` to the end of `role` and return the reason of a refusal. A refusal changes no other state of the
+/// end.
 fn refusal(pair: &mut Pair, role: Role, datagram: &[u8]) -> Option<Rejection> {
     let (before, now_ns) = (state(pair.end(role)), pair.now_ns);
     let refused = pair.end(role).receive(now_ns, &mut datagram.to_vec(), &mut Numbers(5)).err();
@@ -64,7 +65,7 @@ fn every_flipped_bit_of_a_handshake_is_refused() {
     for bit in 0..8 * HANDSHAKE_LENGTH {
         let mut bad = answer.clone();
         bad[bit / 8] ^= 1 << (bit % 8);
-        // The highest bit of an X25519 key says nothing by itself, but it is hashed: it is refused as well.
+        // The highest bit of an X25519 key has no effect by itself, but it is hashed, so a change is refused too.
         assert!(refusal(&mut pair, Role::Master, &bad).is_some(), "bit {bit} of the answer");
     }
     assert_eq!(pair.rejected, []);
@@ -110,7 +111,7 @@ fn a_datagram_sent_back_to_its_sender_is_refused() {
     assert_eq!(refusal(&mut pair, Role::Master, &hello), Some(Rejection::Kind));
 }
 
-/// The whole recording of a session, to the sides that made it, in the session and after a restart.
+/// A recording of a whole session is replayed to its sides, during the session and after a restart.
 #[test]
 fn a_recorded_session_sent_again_does_nothing() {
     let mut pair = Pair::opened();
@@ -144,11 +145,11 @@ fn a_recorded_session_sent_again_does_nothing() {
     assert_eq!(anew.taken, []);
     assert!(!anew.slave.session.is_leased());
     assert_eq!(anew.slave.session.poll_event(), None);
-    // One answer to the one hello of a first session; the hello of the next keys is bound to keys that are gone.
+    // One answer to the one hello of a first session; the hello of the next keys depends on keys that are gone.
     assert_eq!(anew.sent.len(), 1);
 }
 
-/// Answers that `count` first messages get, one each `step_ns` from the addresses of `from` in turn.
+/// Return the number of answers to `count` first messages, one every `step_ns` from the addresses of `from` in turn.
 fn answers(
     slave: &mut SessionEnd,
     hellos: &[HandshakeDatagram],
@@ -166,7 +167,7 @@ fn answers(
         .count() as u64
 }
 
-/// First messages of the peer, each of a session of its own.
+/// Return first messages of the peer, each of a different session.
 fn recorded(count: u64) -> Vec<HandshakeDatagram> {
     (0..count)
         .map(|seed| {
@@ -180,20 +181,19 @@ fn address(host: u8, port: u16) -> SocketAddr {
     SocketAddr::from(([10, 0, 0, host], port))
 }
 
-/// Eight at once and four a second, repeats included, whatever is repeated; half from one host, a quarter from one
-/// address.
+/// Eight answers at once and four per second, repeats included. One host gets half of that, and one address a quarter.
 #[test]
 fn answers_have_one_limit_repeats_included() {
     let hosts: Vec<_> = (1..20).map(|host| address(host, 9)).collect();
     let ports: Vec<_> = (1..20).map(|port| address(1, port)).collect();
-    // One message, some that are repeated as often as a master does, and more than are kept against replay.
+    // One message, some that are repeated as often as by a master, and more than are stored against replay.
     for distinct in [1, 7, 2000] {
         let hellos = recorded(distinct);
         for (from, least, most) in
             [(&hosts, 38, 8 + 40), (&ports, 18, 6 + 20), (&vec![address(1, 1)], 8, 4 + 10)]
         {
             let mut slave = end(settings(Role::Slave), key(), 2);
-            // 4000 a second for 10 s.
+            // 4000 per second for 10 s.
             let given = answers(&mut slave, &hellos, from, MS / 4, 40_000);
             assert!(given <= most, "{distinct}, {} addresses: {given}", from.len());
             assert!(given >= least, "{distinct}, {} addresses: {given}", from.len());
@@ -202,7 +202,7 @@ fn answers_have_one_limit_repeats_included() {
     }
 }
 
-/// Whoever sends recorded first messages from one address, or one host, keeps no master of another out.
+/// Recorded first messages from one address or one host do not keep out a master from another.
 #[test]
 fn replayed_hellos_from_elsewhere_do_not_delay_a_master() {
     let hellos = recorded(2000);
@@ -218,7 +218,7 @@ fn replayed_hellos_from_elsewhere_do_not_delay_a_master() {
     }
 }
 
-/// A copy of the master's own first message that is always first, from another address: both are answered.
+/// A copy of the master's own first message, which always arrives first and from another address: both are answered.
 #[test]
 fn a_copy_of_a_first_message_does_not_take_its_answer() {
     let mut slave = end(settings(Role::Slave), key(), 2);
@@ -232,13 +232,13 @@ fn a_copy_of_a_first_message_does_not_take_its_answer() {
     }
 }
 
-/// Fast rekeying.
+/// Settings with fast rekeying.
 fn hasty(role: Role) -> SessionSettings {
     SessionSettings { rekey_ns: 400 * MS, refuse_ns: 1000 * MS, overlap_ns: 200 * MS, ..settings(role) }
 }
 
-/// 4000 authentic first messages a second, of other sessions and of this one, from the master's address or others: keys
-/// are renewed as without them, and nobody is notified of another master.
+/// 4000 authentic first messages per second, of other sessions or of this one, from the master's address and others.
+/// Keys are renewed as usual, and no other master is reported.
 #[test]
 fn replayed_hellos_do_not_starve_the_next_keys() {
     for own in [false, true] {
@@ -249,7 +249,7 @@ fn replayed_hellos_do_not_starve_the_next_keys() {
         for _ in 0..10_000 {
             pair.tick(true);
             if own {
-                // All that this master has asked so far, the newest included.
+                // All first messages of this master so far, including the newest.
                 let asked = pair.sent.iter().filter(|(_, to, _)| *to == Role::Slave);
                 hellos = asked.filter_map(|(.., bytes)| bytes.as_slice().try_into().ok()).collect();
             }
@@ -258,7 +258,7 @@ fn replayed_hellos_do_not_starve_the_next_keys() {
                 let from = if n % 2 == 0 { address(1, 1) } else { SocketAddr::from(([0; 4], 0)) };
                 let (now_ns, mut copy) = (pair.now_ns, hellos[n % hellos.len()]);
                 let received = pair.slave.receive_from(now_ns, from, &mut copy, &mut Numbers(7));
-                // What is for the partner goes to the partner, see the next test; the rest to who asked.
+                // Answers for the partner go to the partner, as the next test checks; others go to the sender.
                 if let Ok(Received::Reply(reply)) = received
                     && reply[4..8] != [0; 4]
                 {
@@ -275,7 +275,7 @@ fn replayed_hellos_do_not_starve_the_next_keys() {
     }
 }
 
-/// Answers to the partner of a living session go to where its frames come from, whoever asks.
+/// Answers to the partner of a live session go to the source of its frames, whatever address asks.
 #[test]
 fn an_answer_to_the_living_partner_goes_to_it() {
     let mut entropy = Numbers(4);
@@ -308,12 +308,12 @@ fn an_answer_to_the_living_partner_goes_to_it() {
         let (outcome, is_renewal) = ask(&mut session, now_ns, hello);
         assert!(is_renewal && outcome.to_peer && outcome.reply.is_some());
     }
-    // Silent for long, its address may be another.
+    // After a long silence its address may be another.
     let (outcome, _) = ask(&mut session, 3000 * MS, hello);
     assert!(!outcome.to_peer && outcome.reply.is_some());
 }
 
-/// While a session lives, hellos recorded from others do not touch it.
+/// During a session, hellos recorded from others do not affect it.
 #[test]
 fn replayed_hellos_leave_a_living_session_alone() {
     let mut pair = Pair::opened();
@@ -330,15 +330,15 @@ fn replayed_hellos_leave_a_living_session_alone() {
     assert_eq!(pair.taken_at(Role::Slave).len(), frames);
     let answers =
         pair.sent.iter().filter(|(_, to, bytes)| *to == Role::Master && is_handshake(bytes)).count();
-    // Four at once, one of them the master's own, and two more in 2 s.
+    // Four at once, one of them for the master itself, and two more in 2 s.
     assert!((5..=6).contains(&answers), "{answers}");
     assert_eq!(pair.slave.poll_event(), None, "a recorded message is no second master");
 }
 
-/// One who has the shared key and hears all, but is no end of the session, cannot put its keys in place of theirs.
+/// An attacker who has the shared key and hears everything, but is no end of the session, cannot replace its keys.
 #[test]
 fn the_shared_key_alone_does_not_rekey_a_session_of_others() {
-    /// Draws a session's number that is known, and for the rest its own.
+    /// Entropy that returns a known session number first, then its own numbers.
     struct Chosen(Option<u64>, Numbers);
     impl Entropy for Chosen {
         fn fill(&mut self, bytes: &mut [u8]) -> Result<(), NoEntropy> {
@@ -351,7 +351,7 @@ fn the_shared_key_alone_does_not_rekey_a_session_of_others() {
     }
     let mut pair = Pair::opened();
     let mut entropy = Chosen(pair.slave.session.session(), Numbers(99));
-    // Its own session of the same number with another slave gives it a hello for the next keys.
+    // With another slave, a session of the same number gives the attacker a hello for the next keys.
     let mut master = end(settings(Role::Master), key(), 7);
     let mut slave = end(settings(Role::Slave), key(), 8);
     let mut hello = master.poll(0, &mut entropy).unwrap().unwrap();
@@ -398,7 +398,7 @@ fn too_many_forgeries_end_the_session() {
     assert_eq!(last, Some(SessionEvent::Forgeries));
 }
 
-/// A million datagrams, from noise to all but right: nothing panics, nothing changes, and the counts add up.
+/// A million datagrams, from noise to almost valid: nothing panics, nothing changes, and the counts add up.
 #[test]
 fn a_million_forgeries_change_nothing() {
     const COUNT: u64 = 1_000_000;
@@ -415,7 +415,7 @@ fn a_million_forgeries_change_nothing() {
             let shape = numbers.draw() % 8;
             let length = match shape {
                 0 => (numbers.draw() % 600) as usize,
-                // A handshake costs a hundred times as much as a frame: fewer of them.
+                // A handshake costs a hundred times as much as a frame, so there are fewer of them.
                 1 if numbers.draw().is_multiple_of(16) => HANDSHAKE_LENGTH,
                 _ => good.len(),
             };
@@ -423,7 +423,8 @@ fn a_million_forgeries_change_nothing() {
                 let bytes = numbers.draw().to_le_bytes();
                 chunk.copy_from_slice(&bytes[..chunk.len()]);
             }
-            // As much of a true header as the shape says: version, kind, epoch, session, some of the counter, all.
+            // The shape decides how much of a true header is kept: version, kind, epoch, session, part of the counter,
+            // or all.
             let truth = if length == HANDSHAKE_LENGTH { &hello } else { &good };
             let keep = [0, 3, 4, 8, 16, 18, 22, 24][shape as usize].min(length);
             buffer[..keep].copy_from_slice(&truth[..keep]);
@@ -453,7 +454,7 @@ fn a_million_forgeries_change_nothing() {
     assert_eq!(refusal(&mut pair, Role::Slave, &good), None);
 }
 
-/// Garbage that looks like a first message never gets beyond its MAC: nothing goes on to the handshake.
+/// Garbage that looks like a first message never passes its MAC, so nothing reaches the handshake.
 #[test]
 #[allow(clippy::cast_possible_truncation)] // a draw of bits
 fn garbage_without_the_key_is_not_handed_on() {
@@ -462,7 +463,7 @@ fn garbage_without_the_key_is_not_handed_on() {
     let mut numbers = Numbers(12);
     for n in 0..10_000_u64 {
         let mut garbage = hello;
-        // Another session and random bytes, or one bit of the true message.
+        // Another session and random bytes, or one flipped bit of the true message.
         if n % 2 == 0 {
             numbers.fill(&mut garbage[8..16]).unwrap();
             numbers.fill(&mut garbage[24..]).unwrap();
@@ -478,7 +479,7 @@ fn garbage_without_the_key_is_not_handed_on() {
     assert!(matches!(session.open(0, &mut { hello }), Ok(Incoming::Handshake { is_renewal: false, .. })));
 }
 
-/// A datagram that was there before is a sign of life, so it has to be authentic.
+/// A repeated datagram is a sign of life, so it must be authentic.
 #[test]
 fn a_repeat_that_is_changed_is_forged() {
     let mut pair = Pair::opened();

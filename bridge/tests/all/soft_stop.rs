@@ -1,4 +1,4 @@
-//! What an arm that moves does when its master falls silent: it holds, it stops softly, and it goes on from there.
+//! Motion of an arm when its master falls silent: it holds, stops softly, and later continues from there.
 #![allow(clippy::unwrap_used)] // a test may
 
 use haptether_bridge::{
@@ -12,10 +12,10 @@ use haptether_slave::{ArmControl, ArmModel, Environment, SimulatedSlave};
 use proptest::prelude::*;
 
 const MS: u64 = 1_000_000;
-/// Of the hand, in m/s.
+/// Speed of the hand in m/s.
 const SPEED: f64 = 0.5;
 
-/// A slave, and a master that moves at a constant speed and is heard when it is.
+/// Slave, and a master that moves at constant speed and is heard only at times.
 struct Bench {
     slave: SlaveSide<SimulatedSlave<1>, 1>,
     master: FrameLink,
@@ -23,7 +23,7 @@ struct Bench {
     hand: f64,
 }
 
-/// What one tick shows: state, commanded position, position and velocity of the arm.
+/// Values of one tick: state, commanded position, and position of the arm.
 #[derive(Clone, Copy, Debug)]
 struct Shown {
     state: LadderState,
@@ -52,7 +52,7 @@ impl Bench {
         let mut buffer = [0; MAX_FRAME];
         self.hand += speed * 1e-3;
         let state = if clutch { LadderState::Aligning } else { LadderState::Disengaged };
-        // A master is engaged once its slave is.
+        // A master engages after its slave.
         let state =
             if clutch && self.slave.exchange().state().is_coupled() { LadderState::Engaged } else { state };
         let status = Status { state: state.code(), hears_peer: true, clutch, ..Status::default() };
@@ -89,8 +89,8 @@ fn arms() -> Vec<(&'static str, ArmModel)> {
     ]
 }
 
-/// The hand moves at 0.5 m/s when the link dies. From HOLD on the command stands, and the arm comes to rest at it: it
-/// does not jump ahead, does not come back by more than a hundredth of its path, and is at rest after the stop.
+/// The hand moves at 0.5 m/s when the link fails. From HOLD on the command is constant, and the arm comes to rest at
+/// it. It does not jump ahead, moves back by at most 1 % of its path, and is at rest after the stop.
 #[test]
 fn an_arm_at_speed_comes_to_rest_without_a_jump_or_a_swing() {
     for (name, arm) in arms() {
@@ -106,7 +106,7 @@ fn an_arm_at_speed_comes_to_rest_without_a_jump_or_a_swing() {
             let step = pair[1].command - pair[0].command;
             assert!(step == 0.0 || pair[1].state != pair[0].state, "{name}: the command stands");
         }
-        // No faster than it was, ever.
+        // Never faster than before.
         let speeds: Vec<_> =
             after.windows(2).map(|pair| (pair[1].position - pair[0].position) / 1e-3).collect();
         assert!(speeds.iter().all(|speed| speed.abs() <= 1.02 * SPEED), "{name}: {speeds:?}");
@@ -119,10 +119,10 @@ fn an_arm_at_speed_comes_to_rest_without_a_jump_or_a_swing() {
     }
 }
 
-/// An arm that is far behind its command when the stop comes brakes where it is and lets the rest of the path be. What
-/// is commanded afterwards begins where it came to rest.
+/// An arm far behind its command at the stop brakes where it is, and the rest of the path is dropped. Later commands
+/// begin where it came to rest.
 #[test]
-fn a_stop_ends_what_an_arm_still_had_to_go() {
+fn stop_drops_the_rest_of_the_path() {
     let creeping =
         ArmModel::new(ArmControl::Position { bandwidth_hz: 10.0 }, 2.0, Some(0.1), Some(2.0)).unwrap();
     let mut bench = Bench::new(creeping);
@@ -131,19 +131,19 @@ fn a_stop_ends_what_an_arm_still_had_to_go() {
     assert!(far.command - far.position > 0.1, "{far:?}");
     let after = bench.run(1000, false, true, SPEED);
     let stopped = after.iter().position(|one| one.state == LadderState::Stop).unwrap();
-    // v²/2a of the set position, and what the tool is behind it.
+    // v²/2a of the set position, and the lag of the tool behind it.
     let most = 0.1 * 0.1 / 4.0 + 0.1 * 2.0 / (2.0 * std::f64::consts::PI * 10.0) + 1e-6;
     let (at_stop, end) = (after[stopped], after.last().unwrap());
     assert!(end.position - at_stop.position <= most, "{at_stop:?} {end:?}");
     assert!((end.command - end.position).abs() < 1e-6 && end.command < far.command, "{end:?}");
-    // Release and press: it engages where it stands, whatever the hand did meanwhile.
+    // After release and press it engages where it stands, wherever the hand went.
     bench.run(100, true, false, 0.3);
     let again = bench.run(300, true, true, 0.0);
     assert_eq!(again.last().unwrap().state, LadderState::Engaged);
     assert!(again.iter().all(|one| (one.command - end.command).abs() < 1e-12));
 }
 
-/// A stop is given once and is not undone by what arrives, nor by an acknowledgement.
+/// A stop is ordered once; neither frames nor an acknowledgement undo it.
 #[test]
 fn a_stop_is_latched() {
     for (name, arm) in arms() {
@@ -152,7 +152,7 @@ fn a_stop_is_latched() {
         bench.run(500, false, true, SPEED);
         let rest = bench.tick(false, true, 0.0).command;
         bench.slave.command(bench.tick * MS, OperatorCommand::Acknowledge).unwrap();
-        // The master is back and its clutch was never let go.
+        // The master is heard again, and its clutch was never released.
         for one in bench.run(500, true, true, SPEED) {
             assert_eq!((one.state, one.command), (LadderState::Stop, rest), "{name}");
         }
@@ -162,8 +162,8 @@ fn a_stop_is_latched() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// What a person changes while the arm follows moves nothing by itself, also where frames are late and the arm has gone
-    /// ahead: at that tick the command is that of an arm whose coupling nobody changes.
+    /// A change while the arm follows causes no motion by itself, even if frames are late and the arm extrapolates. At
+    /// that tick, the command is the same as without the change.
     #[test]
     fn a_change_moves_nothing(
         late in 0_u64..19,
@@ -186,7 +186,7 @@ proptest! {
                 bench.slave.command(bench.tick * MS, act).unwrap();
             }
             let after = bench.tick(false, true, speed);
-            // Back again it follows from there, with the new scale, once that has faded in.
+            // When frames return, the arm follows from there with the new scale, once that has faded in.
             bench.run(450, true, true, speed);
             [before, after, bench.tick(true, true, speed), bench.tick(true, true, speed)]
         };

@@ -1,5 +1,5 @@
-//! Runs whose signals nobody keeps, rows of a sweep among them, let each side do some ticks in a row, as far as its link
-//! allows: nothing of them may show it.
+//! Runs without kept signals, including rows of a sweep, let each side do several ticks in a row, as far as the link
+//! allows. The results must not depend on it.
 #![allow(clippy::unwrap_used)] // a test may
 
 use std::sync::atomic::AtomicBool;
@@ -10,7 +10,7 @@ use haptether_bridge::scene::{
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
-/// A remote push in which the hand lets go after 1 s, with fields changed: `both` of both directions of its link.
+/// Remote push with a release after 1 s. `both` changes fields of both link directions, `others` any fields.
 fn scene(both: &Value, others: &Value) -> Value {
     let mut scene: Value = serde_json::from_slice(include_bytes!("../remote_push.json")).unwrap();
     scene["run"]["duration_s"] = 2.0.into();
@@ -26,7 +26,7 @@ fn scene(both: &Value, others: &Value) -> Value {
     scene
 }
 
-/// What each seed comes to as a row of a sweep.
+/// Return the outcome of each seed as a row of a sweep.
 fn rows(scene: &Value, seeds: &[u64]) -> Vec<Option<Outcome>> {
     let values = seeds.iter().map(|seed| *seed as f64).collect();
     let variations = [Variation { path: "run.seed".into(), values }];
@@ -36,7 +36,7 @@ fn rows(scene: &Value, seeds: &[u64]) -> Vec<Option<Outcome>> {
     rows.into_iter().map(Result::ok).collect()
 }
 
-/// Runs of these seeds, with the signals of every tick or without any.
+/// Run these seeds, with the signals of every tick or without signals.
 fn runs(scene: &Value, seeds: &[u64], record: &Value) -> Vec<Option<SceneRun>> {
     let mut scene = scene.clone();
     scene["record"] = record.clone();
@@ -47,8 +47,8 @@ fn runs(scene: &Value, seeds: &[u64], record: &Value) -> Vec<Option<SceneRun>> {
     seeds.iter().map(run).collect()
 }
 
-/// Rows of a sweep, and runs without signals, as against runs whose signals are kept, which let both sides tick in turn. As
-/// text, for numbers that are none differ from themselves.
+/// Compare rows of a sweep, and runs without signals, with runs whose signals are kept, in which both sides tick in
+/// turn. They are compared as text, because NaN is not equal to NaN.
 fn compare(name: &str, scene: &Value, seeds: &[u64]) {
     let in_turn = runs(scene, seeds, &json!({ "every": 1 }));
     assert!(in_turn.iter().any(Option::is_some), "{name}: refused");
@@ -61,7 +61,7 @@ fn compare(name: &str, scene: &Value, seeds: &[u64]) {
 }
 
 #[test]
-fn a_run_is_that_of_both_sides_in_turn() {
+fn run_equals_a_run_in_turn() {
     let none = json!({});
     let cases = [
         ("as it is", none.clone(), none.clone()),
@@ -130,9 +130,9 @@ fn a_run_is_that_of_both_sides_in_turn() {
     }
 }
 
-/// Who diverges is ahead of what was observed of it: a single run is done again in turn, for its reports.
+/// A side of a diverging run is ahead of the observed tick, so a single run is repeated in turn for its reports.
 #[test]
-fn a_run_that_diverges_is_that_of_both_sides_in_turn() {
+fn diverging_run_equals_a_run_in_turn() {
     let scene = scene(&json!({}), &json!({ "/run/diverged_speed": 0.3 }));
     compare("it diverges", &scene, &[1, 7]);
     for run in runs(&scene, &[1, 7], &Value::Null) {
@@ -140,7 +140,7 @@ fn a_run_that_diverges_is_that_of_both_sides_in_turn() {
     }
 }
 
-/// None at all as often as not.
+/// No delay in half of the cases.
 fn delay_ms() -> impl Strategy<Value = u32> {
     prop_oneof![Just(0), 0_u32..120]
 }
@@ -149,7 +149,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(40))]
 
     #[test]
-    fn a_run_is_that_of_both_sides_in_turn_over_any_link(
+    fn run_over_any_link_equals_a_run_in_turn(
         (forward_ms, backward_ms) in (delay_ms(), delay_ms()),
         (jitter, loss) in (0_u32..30, 0_u32..10),
         keep_order in prop::bool::weighted(0.8),

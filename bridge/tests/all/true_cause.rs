@@ -1,4 +1,4 @@
-//! What one side says of why it stands where it does reaches the other: codes, a driver's own words, and an end.
+//! The reason that one side has for its state reaches the other: codes, the driver's own text, and an end.
 #![allow(clippy::unwrap_used)] // a test may
 
 use LadderState::{Disengaged, Engaged, Fault, Hold, Stop};
@@ -33,7 +33,7 @@ fn slave(session: u64) -> Slave {
     SlaveSide::new(plant, endpoint)
 }
 
-/// Two sides on a link that passes what `passes` lets through, and the clutch of the master.
+/// Two sides on a link that `passes` controls, and the clutch of the master.
 struct Pair {
     master: Master,
     slave: Slave,
@@ -73,7 +73,7 @@ impl Pair {
         (self.master.exchange().state(), self.slave.exchange().state())
     }
 
-    /// `passes` says for each tick whether frames get through to the slave and to the master.
+    /// Run; `passes` returns for each tick whether frames reach the slave, and whether they reach the master.
     fn run(&mut self, ticks: u64, mut passes: impl FnMut(u64) -> (bool, bool)) {
         let mut buffer = [0; MAX_FRAME];
         for tick in 0..ticks {
@@ -101,7 +101,7 @@ impl Pair {
     }
 }
 
-/// Where, what, and the steps, as a side has it.
+/// Return place, text and steps of a side's diagnosis.
 fn explained(side: &impl Side) -> (&'static str, String, Vec<(&'static str, Remedy)>) {
     let explanation = side.exchange().flight().diagnosis().unwrap().explain();
     let steps = explanation.steps.iter().map(|step| (step.at, step.remedy)).collect();
@@ -115,10 +115,10 @@ fn reasons(side: &impl Side) -> Vec<String> {
 }
 
 #[test]
-fn a_fault_of_the_slave_is_told_at_both_sides_in_the_drivers_words() {
+fn fault_of_the_slave_is_reported_at_both_sides_in_the_drivers_words() {
     let mut pair = Pair::engaged();
     pair.slave.exchange_mut().device_failed(Some(&FaultText::new(WORDS)));
-    // A driver says so once; two of three frames get lost.
+    // A driver reports it once, and two of three frames are lost.
     pair.run(400, |tick| (true, tick % 3 == 0));
     assert_eq!(pair.states(), (Stop, Fault));
     let steps = vec![("slave", Remedy::Acknowledge), ("master", Remedy::Press)];
@@ -127,7 +127,7 @@ fn a_fault_of_the_slave_is_told_at_both_sides_in_the_drivers_words() {
     assert_eq!(explained(&pair.slave), expected);
     assert_eq!(reasons(&pair.master)[2..], ["peer has a fault", "no sound peer for too long"]);
 
-    // A press before the acknowledgement changes nothing, and what is said stays.
+    // A press before the acknowledgement changes nothing, and the text stays.
     pair.press();
     assert_eq!(pair.states(), (Stop, Fault));
     assert_eq!(explained(&pair.master), expected);
@@ -151,7 +151,7 @@ fn a_fault_of_the_slave_is_told_at_both_sides_in_the_drivers_words() {
 }
 
 #[test]
-fn a_fault_of_the_master_is_told_at_both_sides() {
+fn fault_of_the_master_is_reported_at_both_sides() {
     let mut pair = Pair::engaged();
     pair.master.exchange_mut().device_failed(Some(&FaultText::new(WORDS)));
     pair.run(400, |tick| (tick % 3 == 0, true));
@@ -161,9 +161,9 @@ fn a_fault_of_the_master_is_told_at_both_sides() {
     assert_eq!((explained(&pair.master), explained(&pair.slave)), (expected.clone(), expected));
 }
 
-/// A number that cannot be has no words of a driver: its code says what it was, at both sides.
+/// An invalid number has no text of a driver: its code explains it at both sides.
 #[test]
-fn a_bad_number_is_told_by_its_code() {
+fn invalid_number_is_reported_by_its_code() {
     let mut pair = Pair::engaged();
     pair.slave.plant.sample[2][0] = f64::NAN;
     pair.run(100, |_| (true, true));
@@ -171,9 +171,9 @@ fn a_bad_number_is_told_by_its_code() {
     assert_eq!((explained(&pair.master).1, explained(&pair.slave).1), (text.to_owned(), text.to_owned()));
 }
 
-/// A master that begins while the slave has a fault learns why nothing moves, before it ever engaged.
+/// A master that starts while the slave has a fault learns the reason before it ever engages.
 #[test]
-fn a_fault_from_before_is_told_to_a_master_that_begins() {
+fn earlier_fault_is_reported_to_a_starting_master() {
     let mut pair = Pair::new();
     pair.slave.exchange_mut().device_failed(Some(&FaultText::new(WORDS)));
     pair.run(100, |_| (true, true));
@@ -181,7 +181,7 @@ fn a_fault_from_before_is_told_to_a_master_that_begins() {
 }
 
 #[test]
-fn a_hold_tells_whose_loop_was_late() {
+fn hold_reports_whose_loop_was_late() {
     let mut pair = Pair::engaged();
     pair.slave.exchange_mut().stalled(pair.now_ns);
     pair.run(100, |_| (true, true));
@@ -191,14 +191,14 @@ fn a_hold_tells_whose_loop_was_late() {
         ("slave", "the slave held: its own loop was late".to_owned(), vec![("master", Remedy::Press)])
     );
     assert_eq!(explained(&pair.slave).1, "the slave's own loop was late");
-    // A link that is cut is neither's fault.
+    // A cut link is the fault of neither side.
     let mut pair = Pair::engaged();
     pair.run(300, |_| (false, true));
     assert_eq!(explained(&pair.slave).0, "link");
     assert_eq!(explained(&pair.master).0, "link");
 }
 
-/// One of the last frames is enough, whichever it is; the rest of the link is dead by then.
+/// Any one of the last frames is enough; all others are lost.
 #[test]
 fn an_orderly_end_is_no_hold() {
     for survivor in [0, 3] {
@@ -223,9 +223,9 @@ fn an_orderly_end_is_no_hold() {
     }
 }
 
-/// The force fades as in any other way out, and what comes next is met by a new press only.
+/// The force fades as in any other decoupling, and a new slave needs a new press.
 #[test]
-fn an_end_leads_to_less_force_and_couples_nobody() {
+fn end_fades_the_force_and_couples_nothing() {
     let mut pair = Pair::engaged();
     pair.slave.exchange_mut().end();
     let mut force = pair.master.plant.force[0].abs();
@@ -245,7 +245,7 @@ fn an_end_leads_to_less_force_and_couples_nobody() {
     assert_eq!(pair.states(), (Engaged, Engaged));
 }
 
-/// In the clear anybody may write an end. Then neither side goes on alone.
+/// Without encryption anyone can forge an end. Then neither side continues alone.
 #[test]
 fn a_false_end_of_one_side_holds_the_other() {
     let mut pair = Pair::engaged();
@@ -262,15 +262,15 @@ fn a_false_end_of_one_side_holds_the_other() {
     pair.master.exchange_mut().peer_ended();
     pair.run(1, |_| (true, false));
     pair.run(100, |_| (true, true));
-    // A master that has let go, whatever made it, takes its slave along.
+    // A disengaged master takes its slave along, whatever the reason.
     assert_eq!(pair.states(), (Disengaged, Disengaged));
     pair.press();
     assert_eq!(pair.states(), (Engaged, Engaged));
 }
 
-/// A quick release and press over a long link is no departure: the slave opens after the master has closed again.
+/// A quick release and press over a long link is not an end: the slave opens after the master has closed again.
 #[test]
-fn a_quick_press_over_a_long_link_is_not_taken_for_a_departure() {
+fn quick_press_over_a_long_link_is_not_an_end() {
     let mut pair = Pair::engaged();
     let (mut there, mut back) = (VecDeque::new(), VecDeque::new());
     let mut buffer = [0; MAX_FRAME];
@@ -278,8 +278,8 @@ fn a_quick_press_over_a_long_link_is_not_taken_for_a_departure() {
     for tick in 0..3000_u64 {
         pair.now_ns += MS;
         let now_ns = pair.now_ns;
-        // The delay of 150 ms begins with the run: what holds by that is left by a press. A release shorter than 20 ms
-        // may be a bounce, and no press counts after it.
+        // The delay of 150 ms starts with the run, and a press leaves the hold that it causes. A release shorter than
+        // 20 ms may be a bounce, and no press counts after it.
         let released = [400..430, 1000..1030, 1500..1525].iter().any(|open| open.contains(&tick));
         pair.master.plant.clutch = Some(!released);
         pair.master.tick(TickTime::at(now_ns));
@@ -299,7 +299,7 @@ fn a_quick_press_over_a_long_link_is_not_taken_for_a_departure() {
     assert_eq!(pair.master.exchange().counts().holds, holds);
 }
 
-/// A session that is released says the same, where none of the last frames came through.
+/// A released session has the same effect if none of the last frames arrived.
 #[test]
 fn a_released_session_is_an_end() {
     let mut pair = Pair::engaged();
@@ -309,7 +309,7 @@ fn a_released_session_is_an_end() {
     assert_eq!(explained(&pair.slave).1, "the master has ended");
 }
 
-/// A driver that raised an exception ends its run: the fault says more than the end.
+/// A driver that raised an exception ends its run: the fault stays, because it explains more than the end.
 #[test]
 fn a_failure_that_ends_a_run_stays_a_failure() {
     let mut pair = Pair::engaged();

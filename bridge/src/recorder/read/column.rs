@@ -1,40 +1,40 @@
-//! What one signal was at each tick, as a recording says it.
+//! Values of one recorded signal, with one value per tick.
 
-/// A row has at most so many axes.
+/// Largest number of axes of a row.
 const MAX_AXES: usize = 64;
-/// A signal has at most so many names, so that a byte stands for one.
+/// Largest number of names of a signal, so that a byte can code them.
 const MAX_NAMES: usize = 256;
-/// A name is at most so long, in bytes.
+/// Largest length of a name in bytes.
 const MAX_NAME: usize = 128;
 
-/// What stands in a column, one value a tick.
+/// Values of a column, one per tick.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Values {
-    /// Nothing but null.
+    /// Only nulls; their number.
     Unknown(usize),
-    /// As many numbers a tick as there are axes, row by row; null is NaN.
+    /// A row of numbers per tick, one for each axis; null is NaN.
     Axes {
-        /// Of all ticks.
+        /// Rows of all ticks.
         rows: Vec<f64>,
-        /// Numbers a tick.
+        /// Numbers per tick.
         width: usize,
     },
-    /// A number; null is NaN.
+    /// Numbers; null is NaN.
     Numbers(Vec<f64>),
-    /// A count.
+    /// Counts.
     Counts(Vec<i64>),
-    /// Yes or no.
+    /// Booleans.
     Flags(Vec<bool>),
-    /// A name.
+    /// Names.
     Names {
-        /// Of each tick, its place in `names`.
+        /// Index into `names` for each tick.
         codes: Vec<u8>,
-        /// In the order in which they first occur.
+        /// Names in the order of their first occurrence.
         names: Vec<String>,
     },
 }
 
-/// What a recording says of a signal at a tick, where that is no row of axes.
+/// Recorded value of a signal at a tick, if it is not a row of axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Cell<'a> {
     Null,
@@ -45,8 +45,8 @@ pub(super) enum Cell<'a> {
 }
 
 impl Cell<'_> {
-    /// What it is as a number; a name is none.
-    #[allow(clippy::cast_precision_loss)] // a count beyond 2^53 beside fractions is none of ours
+    /// Return the value as a number; None for a name.
+    #[allow(clippy::cast_precision_loss)] // recorders write no count above 2^53 beside fractions
     fn number(self) -> Option<f64> {
         match self {
             Self::Null => Some(f64::NAN),
@@ -58,18 +58,18 @@ impl Cell<'_> {
     }
 }
 
-/// That a value is none of those that a column may have.
+/// Error of a value that does not fit into a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Unfit;
 
-/// A signal of a recording.
+/// Signal of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Column {
-    /// Its name.
+    /// Name.
     pub name: String,
-    /// What it is, with its unit, as the file's schema says.
+    /// Meaning with unit, from the schema of the file.
     pub meaning: String,
-    /// What it was.
+    /// Values.
     pub values: Values,
     ticks: usize,
 }
@@ -79,7 +79,7 @@ impl Column {
         Self { name, meaning, values: Values::Unknown(0), ticks: 0 }
     }
 
-    /// Ticks of which it has a value.
+    /// Return the number of ticks with a value.
     pub(super) fn ticks(&self) -> usize {
         self.ticks
     }
@@ -92,7 +92,7 @@ impl Column {
             (Values::Counts(counts), Cell::Count(value)) => counts.push(value),
             (Values::Flags(flags), Cell::Flag(value)) => flags.push(value),
             (Values::Names { codes, names }, Cell::Name(name)) => {
-                // It is mostly that of the tick before.
+                // The name is usually that of the last tick.
                 let before = codes.last().copied();
                 let code = match before.filter(|code| names[usize::from(*code)] == name) {
                     Some(code) => code,
@@ -106,7 +106,7 @@ impl Column {
         Ok(())
     }
 
-    /// Another kind of values, where what was taken so far is among them, with the cell that it did not fit.
+    /// Convert the values to another kind that can hold them and `cell`, and add `cell`.
     fn become_fit_for(&mut self, cell: Cell<'_>) -> Result<(), Unfit> {
         self.values = match (&self.values, cell) {
             (Values::Unknown(0), Cell::Flag(value)) => Values::Flags(vec![value]),
@@ -169,10 +169,10 @@ impl Column {
         Ok(Ok(()))
     }
 
-    /// Forget what comes after the first `ticks`.
+    /// Remove all values after the first `ticks`.
     pub(super) fn truncate(&mut self, ticks: usize) {
         if ticks == 0 {
-            // The first value that is kept says of which kind they are.
+            // The first value determines the kind of values again.
             self.values = Values::Unknown(0);
         }
         match &mut self.values {

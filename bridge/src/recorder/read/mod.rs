@@ -1,4 +1,4 @@
-//! A recording read back, as far as it goes.
+//! Reader of recordings, also of incomplete ones.
 
 mod column;
 mod row;
@@ -18,50 +18,50 @@ use row::{TIME, Table};
 
 use super::file::METADATA;
 
-/// The longest record that is read; a scene and a schema have some 10 kB.
+/// Longest record in bytes that is read; a scene and a schema have about 10 kB.
 const MAX_RECORD: usize = 1 << 24;
-/// The most signals of a record.
+/// Largest number of signals of a record.
 const MAX_COLUMNS: usize = 512;
 /// Bytes read at once.
 const PIECE: usize = 1 << 18;
 
-/// What was read of a recording.
+/// Content of a recording.
 #[derive(Debug, Default)]
 pub struct ReadRecording {
-    /// What the file says of itself: side, security, version, scene. Empty of a file that is none of ours.
+    /// Metadata of the file: side, security, version, scene. Empty if the file is not from a recorder.
     pub about: BTreeMap<String, String>,
-    /// Its signals, of one length.
+    /// Signals, all of the same length.
     pub columns: Vec<Column>,
-    /// How many ticks there are.
+    /// Number of ticks.
     pub ticks: usize,
-    /// When the run began, in ns of the wall clock.
+    /// Start of the run in ns of the wall clock.
     pub begun_ns: i64,
-    /// Why the two sides were not coupled, as JSON.
+    /// Reasons why the sides were not coupled, as JSON.
     pub causes: Vec<Vec<u8>>,
-    /// Whether the file has its end.
+    /// True if the file is complete.
     pub whole: bool,
-    /// Records, of ticks or others, that are not valid and were left out.
+    /// Number of invalid records, of ticks or others, which were left out.
     pub invalid: usize,
     /// True if reading ended at bytes that are no record, before the end of the file.
     pub damaged: bool,
 }
 
-/// Why a recording was not read.
+/// Reason why a recording could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
-    /// The system refused.
+    /// The system failed to read the file.
     #[error(transparent)]
     Refused(#[from] io::Error),
-    /// Somebody compressed it.
+    /// The chunks are compressed; a recorder never compresses them.
     #[error(
         "its chunks are compressed ({0}), must be as they were recorded: `mcap decompress` makes them so"
     )]
     Compressed(String),
 }
 
-/// Read what a recorder wrote, until the end or until bytes are no record. Records that are not valid are left out.
+/// Read a recording to its end, or to the first bytes that are not a record. Invalid records are left out.
 ///
-/// What it takes of memory is bounded by a multiple of the bytes that were read.
+/// Memory use is bounded by a multiple of the bytes read.
 pub fn read_recording(from: impl Read) -> Result<ReadRecording, ReadError> {
     let mut reading = Reading::default();
     let is_read = reading.read(from)?;
@@ -77,7 +77,7 @@ struct Reading {
     recording: ReadRecording,
     table: Table,
     has_schema: bool,
-    /// What messages of a channel are; of one without a place here, nothing of ours.
+    /// Contents of each known channel; messages of other channels are ignored.
     channels: BTreeMap<u16, Channel>,
     bytes: usize,
 }
@@ -89,7 +89,7 @@ enum Channel {
 }
 
 impl Reading {
-    /// True if it was read to its end.
+    /// Read the file; return true if its end was reached.
     fn read(&mut self, mut from: impl Read) -> Result<bool, ReadError> {
         let options = LinearReaderOptions::default().with_record_length_limit(MAX_RECORD);
         let mut reader = LinearReader::new_with_options(options);
@@ -128,9 +128,9 @@ impl Reading {
         self.recording.about.contains_key("schema")
     }
 
-    /// Take a record; whether it is one that a recorder may have written.
+    /// Take a record; return true unless it is invalid.
     fn take(&mut self, opcode: u8, data: &[u8]) -> bool {
-        // Of the others, some parsers trust their lengths.
+        // Other records are not parsed, because some of their parsers trust the stored lengths.
         if !matches!(opcode, op::METADATA | op::SCHEMA | op::CHANNEL | op::MESSAGE) {
             return true;
         }
@@ -141,7 +141,7 @@ impl Reading {
                 }
                 true
             }
-            // The index at the end has it once more.
+            // The index at the end of the file repeats the schema.
             Ok(Record::Schema { header, data }) if !self.has_schema => {
                 if !matches!(header.name.as_str(), "haptether.master" | "haptether.slave") {
                     return true;
@@ -173,7 +173,7 @@ impl Reading {
     }
 
     fn tick(&mut self, log_time: u64, message: &[u8]) -> bool {
-        // A recorder names every signal in each message, which takes more bytes than this.
+        // A recorder names every signal in each message, so a valid message has more bytes than signals.
         let has_room = (self.table.ticks + 1).saturating_mul(self.table.columns.len()) <= self.bytes;
         if !has_room || !self.table.push(message) {
             return false;
@@ -190,7 +190,7 @@ impl Reading {
     }
 }
 
-/// The signals that a schema names; none where it is not one.
+/// Return the signals of a schema; none if the schema is invalid.
 fn columns(schema: &[u8]) -> Option<Vec<Column>> {
     let schema: serde_json::Value = serde_json::from_slice(schema).ok()?;
     let properties = schema.get("properties")?.as_object()?;

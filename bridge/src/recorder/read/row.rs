@@ -1,4 +1,4 @@
-//! A message of a recording into the columns of its signals, without a tree of values in between.
+//! Parser of a recorded message, directly into the columns of its signals.
 
 use std::{collections::HashMap, fmt};
 
@@ -6,18 +6,18 @@ use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, Seq
 
 use super::column::{Cell, Column, Unfit, Values};
 
-/// The signal that counts the ns since the run began.
+/// Signal with the ns since the run began.
 pub(super) const TIME: &str = "time_ns";
 
-/// The signals of a recording, tick by tick.
+/// Signals of a recording, tick by tick.
 #[derive(Debug, Default)]
 pub(super) struct Table {
     pub(super) columns: Vec<Column>,
     pub(super) ticks: usize,
     places: HashMap<String, usize>,
-    /// Place of the column of times, if the schema has one.
+    /// Index of the column of times, if the schema has one.
     time: Option<usize>,
-    /// Columns in the order in which the last message named them: the next one is of the same order.
+    /// Columns in the order of the last message; the next message usually has the same order.
     order: Vec<usize>,
 }
 
@@ -29,7 +29,7 @@ impl Table {
         Self { columns, ticks: 0, places, time, order: Vec::new() }
     }
 
-    /// Take the message of the next tick; nothing of one that does not fit. What it does not name is null.
+    /// Take the message of the next tick, or nothing if it does not fit. Signals that it does not name are null.
     pub(super) fn push(&mut self, message: &[u8]) -> bool {
         let mut json = serde_json::Deserializer::from_slice(message);
         let is_taken =
@@ -43,7 +43,7 @@ impl Table {
         is_taken
     }
 
-    /// True if the time of the new tick is a count of 0 or more, after that of the tick before.
+    /// Return true if the time of the new tick is a count of 0 or more, after that of the last tick.
     fn is_later(&self) -> bool {
         let Some(place) = self.time else { return true };
         let Values::Counts(times) = &self.columns[place].values else { return false };
@@ -57,7 +57,7 @@ impl Table {
         missing.all(|column| column.push(Cell::Null).is_ok())
     }
 
-    /// The column of the `nth` signal of a message, none where the schema does not have it.
+    /// Return the column of the `nth` signal of a message; none if the schema does not have it.
     fn place(&mut self, nth: usize, name: &str) -> Option<usize> {
         if let Some(&place) = self.order.get(nth)
             && self.columns[place].name == name

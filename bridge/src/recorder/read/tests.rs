@@ -10,7 +10,7 @@ use crate::{
     recorder::{SecurityMark, file::McapFile},
 };
 
-/// A file as it is written, of so many ticks, in two chunks.
+/// File with this number of ticks in two chunks.
 fn file(ticks: u64) -> Vec<u8> {
     let mut out = Vec::new();
     let mut file =
@@ -41,7 +41,7 @@ fn values<'a>(of: &'a ReadRecording, name: &str) -> &'a Values {
 }
 
 #[test]
-fn what_was_recorded_is_read_bit_for_bit() {
+fn recorded_values_are_read_bit_for_bit() {
     let recording = read(&file(1000));
     assert!(recording.whole);
     assert_eq!((recording.ticks, recording.begun_ns), (1000, 0));
@@ -66,7 +66,7 @@ fn what_was_recorded_is_read_bit_for_bit() {
 }
 
 #[test]
-fn a_file_that_was_cut_off_is_read_as_far_as_it_goes() {
+fn truncated_file_is_read_to_its_end() {
     let whole = file(20);
     let mut before = 0;
     for end in 0..whole.len() {
@@ -80,10 +80,10 @@ fn a_file_that_was_cut_off_is_read_as_far_as_it_goes() {
 
 /// One invalid tick of 100: all others are read, to the end.
 #[test]
-fn a_tick_that_is_not_valid_is_left_out_alone() {
+fn only_the_invalid_tick_is_left_out() {
     let garbled: [(&[u8], &[u8]); 5] = [
         (b"{\"time_ns\":", b"}\"time_ns\":"),
-        // The schema has the name as well, and no message begins with it there.
+        // The schema also contains the name, but no message begins with it there.
         (b"{\"time_ns\":", b"{\"time_ns\";"),
         (b"\"time_ns\":5", b"\"time_ns\":-"),
         (b"\"position\":[", b"\"position\":{"),
@@ -118,21 +118,21 @@ fn times_that_do_not_increase_from_zero_are_left_out() {
 }
 
 #[test]
-fn bytes_that_are_no_record_are_told_from_a_file_that_was_cut_off() {
+fn invalid_bytes_differ_from_a_truncated_file() {
     let whole = file(20);
     let cut = read(&whole[..whole.len() / 2]);
     assert_eq!((cut.whole, cut.damaged), (false, false));
     let chunk =
         whole.windows(9).rposition(|at| at[0] == op::CHUNK && at[4..9] == [0; 5] && at[3] < 1).unwrap();
     let mut bytes = whole;
-    // The length of the record: no file is that long.
+    // Length of the record, larger than any file.
     bytes[chunk + 1..chunk + 9].fill(127);
     let damaged = read(&bytes);
     assert_eq!((damaged.whole, damaged.damaged), (false, true));
     assert!(damaged.ticks > 0 && damaged.ticks < 20, "{}", damaged.ticks);
 }
 
-/// A table of one signal each: what the messages say of it, and what is kept of them.
+/// For a table of one signal: values in the messages, and expected column.
 #[test]
 fn a_message_that_does_not_fit_ends_the_reading() {
     let nan = f64::NAN;
@@ -162,7 +162,7 @@ fn a_message_that_does_not_fit_ends_the_reading() {
             .take_while(|value| table.push(format!(r#"{{"other": [{{}}], "x": {value}}}"#).as_bytes()))
             .count();
         assert_eq!(taken, table.ticks, "{messages:?}");
-        // NaN equals none.
+        // Compared as text, because NaN is not equal to NaN.
         assert_eq!(format!("{:?}", table.columns[0].values), format!("{expected:?}"), "{messages:?}");
     }
 }
@@ -187,7 +187,7 @@ fn signals_are_found_in_any_order() {
     );
 }
 
-/// A file that names many signals and has many empty messages would take of memory what it has not given.
+/// A file with many signals and many empty messages would need more memory than its own size.
 #[test]
 fn memory_is_bounded_by_what_was_read() {
     let columns = (0..MAX_COLUMNS).map(|name| Column::new(name.to_string(), String::new())).collect();
@@ -200,10 +200,11 @@ fn memory_is_bounded_by_what_was_read() {
 }
 
 #[test]
-fn a_file_that_somebody_compressed_is_refused_with_its_name() {
+fn compressed_file_is_refused_with_the_compression_name() {
     let file = file(2);
     let mut bytes = file.clone();
-    // Of a chunk without compression, the length of its name is 0: 29 bytes after its opcode and its own length.
+    // In an uncompressed chunk the length of the compression name is 0. It follows 28 bytes after the opcode and the
+    // length of the record.
     let chunk = file.windows(9).position(|at| at[0] == op::CHUNK && at[4..9] == [0; 5] && at[3] < 1).unwrap();
     let name_at = chunk + 9 + 28;
     assert_eq!(bytes[name_at..name_at + 4], [0; 4]);
@@ -221,7 +222,7 @@ fn is_sound(bytes: &[u8]) {
     }
 }
 
-/// Among them lengths that reach beyond what they are in.
+/// Includes lengths that exceed their container.
 #[test]
 fn a_file_with_any_one_byte_changed_is_read_or_refused() {
     let file = file(6);

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::Clutch;
 
-/// The device in the hand.
+/// Build the device in the hand.
 pub(crate) fn exact_master<const N: usize>(scene: &SceneSpec<N>) -> Result<SimulatedMaster<N>, SceneError> {
     let MasterSpec { device, position, velocity, .. } = scene.master;
     device.check()?;
@@ -19,7 +19,7 @@ pub(crate) fn exact_master<const N: usize>(scene: &SceneSpec<N>) -> Result<Simul
     Ok(master)
 }
 
-/// What the safety layer takes the device for.
+/// Return the model of the device for the safety layer.
 pub(crate) fn device_model<const N: usize>(scene: &SceneSpec<N>) -> Result<DeviceModel<N>, SceneError> {
     let device = &scene.master.device;
     Ok(DeviceModel::new(device.mass_kg, device.viscous, device.coulomb)?)
@@ -38,7 +38,7 @@ fn hand<const N: usize>(scene: &SceneSpec<N>) -> Result<Hand<N>, SceneError> {
     Ok(hand)
 }
 
-/// Shortest leg of a path in s; `bridge/scene/resolve.py` lets no two points of a recording be closer.
+/// Shortest leg of a path in s; `bridge/scene/resolve.py` refuses recorded points that are closer.
 const MIN_LEG_S: f64 = 1e-9;
 
 fn path<const N: usize>(spec: &OperatorSpec<N>) -> Result<Path<N>, SceneError> {
@@ -58,21 +58,22 @@ fn path<const N: usize>(spec: &OperatorSpec<N>) -> Result<Path<N>, SceneError> {
     Ok(Path::new(values[0], legs)?)
 }
 
-/// Reaction of a simulated operator in ns where the scene has none.
+/// Default reaction time of a simulated operator in ns.
 const REACTION_NS: u64 = 500_000_000;
 
-/// A simulated operator who presses anew, as quick as that of the scene.
+/// Return the clutch of a simulated operator who presses again after a hold, with the scene's reaction time.
 fn automatic<const N: usize>(scene: &SceneSpec<N>) -> Clutch {
     let reaction_ns = scene.operator.as_ref().map_or(REACTION_NS, |operator| ns(operator.clutch_reaction_s));
     Clutch::Auto { reaction_ns }
 }
 
-/// How the clutch of a simulated master is worked in virtual time, where nobody can be hurt.
+/// Return the clutch of a simulated master in virtual time, where no person can be hurt.
 pub(crate) fn clutch<const N: usize>(scene: &SceneSpec<N>) -> Clutch {
     if scene.operator.is_none() { automatic(scene) } else { live_clutch(scene) }
 }
 
-/// How the clutch of a simulated master is worked live, where the arm may be a real one: only an operator presses anew.
+/// Return the clutch of a simulated master that runs live. The arm may be real, so without an operator nothing presses
+/// again.
 pub(crate) fn live_clutch<const N: usize>(scene: &SceneSpec<N>) -> Clutch {
     let Some(operator) = &scene.operator else { return Clutch::Once };
     match (&operator.clutch_times, operator.clutch) {
@@ -84,9 +85,10 @@ pub(crate) fn live_clutch<const N: usize>(scene: &SceneSpec<N>) -> Clutch {
     }
 }
 
-/// How the clutch of a real device without a button is worked: by its start and by whoever presses it anew. The scene's
-/// operator, who is simulated, has no say, but that times without a press leave it open; `simulated` has a simulated
-/// operator press all the same.
+/// Return the clutch of a real device without a button: pressed at the start, and again only by a person.
+///
+/// The simulated operator of the scene is ignored, but an empty list of times leaves the clutch open. With
+/// `simulated`, a simulated operator presses the clutch.
 pub(crate) fn driven_clutch<const N: usize>(
     scene: &SceneSpec<N>,
     simulated: bool,

@@ -1,4 +1,4 @@
-//! From the numbers of a scene to its parts.
+//! Conversion of the numbers of a scene to its parts.
 
 mod master;
 mod safety;
@@ -18,40 +18,40 @@ pub(super) use safety::{limiter, watch};
 pub(super) use touched::{environment, is_continuous, is_formula, rendered_walls};
 pub(super) use trigger::{simulated_trigger, trigger_feedback};
 
-/// A scene that cannot be built.
+/// Error of a scene that cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SceneError {
-    /// It is not one: what serde says of its JSON.
+    /// The JSON is not a scene; holds the text of serde.
     #[error("scene: {0}")]
     Json(String),
-    /// A number of the device or the hand.
+    /// A value of device or hand is invalid.
     #[error("master or operator: {0}")]
     Master(#[from] MasterError),
-    /// A number of the arm or of what is touched.
+    /// A value of arm or environment is invalid.
     #[error("slave or environment: {0}")]
     Slave(#[from] SlaveError),
-    /// A parameter of the safety layer.
+    /// A parameter of the safety layer is invalid.
     #[error("safety: {0}")]
     Safety(#[from] ParameterError),
-    /// An endpoint.
+    /// A setting of an endpoint is invalid.
     #[error("{0}")]
     Endpoint(#[from] crate::EndpointError),
-    /// The network.
+    /// A setting of the network is invalid.
     #[error("link: {0}")]
     Link(#[from] haptether_netsim::LinkSettingsError),
-    /// The clutch.
+    /// A setting of the clutch is invalid.
     #[error("operator.clutch: {0}")]
     Clutch(#[from] crate::ClutchError),
-    /// The buttons.
+    /// A setting of the buttons is invalid.
     #[error(transparent)]
     Buttons(#[from] crate::ButtonError),
-    /// The session.
+    /// The session could not be built.
     #[error("security: {0}")]
     Session(#[from] crate::session::EndError),
-    /// It was stopped from outside.
+    /// The run was stopped from outside.
     #[error("stopped")]
     Stopped,
-    /// Tables or keys that contradict each other.
+    /// Tables or keys contradict each other.
     #[error("{0}")]
     Contradiction(String),
 }
@@ -82,7 +82,7 @@ impl From<crate::VirtualError> for SceneError {
     }
 }
 
-/// The refusal of a number of axes.
+/// Return the error of an invalid number of axes.
 pub(super) fn bad_axes(axes: usize) -> SceneError {
     SceneError::Contradiction(format!("master.axes = {axes}: must be 1 to 7"))
 }
@@ -91,13 +91,13 @@ pub(super) fn contradiction<T>(text: impl Into<String>) -> Result<T, SceneError>
     Err(SceneError::Contradiction(text.into()))
 }
 
-/// A time of a scene in ns.
+/// Convert a time of a scene from s to ns.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // not negative, and saturates
 pub(super) fn ns(seconds: f64) -> u64 {
     (seconds * 1e9).round() as u64
 }
 
-/// A period as a whole number of ns.
+/// Convert a period from s to a whole number of ns.
 pub(super) fn period_ns(name: &str, seconds: f64) -> Result<u64, SceneError> {
     let exact = seconds * 1e9;
     if !(1e4..=2e7).contains(&exact) || (exact - exact.round()).abs() > 1e-3 {
@@ -111,7 +111,7 @@ pub(super) fn period_ns(name: &str, seconds: f64) -> Result<u64, SceneError> {
 /// Largest number of ticks of one run.
 const MAX_TICKS: f64 = 2e7;
 
-/// How many ticks of `period_s` a run of `duration_s` has.
+/// Return the number of ticks of the run.
 pub(super) fn ticks<const N: usize>(scene: &SceneSpec<N>) -> Result<u64, SceneError> {
     let (duration, period) = (scene.run.duration_s, scene.run.period_s);
     let ticks = (duration / period).round();
@@ -124,10 +124,10 @@ pub(super) fn ticks<const N: usize>(scene: &SceneSpec<N>) -> Result<u64, SceneEr
     Ok(ticks as u64)
 }
 
-/// Largest number of ticks by which an environment is late.
+/// Largest delay of an environment in ticks.
 const MAX_DELAY_TICKS: usize = 100_000;
 
-/// By how many ticks the force of the environment is late.
+/// Return the delay in ticks of the environment's force.
 pub(super) fn delay_ticks<const N: usize>(scene: &SceneSpec<N>) -> Result<usize, SceneError> {
     let ticks = scene.environment.as_ref().map_or(0, |environment| environment.delay_ticks);
     if ticks > MAX_DELAY_TICKS {

@@ -1,4 +1,4 @@
-//! The safety layer of a scene without an arm.
+//! Safety layer of a scene without an arm.
 
 use haptether_safety::{
     LayerSettings, Limiter, LimiterSettings, ParameterError, SafetyLayer, controller::SafetyController,
@@ -14,7 +14,7 @@ use super::{
 };
 use crate::local::{TrueWatch, Watch};
 
-/// Who watches a scene without an arm; with a controller of the caller's own if there is one.
+/// Build the safety layer of a scene without an arm, with its research controller if there is one.
 pub(crate) fn watch<const N: usize>(
     scene: &SceneSpec<N>,
     research: Option<&dyn ResearchFactory>,
@@ -43,7 +43,7 @@ pub(crate) fn watch<const N: usize>(
     Ok(Watch::Estimated(Box::new(layer)))
 }
 
-/// Bounds that nothing reaches: a study has switched the limiter off.
+/// Bounds that are never reached, for studies without limiter.
 const WITHOUT_BOUNDS: LimiterSettings =
     LimiterSettings { max_force_n: 1e15, max_slew_n_per_s: 1e18, max_power_w: 1e18, ramp_in_s: 0.0 };
 

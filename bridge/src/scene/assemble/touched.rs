@@ -1,4 +1,4 @@
-//! What is touched in a scene and what pushes there: around an arm, or rendered on the device itself.
+//! Environment of a scene: around an arm, or rendered on the device itself.
 
 use haptether_master::ContinuousWall;
 use haptether_safety::Axes;
@@ -12,7 +12,7 @@ use super::{
     SceneError, contradiction,
 };
 
-/// What is touched in a scene and what pushes there, for an arm that the scene does not have.
+/// Build the environment of a scene for an arm outside the scene.
 pub fn scene_environment<const N: usize>(scene: &SceneSpec<N>) -> Result<Environment<N>, SceneError> {
     environment(scene.environment.as_ref())
 }
@@ -26,7 +26,7 @@ pub(crate) fn environment<const N: usize>(
     Ok(Environment::new(objects, pushers))
 }
 
-/// Whether all that is touched are resting planes and springs of Kelvin and Voigt, and formulas push.
+/// Return true if all objects are resting Kelvin-Voigt planes or springs without friction, and no push is recorded.
 pub(crate) fn is_formula<const N: usize>(environment: &EnvironmentSpec<N>) -> bool {
     let is_wall = |object: &ObjectSettings<N>| {
         matches!(object.shape, ShapeSettings::Plane { .. } | ShapeSettings::Spring { .. })
@@ -39,13 +39,13 @@ pub(crate) fn is_formula<const N: usize>(environment: &EnvironmentSpec<N>) -> bo
         && environment.pushers.iter().all(|pusher| pusher.shape != PushKind::Recorded)
 }
 
-/// Whether the environment acts on the device at every instant.
+/// Return true if the environment acts on the device continuously.
 pub(crate) fn is_continuous<const N: usize>(scene: &SceneSpec<N>) -> bool {
     let continuous = RenderingSpec::Continuous;
     scene.environment.as_ref().is_some_and(|environment| environment.rendering == continuous)
 }
 
-/// Planes and springs, if `with_objects`, and pushes as they are rendered on the device at each tick.
+/// Build the planes and springs, if `with_objects`, and the pushes that are rendered on the device at each tick.
 pub(crate) fn rendered_walls<const N: usize>(
     environment: Option<&EnvironmentSpec<N>>,
     with_objects: bool,
@@ -65,7 +65,7 @@ pub(crate) fn rendered_walls<const N: usize>(
     Ok(RenderedWalls::new(&walls, &pushes)?)
 }
 
-/// Walls that act on the device by themselves: those of a continuous environment.
+/// Build the walls of a continuous environment, which act on the device without rendering.
 pub(super) fn walls_on_device<const N: usize>(
     scene: &SceneSpec<N>,
 ) -> Result<Vec<ContinuousWall<N>>, SceneError> {
@@ -84,14 +84,14 @@ pub(super) fn walls_on_device<const N: usize>(
     Ok(walls(environment)?.into_iter().map(wall).collect::<Result<_, _>>()?)
 }
 
-/// Planes and springs of an environment, as planes.
+/// Return the planes and springs of an environment as planes.
 fn walls<const N: usize>(environment: &EnvironmentSpec<N>) -> Result<Vec<RenderedWall<N>>, SceneError> {
     let mut walls = Vec::new();
     for object in &environment.objects {
         let (stiffness, damping) = (object.contact.stiffness, object.contact.damping);
         match object.shape {
             ShapeSettings::Plane { point, normal } => {
-                // Scaled, so that even a vector so short that its square is 0 has a direction.
+                // Scaled, because the square of a very short vector is 0.
                 let largest = normal.amax();
                 let normal = if largest > 0.0 { normal / largest } else { normal };
                 walls.push(RenderedWall { normal, point, stiffness, damping, is_two_sided: false });

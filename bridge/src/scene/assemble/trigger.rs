@@ -1,4 +1,4 @@
-//! The trigger of a scene and the finger that holds it, and who watches that.
+//! The trigger of a scene, the finger that holds it, and its safety settings.
 
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path};
 use haptether_safety::{Axes, DeviceModel, LimiterSettings, controller::SafetySettings};
@@ -10,10 +10,10 @@ use super::{
 };
 use crate::{HeldTrigger, Trigger, TriggerSettings};
 
-/// The force that the thresholds of a hand are for, where the scene bounds none: that of a PHANTOM Desktop.
+/// Force in N for which the hand's thresholds hold if the scene bounds none: that of a PHANTOM Desktop.
 const HAND_FORCE_N: f64 = 7.9;
 
-/// The trigger that a finger feels, and the gripper that it leads.
+/// Return the trigger with force feedback, after a check that it leads a gripper.
 fn felt<const N: usize>(
     scene: &SceneSpec<N>,
     arm: &ArmSettings<N>,
@@ -28,7 +28,7 @@ fn felt<const N: usize>(
     Ok(Some(trigger))
 }
 
-/// The force feedback of the scene's trigger; none where it has none.
+/// Return the force feedback of the scene's trigger, or none.
 pub(crate) fn trigger_feedback<const N: usize>(
     scene: &SceneSpec<N>,
     arm: &ArmSettings<N>,
@@ -43,7 +43,7 @@ pub(crate) fn trigger_feedback<const N: usize>(
     }
     let of_hand = scene.safety.limiter.map_or(HAND_FORCE_N, |limiter| limiter.max_force_n);
     let scaled = scene.safety.settings.at_scale(max_force_n / of_hand, travel_m / watched.reach_m);
-    // What a sampled device stands.
+    // Largest damping of a sampled device.
     let most = mass_kg / (5.0 * scene.run.period_s);
     let safety = SafetySettings {
         controllers: watched.controllers.unwrap_or(scaled.controllers),
@@ -55,7 +55,7 @@ pub(crate) fn trigger_feedback<const N: usize>(
         hsc_force_threshold_n: watched.hsc_force_threshold_n.unwrap_or(scaled.hsc_force_threshold_n),
         energy_threshold_j: watched.energy_threshold_j.unwrap_or(scaled.energy_threshold_j),
         pc_max_damping: watched.pc_max_damping.unwrap_or(scaled.pc_max_damping.min(most)),
-        // A finger that has left its trigger is no stylus that flies: its force comes back by time.
+        // A released trigger does not fly like a stylus, so its force returns after a time, without a probe.
         probe_force_n: 0.0,
         release_tries: 0,
         ..scaled
@@ -78,7 +78,7 @@ pub(crate) fn trigger_feedback<const N: usize>(
     }))
 }
 
-/// The model of what leads the gripper: a course over time, or a finger that follows it and feels the trigger.
+/// Build the model of the gripper's trigger: a course over time, or a finger that follows it and feels the trigger.
 pub(crate) fn simulated_trigger<const N: usize>(
     scene: &SceneSpec<N>,
     arm: &ArmSettings<N>,
@@ -86,7 +86,7 @@ pub(crate) fn simulated_trigger<const N: usize>(
     let course = scene.operator.as_ref().map_or(&[][..], |operator| &operator.trigger);
     let open = [[0.0, 0.0]];
     let course = if course.is_empty() { &open } else { course };
-    // The course is held against its ranges either way.
+    // The ranges of the course are checked in both cases.
     let trigger = Trigger::simulated(course)?;
     let Some(own) = felt(scene, arm)? else { return Ok(trigger) };
     let device = DeviceParameters {
@@ -99,7 +99,7 @@ pub(crate) fn simulated_trigger<const N: usize>(
     Ok(Trigger::Held(Box::new(held)))
 }
 
-/// A finger that means to close the trigger as its course says.
+/// Build a finger whose target is the trigger's course.
 fn finger<const N: usize>(
     scene: &SceneSpec<N>,
     course: &[[f64; 2]],

@@ -1,4 +1,4 @@
-//! What a run is judged by where hand and arm turn.
+//! Measures of the rotation of hand and arm.
 
 use haptether_safety::Axes;
 use nalgebra::{Quaternion, Unit, UnitQuaternion};
@@ -14,17 +14,17 @@ use crate::{
     },
 };
 
-/// Peaks, and how far the slave's rotation lies from the master's, scaled.
+/// Peaks, and the difference between slave rotation and scaled master rotation.
 #[derive(Clone, Debug)]
 pub(crate) struct RotationMeasures {
     coupling: RotationCoupling,
-    /// When the hand lets go, in s; infinite until the two have engaged.
+    /// Time in s at which the hand lets go; infinite until engagement.
     release_s: f64,
-    /// The newest of the slave.
+    /// Newest record of the slave.
     far: Option<SlaveRotation>,
     peak_rate: f64,
     peak_torque: f64,
-    /// Sums of the squared differences of orientation and torque, and how many.
+    /// Sums of the squared differences of orientation and torque; `samples` counts them.
     squares: [f64; 2],
     samples: [u64; 2],
     newest_s: f64,
@@ -51,13 +51,13 @@ impl RotationMeasures {
         })
     }
 
-    /// The two have engaged; the hand lets go at `release_s`, in s since the start.
+    /// Restart at engagement; the hand lets go at `release_s`, in s since the start.
     pub(crate) fn engage(&mut self, release_s: f64) {
         self.release_s = release_s;
         (self.peak_rate, self.peak_torque) = (0.0, 0.0);
     }
 
-    /// What an operator has changed, on both sides.
+    /// Apply a change by the operator, which affects both sides.
     pub(crate) fn change(&mut self, command: &OperatorCommand) -> Result<(), CouplingError> {
         match command {
             OperatorCommand::RotationScale(scale) => self.coupling.set_rotation_scale(*scale, 0),
@@ -67,7 +67,7 @@ impl RotationMeasures {
         }
     }
 
-    /// A tick of the master, while both are coupled or not.
+    /// Take a tick of the master; `coupled` is true if both sides are coupled.
     pub(crate) fn near(&mut self, time_s: f64, record: &MasterRotation, coupled: bool) {
         self.newest_s = time_s;
         self.peak_torque = self.peak_torque.max(record.device_torque.norm());
@@ -88,12 +88,12 @@ impl RotationMeasures {
         self.samples[1] += 1;
     }
 
-    /// A tick of the slave.
+    /// Take a tick of the slave.
     pub(crate) fn far(&mut self, record: &SlaveRotation) {
         self.far = Some(*record);
     }
 
-    /// Add what was measured of `metrics`.
+    /// Add the measured values of `metrics`.
     pub(crate) fn complete(&self, outcome: Outcome, metrics: Metrics) -> Outcome {
         let mean = |which: usize, metric: Metric| {
             let samples = self.samples[which];

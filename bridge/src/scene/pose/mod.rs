@@ -1,4 +1,4 @@
-//! Scenes of kind `pose`: how a hand, an arm and a world that turn are built from a scene.
+//! Scenes of kind `pose`: builders of a hand, an arm and a world that turn.
 
 mod measures;
 
@@ -22,11 +22,11 @@ use crate::{
     coupling::{CouplingError, ReferencePoint, RotationLock},
 };
 
-/// The scene as one of poses, if it is one.
+/// Return the scene as one of kind `pose`, or none if it is of another kind.
 ///
 /// # Errors
 ///
-/// A scene of poses that has not three axes.
+/// The scene is of kind `pose` and does not have three axes.
 pub fn as_pose<const N: usize>(scene: &SceneSpec<N>) -> Result<Option<&SceneSpec<3>>, SceneError> {
     let SideKind::Pose = scene.master.kind else { return Ok(None) };
     match (scene as &dyn Any).downcast_ref() {
@@ -35,7 +35,7 @@ pub fn as_pose<const N: usize>(scene: &SceneSpec<N>) -> Result<Option<&SceneSpec
     }
 }
 
-/// A number of axes that the kind of the scene has.
+/// Return an error if the kind of the scene cannot have N axes.
 pub(super) fn check_kind<const N: usize>(scene: &SceneSpec<N>) -> Result<(), SceneError> {
     let kind = scene.master.kind;
     if kind.has_axes(N) {
@@ -49,10 +49,10 @@ pub(super) fn check_kind<const N: usize>(scene: &SceneSpec<N>) -> Result<(), Sce
     contradiction(format!("master.axes = {N}: kind = \"{}\" must have {allowed}", kind.name()))
 }
 
-/// Without a turn.
+/// Unit quaternion without rotation.
 const STRAIGHT: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
 
-/// The scene's device as one that turns, in the scene's hand, which waits for the engagement.
+/// Build the scene's device with rotation in the scene's hand, which waits for the engagement.
 pub(super) fn turning_master<P, const N: usize>(
     scene: &SceneSpec<N>,
     point: P,
@@ -73,7 +73,7 @@ fn rotation_of<const N: usize>(scene: &SceneSpec<N>) -> Result<RotationParameter
     }
 }
 
-/// What watches torques: what the scene says of them, else what it says of forces, at a lever.
+/// Return the settings of the torque's safety layer: those of the scene, by default those of the force at a lever.
 pub(super) fn master_rotation<const N: usize>(
     scene: &SceneSpec<N>,
     coupling: &CouplingSpec,
@@ -88,10 +88,11 @@ pub(super) fn master_rotation<const N: usize>(
         return contradiction(format!("safety.rotation.lever_m = {}: must be above 0", own.lever_m));
     }
     let at_lever = scene.safety.settings.at_lever(own.lever_m);
-    // What a sampled device stands, by its lightest axis.
+    // Largest damping of a sampled device, for its lightest axis.
     let most = parameters.inertia_kg_m2.min() / (5.0 * scene.run.period_s);
     let damping = own.damping.unwrap_or(at_lever.damping.min(most));
-    // As much weaker as the damping that acts against it, so that it moves the handle at the lever as the force does.
+    // The torque probe is scaled like the damping against it, so that it moves the handle at the lever as the force
+    // probe does.
     let weaker = if at_lever.damping > 0.0 { damping / at_lever.damping } else { 1.0 };
     let safety = SafetySettings {
         controllers: own.controllers.unwrap_or(at_lever.controllers),
@@ -106,8 +107,9 @@ pub(super) fn master_rotation<const N: usize>(
         probe_force_n: at_lever.probe_force_n * weaker,
         ..at_lever
     };
-    // A probe that friction of the handle hides decides nothing. Where trips are shared and the force has a probe, that decides
-    // for both; else it is listened for a hand that turns the handle, and without a number of tries the probe is refused.
+    // A probe that friction of the handle hides is not used. If trips are shared and the force has a probe, that probe
+    // decides for both. Otherwise the layer detects a hand that turns the handle; without a number of tries, the probe
+    // is refused.
     let of_force = &scene.safety.settings;
     let force_asks = of_force.probe_force_n > 0.0
         && ControllerKind::cancelling().any(|kind| of_force.controllers.contains(kind));
@@ -142,7 +144,7 @@ pub(super) fn master_rotation<const N: usize>(
     })
 }
 
-/// What of the rotation follows.
+/// Return the lock of the slave's rotation.
 pub(super) fn rotation_lock(coupling: &CouplingSpec) -> Result<RotationLock, CouplingError> {
     match (coupling.locks_rotation, coupling.rotation_axis) {
         (true, _) => Ok(RotationLock::Locked),
@@ -151,7 +153,7 @@ pub(super) fn rotation_lock(coupling: &CouplingSpec) -> Result<RotationLock, Cou
     }
 }
 
-/// How the rotation of the arm is led.
+/// Return the settings of the slave's rotation.
 pub(super) fn slave_rotation(coupling: &CouplingSpec) -> Result<SlaveRotationSettings, CouplingError> {
     Ok(SlaveRotationSettings {
         rotation_scale: coupling.rotation_scale,
@@ -161,13 +163,13 @@ pub(super) fn slave_rotation(coupling: &CouplingSpec) -> Result<SlaveRotationSet
     })
 }
 
-/// The point of the tool that is coupled, where it is not the tool point.
+/// Return the coupled point of the tool; none if it is the tool point.
 pub(super) fn reference_point(coupling: &CouplingSpec) -> Result<Option<ReferencePoint>, SceneError> {
     let wrong = |error| SceneError::Contradiction(format!("coupling.{error}"));
     coupling.reference_point.map(ReferencePoint::new).transpose().map_err(wrong)
 }
 
-/// The scene's tool in its world.
+/// Build the scene's tool in its world.
 pub(super) fn simulated_tool(scene: &SceneSpec<3>) -> Result<SimulatedTool, SceneError> {
     let (slave, _) = scene.coupled()?;
     let Some(tool) = &slave.tool else {

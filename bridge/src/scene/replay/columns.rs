@@ -1,4 +1,4 @@
-//! Recorded and replayed ticks as columns of numbers, whatever the number of axes.
+//! Recorded and replayed ticks as columns of numbers, for any number of axes.
 
 use std::collections::HashMap;
 
@@ -14,12 +14,12 @@ use crate::{
     },
 };
 
-/// Ticks that may be left out between two.
+/// Largest number of ticks left out between two recorded ticks.
 const MAX_MISSED: u64 = 10_000;
 /// Largest distance of a recorded quaternion's norm from 1.
 const MAX_NORM_ERROR: f64 = 1e-6;
 
-/// A recording or a scene that cannot be replayed.
+/// Error of a recording or scene that cannot be replayed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ReplayError {
     /// The scene is invalid.
@@ -31,38 +31,38 @@ pub enum ReplayError {
     /// A signal has another length.
     #[error("{name}: {seen} numbers, must be {width} for each of {ticks} ticks")]
     Length {
-        /// The signal.
+        /// Name of the signal.
         name: &'static str,
-        /// Its numbers.
+        /// Number of its values.
         seen: usize,
-        /// Numbers of a tick.
+        /// Values per tick.
         width: usize,
         /// Number of ticks.
         ticks: usize,
     },
-    /// A loop that leaves out more has stalled, and takes nothing over.
+    /// More ticks were left out than allowed.
     #[error("missed = {0}: must be at most {MAX_MISSED}")]
     Missed(f64),
     /// A quaternion is not a unit quaternion.
     #[error("orientation: a norm of {norm} at row {row}, must be 1")]
     Orientation {
-        /// Its norm.
+        /// Norm of the quaternion.
         norm: f64,
-        /// Its tick.
+        /// Row of the quaternion.
         row: usize,
     },
 }
 
-/// Recorded signals by their names, each with all its numbers of the first tick, then of the next.
+/// Recorded signals by name; each has all values of the first tick, then of the next.
 #[derive(Clone, Debug, Default)]
 pub struct RecordedColumns {
     /// Time of each tick in ns since the run began.
     pub times_ns: Vec<u64>,
-    /// The signals.
+    /// Signals by name.
     pub signals: HashMap<String, Vec<f64>>,
 }
 
-/// The numbers of one signal.
+/// Values of one signal.
 #[derive(Clone, Copy)]
 struct Rows<'a> {
     values: &'a [f64],
@@ -74,7 +74,7 @@ impl Rows<'_> {
         Axes::from_column_slice(&self.values[row * self.width..(row + 1) * self.width])
     }
 
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // counts that were written as such; it saturates
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // recorded counts; the cast saturates
     fn count(&self, row: usize) -> u64 {
         self.values[row] as u64
     }
@@ -85,7 +85,7 @@ impl Rows<'_> {
 }
 
 impl RecordedColumns {
-    /// A signal of `width` numbers a tick; none where it is not there.
+    /// Return a signal of `width` values per tick; none if it was not recorded.
     fn rows(&self, name: &'static str, width: usize) -> Result<Option<Rows<'_>>, ReplayError> {
         let Some(values) = self.signals.get(name) else { return Ok(None) };
         let (seen, ticks) = (values.len(), self.times_ns.len());
@@ -152,10 +152,10 @@ impl RecordedColumns {
     }
 }
 
-/// A replayed signal.
+/// Replayed signal.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ReplayedColumn {
-    /// Vectors of so many numbers, tick by tick.
+    /// Vectors with this number of values, tick by tick.
     Vectors(usize, Vec<f64>),
     /// Numbers.
     Numbers(Vec<f64>),
@@ -163,14 +163,14 @@ pub enum ReplayedColumn {
     Bits(Vec<u8>),
 }
 
-/// Replayed signals by their names.
+/// Replayed signals by name.
 pub type ReplayedColumns = Vec<(&'static str, ReplayedColumn)>;
 
 fn vectors<const W: usize>(rows: impl Iterator<Item = Axes<W>>) -> ReplayedColumn {
     ReplayedColumn::Vectors(W, rows.flat_map(<[f64; W]>::from).collect())
 }
 
-/// A signal of a replayed tick.
+/// Function that selects a signal of a replayed tick.
 type Signal<const N: usize> = fn(&ReplayedTick<N>) -> Axes<N>;
 
 fn columns<const N: usize>(done: &[ReplayedTick<N>]) -> ReplayedColumns {
@@ -205,11 +205,11 @@ fn columns<const N: usize>(done: &[ReplayedTick<N>]) -> ReplayedColumns {
     columns
 }
 
-/// Step the side of a hand, of a scene as JSON, through recorded ticks, as [`Replay`].
+/// Step the master of a scene, given as JSON, through recorded ticks with a [`Replay`].
 ///
 /// # Errors
 ///
-/// An invalid scene, or signals that are missing, of another length or invalid.
+/// The scene is invalid; or a signal is missing, has another length, or is invalid.
 pub fn replay_columns(
     scene: &[u8],
     recorded: &RecordedColumns,

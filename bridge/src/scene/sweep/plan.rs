@@ -1,4 +1,4 @@
-//! Which rows of a sweep a thread takes in one go, and which of them may share a part of their runs.
+//! Plan of a sweep: rows that a thread runs as one job, and rows that share a part of their runs.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -12,45 +12,46 @@ use crate::scene::{
     spec::{SceneSpec, of_axes, scene_axes},
 };
 
-/// Fewest scenarios without an arm in a job, and most with one.
+/// Smallest number of scenarios without an arm in a job, and largest number with one.
 const BLOCK: usize = 64;
 
-/// Most scenarios that share a beginning.
+/// Largest number of scenarios that share a beginning.
 const MAX_GROUP: usize = 32;
 
-/// Most scenarios that share what link and ladders do: one tick of these takes as long as some ticks of a hand and an arm.
+/// Largest number of scenarios that share link and ladders. Their tick takes as long as several ticks of a hand and an
+/// arm.
 const MAX_CONNECTED: usize = 64;
 
 pub(super) fn bad_axes(axes: usize) -> SweepError {
     SweepError::Scene(format!("master.axes = {axes}: must be 1 to 7"))
 }
 
-/// A part as it was read.
+/// Parsed part of a sweep.
 pub(super) struct Plan<'a> {
     pub(super) base: Value,
     pub(super) axes: usize,
     pub(super) rows: usize,
     pub(super) columns: Vec<Column<'a>>,
-    /// The tables that these are in, each once, in the order of the columns.
+    /// Tables of the columns, each once, in the order of the columns.
     pub(super) tables: Vec<&'a str>,
 }
 
-/// A number of a scene that differs from row to row.
+/// Number of a scene that differs between rows.
 pub(super) struct Column<'a> {
-    /// Where it is: keys and list indices.
+    /// Path in the scene: keys and list indices.
     pub(super) keys: Vec<&'a str>,
-    /// Whether it is a whole number.
+    /// True if the number is an integer.
     pub(super) is_whole: bool,
-    /// Its value in each row.
+    /// Value in each row.
     pub(super) values: &'a [f64],
 }
 
 impl Column<'_> {
-    /// Its place in a scene as JSON. A JSON pointer would be split and unescaped again at each row.
+    /// Return its place in a scene as JSON. A JSON pointer would be split and unescaped again at each row.
     pub(super) fn place<'v>(&self, scene: &'v mut Value) -> Option<&'v mut Value> {
         self.keys.iter().try_fold(scene, |value, key| match value {
             Value::Object(table) => table.get_mut(*key),
-            // A number has one spelling, as in a JSON pointer.
+            // An index has one spelling, as in a JSON pointer.
             Value::Array(list) if *key == "0" || !key.starts_with(['0', '+']) => {
                 list.get_mut(key.parse::<usize>().ok()?)
             }
@@ -76,7 +77,7 @@ impl<'a> Plan<'a> {
             let mut column = Column { keys: path.split('.').collect(), is_whole: false, values };
             column.is_whole = match column.place(&mut base) {
                 Some(Value::Number(number)) => number.is_u64(),
-                // What is not bounded may be bounded, but what is not built has no numbers.
+                // Null means no bound, and a row may set one. An absent table has no numbers.
                 Some(Value::Null) => false,
                 _ => return Err(SweepError::Path(path.clone())),
             };
@@ -95,7 +96,7 @@ impl<'a> Plan<'a> {
         self.base.get("slave").is_some_and(|slave| !slave.is_null())
     }
 
-    /// Whether scenarios that differ in their controllers alone may share a beginning.
+    /// Return true if scenarios that differ only in their controllers may share a beginning.
     fn can_share(&self) -> bool {
         fn of<const N: usize>(base: &Value) -> bool {
             SceneSpec::<N>::deserialize(base).is_ok_and(|scene| shared::can_share(&scene))
@@ -104,7 +105,7 @@ impl<'a> Plan<'a> {
         of(&self.base)
     }
 
-    /// What all scenarios have in common that may begin alike: all of the base but the controllers.
+    /// Return the key of scenarios that may share a beginning: the base without controllers, and the deciding paths.
     fn common(&self, of_controllers: &[String]) -> String {
         let mut base = self.base.clone();
         if let Some(safety) = base.get_mut("safety").and_then(Value::as_object_mut) {
@@ -120,7 +121,7 @@ impl<'a> Plan<'a> {
         paths + &base.to_string()
     }
 
-    /// What all scenarios have in common whose link and ladders may do the same.
+    /// Return the key of scenarios that may share link and ladders.
     fn connection(&self) -> String {
         let mut base = self.base.clone();
         if let Value::Object(tables) = &mut base {
@@ -142,7 +143,7 @@ impl<'a> Plan<'a> {
         paths + &base.to_string()
     }
 
-    /// The columns that decide what link and ladders do, in one order.
+    /// Return the columns that decide link and ladders, in a fixed order.
     fn connective(&self) -> Vec<&Column<'a>> {
         let mut found: Vec<_> =
             self.columns.iter().filter(|column| decides_connection(&column.keys)).collect();
@@ -150,7 +151,7 @@ impl<'a> Plan<'a> {
         found
     }
 
-    /// The columns that decide how a run begins, in one order.
+    /// Return the columns that decide the beginning of a run, in a fixed order.
     fn decisive(&self, of_controllers: &[String]) -> Vec<&Column<'a>> {
         let decides = |column: &&Column<'_>| match column.keys.as_slice() {
             ["safety", key] => !of_controllers.iter().any(|one| one == key),
@@ -162,8 +163,9 @@ impl<'a> Plan<'a> {
     }
 }
 
-/// Whether what stands there may decide what link and ladders do. Scenes are held against one another before they share that:
-/// a key too many shares less, one too few costs a comparison.
+/// Return true if the value at `keys` may decide link and ladders.
+///
+/// Scenes are compared before they share. A key too many reduces sharing; a missing key costs a comparison.
 fn decides_connection(keys: &[&str]) -> bool {
     match keys {
         ["run" | "link" | "security", ..] => true,
@@ -175,21 +177,21 @@ fn decides_connection(keys: &[&str]) -> bool {
     }
 }
 
-/// The keys of `[safety]` that say which controllers watch, and how they do.
+/// Return the keys of `[safety]` that select and configure controllers.
 fn controller_keys() -> Vec<String> {
     let schema = schemars::schema_for!(SafetySettings);
     let fields = schema.get("properties").and_then(Value::as_object);
     fields.map(|fields| fields.keys().cloned().collect()).unwrap_or_default()
 }
 
-/// A part, and a row of it.
+/// Part and row.
 pub(super) type Place = (usize, usize);
 
-/// What a thread does in one go.
+/// Work that a thread does at one time.
 pub(super) enum Job {
     /// Rows of a part.
     Block(usize, std::ops::Range<usize>),
-    /// Rows of parts of so many axes that begin alike, or whose link and ladders do the same.
+    /// Number of axes, and groups of rows. The rows of a group share a beginning, or link and ladders.
     Groups(usize, Vec<Vec<Place>>),
 }
 
@@ -204,14 +206,14 @@ impl Job {
 
 pub(super) fn jobs(plans: &[Plan<'_>], threads: usize, has_research: bool) -> Vec<Job> {
     let mut jobs = Vec::new();
-    // By their axes, in the order of their first rows.
+    // Grouped by number of axes, in the order of their first rows.
     let mut groups = BTreeMap::<usize, Vec<Vec<Place>>>::new();
     let of_controllers = controller_keys();
-    // Rows of a group are run one after the other: not so many that a thread is left without any.
+    // The rows of a group run one after the other. Groups are small enough that every thread has one.
     let rows: usize = plans.iter().map(|plan| plan.rows).sum();
     let most = rows.div_ceil(2 * threads).clamp(1, MAX_GROUP);
     let (mut beginnings, mut connections) = (Keys::default(), Keys::default());
-    // The rows of each connection, each with its beginning.
+    // Rows of each connection, each with its beginning.
     let mut connected = Vec::<(usize, Vec<(usize, Place)>)>::new();
     for (part, plan) in plans.iter().enumerate() {
         if has_research || !plan.is_remote() || !plan.can_share() {
@@ -258,7 +260,7 @@ pub(super) fn jobs(plans: &[Plan<'_>], threads: usize, has_research: bool) -> Ve
     jobs
 }
 
-/// Numbers for what rows have in common, in the order in which it is met.
+/// Numbers of shared keys, in the order in which they are found.
 #[derive(Default)]
 struct Keys {
     commons: HashMap<String, usize>,
@@ -266,13 +268,13 @@ struct Keys {
 }
 
 impl Keys {
-    /// Of what all rows of a part have in common.
+    /// Return the number of a key that all rows of a part share.
     fn common(&mut self, common: String) -> usize {
         let next = self.commons.len();
         *self.commons.entry(common).or_insert(next)
     }
 
-    /// Of what a row has in common with others: that of its part and its numbers in `columns`.
+    /// Return the number of a key that rows share: the key of their part, and their values in `columns`.
     fn of(&mut self, common: usize, columns: &[&Column<'_>], row: usize) -> usize {
         let key = columns.iter().map(|column| column.values[row].to_bits()).collect();
         let next = self.known.len();
@@ -280,12 +282,13 @@ impl Keys {
     }
 }
 
-/// Scenarios without an arm are mostly short: the scene is read once for many, and each thread has some eight jobs.
+/// Return the rows per job without an arm. The runs are mostly short: one reading of the scene serves many rows, and
+/// each thread has about eight jobs.
 fn local_size(rows: usize, threads: usize) -> usize {
     rows.div_ceil(8 * threads).clamp(BLOCK, 16 * BLOCK)
 }
 
-/// A scenario with an arm takes milliseconds: small blocks keep all threads busy to the end.
+/// Return the rows per job with an arm. A run takes milliseconds: small blocks keep all threads busy to the end.
 fn block_size(rows: usize, threads: usize) -> usize {
     rows.div_ceil(8 * threads).clamp(1, BLOCK)
 }
@@ -294,9 +297,9 @@ fn block_size(rows: usize, threads: usize) -> usize {
 mod tests {
     use super::*;
 
-    /// Rows that share nothing have the same outcomes: so nothing else would say that they do.
+    /// Rows have the same outcomes whether they share or not, so only this test detects missing groups.
     #[test]
-    fn rows_that_differ_in_their_controllers_are_a_group() {
+    fn rows_that_differ_in_controllers_form_a_group() {
         let scene: Value = serde_json::from_slice(include_bytes!("../../../tests/remote_push.json")).unwrap();
         let with = |controllers: &[&str], corrupt: f64| {
             let mut scene = scene.clone();
@@ -320,12 +323,12 @@ mod tests {
             [vec![(0, 0), (0, 2), (1, 0), (1, 2)], vec![(0, 1), (1, 1)], vec![(2, 0), (2, 2)], vec![(2, 1)]];
         assert_eq!(groups(1, false), expected);
         assert!(groups(1, true).is_empty());
-        // More threads, smaller groups: nobody is idle.
+        // With more threads, groups are smaller, so that no thread is idle.
         assert!(groups(4, false).iter().all(|group| group.len() <= 2));
     }
 
     #[test]
-    fn rows_whose_link_and_ladders_may_do_the_same_are_a_group() {
+    fn rows_with_equal_link_and_ladders_form_a_group() {
         let scene = include_bytes!("../../../tests/remote_push.json");
         let column = |path: &str, values: &[f64]| Variation { path: path.into(), values: values.to_vec() };
         let hands = [column("operator.stiffness", &[200.0, 300.0, 400.0, 500.0, 600.0])];
@@ -345,9 +348,9 @@ mod tests {
         assert_eq!(groups(2), [&[all[..3].to_vec(), all[3..].to_vec()], &halves[..]].concat());
     }
 
-    /// A key that decides and is not named would have rows compared in vain: those that are named are there.
+    /// A misspelled key would only cost comparisons, so each key is looked up in a scene.
     #[test]
-    fn what_decides_the_connection_is_named_as_in_the_scene() {
+    fn keys_that_decide_the_connection_exist() {
         let scene: Value = serde_json::from_slice(include_bytes!("../../../tests/remote_push.json")).unwrap();
         for (keys, decides) in [
             (&["run", "seed"][..], true),
@@ -370,9 +373,9 @@ mod tests {
         }
     }
 
-    /// One thread reads a scene once for many short runs; many threads all have some.
+    /// With one thread, a scene is read once for many short runs; with many threads, each has a job.
     #[test]
-    fn short_runs_come_in_jobs_that_keep_all_threads_busy() {
+    fn jobs_of_short_runs_keep_all_threads_busy() {
         for (rows, threads, size) in
             [(1, 1, BLOCK), (500, 1, BLOCK), (10_000, 1, 1024), (10_000, 2, 625), (10_000, 64, BLOCK)]
         {
@@ -381,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn a_path_leads_where_a_json_pointer_does() {
+    fn path_resolves_like_a_json_pointer() {
         let mut scene = serde_json::json!({
             "a": {"b": [1.0, {"c": 2.0}], "": 3.0, "x~1y": 4.0, "x/y": 5.0}, "0": 6.0
         });
@@ -396,7 +399,7 @@ mod tests {
         }
         for (key, number) in [("x~1y", 4.0), ("x/y", 5.0)] {
             let column = Column { keys: vec!["a", key], is_whole: false, values: &[] };
-            assert_eq!(column.place(&mut scene), Some(&mut Value::from(number)), "a key stands for itself");
+            assert_eq!(column.place(&mut scene), Some(&mut Value::from(number)), "a key is not unescaped");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! A scene drawn from a seed: all that one run has, so that a failing one can be printed and run again.
+//! Scene drawn from a seed. It holds everything about a run, so that a failing one can be printed and repeated.
 
 use super::{gripped::DrawnGripper, pressed::DrawnButtons, turned::DrawnPose};
 use haptether_bridge::{Clutch, LadderSettings, OperatorCommand, coupling::CommandBounds};
@@ -14,7 +14,7 @@ use haptether_safety::{
 
 pub(crate) const MS: u64 = 1_000_000;
 
-/// `SplitMix64`: a counter, mixed.
+/// `SplitMix64`: a counter with mixed output.
 #[derive(Clone, Debug)]
 pub(crate) struct Numbers(pub(crate) u64);
 
@@ -27,7 +27,7 @@ impl Numbers {
         z ^ (z >> 31)
     }
 
-    /// From `low` up to `high`.
+    /// Draw from `low` to `high`, without `high`.
     pub(crate) fn real(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (self.draw() >> 11) as f64 / (1_u64 << 53) as f64
     }
@@ -47,7 +47,7 @@ impl Numbers {
     }
 }
 
-/// What a sensor says that is out of order, from when to when in ns.
+/// Value of a faulty sensor, and its interval in ns.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Broken {
     pub(crate) from_ns: u64,
@@ -75,7 +75,7 @@ impl Broken {
     }
 }
 
-/// What moves the arm.
+/// Control of the arm.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Control {
     Position,
@@ -83,16 +83,16 @@ pub(crate) enum Control {
     Pd,
 }
 
-/// All of a run.
+/// Drawn scene of a run.
 #[derive(Clone, Debug)]
 pub(crate) struct Drawn {
     pub(crate) axes: usize,
     pub(crate) periods_ns: [u64; 2],
     pub(crate) end_ns: u64,
     pub(crate) seed: u64,
-    /// Mass in kg, viscous friction, quantum of the encoder in m.
+    /// Mass in kg, viscous friction, and encoder quantum in m.
     pub(crate) device: [f64; 3],
-    /// Stiffness, damping, grip strength.
+    /// Stiffness, damping and grip strength.
     pub(crate) hand: [f64; 3],
     /// Legs of the hand's path along the first axis: duration in s and end in m.
     pub(crate) legs: Vec<(f64, f64)>,
@@ -104,22 +104,22 @@ pub(crate) struct Drawn {
     pub(crate) ladder: LadderSettings,
     pub(crate) clutch: Clutch,
     pub(crate) control: Control,
-    /// Mass in kg, bandwidth in Hz, largest speed in m/s.
+    /// Mass in kg, bandwidth in Hz and largest speed in m/s.
     pub(crate) arm: [f64; 3],
     pub(crate) max_acceleration: Option<f64>,
     /// Stiffness and damping of the wall that fills x < 0.
     pub(crate) wall: [f64; 2],
-    /// A push on the arm in N.
+    /// Push on the arm in N.
     pub(crate) push_n: f64,
     pub(crate) bounds: CommandBounds,
     pub(crate) links: [LinkSettings; 2],
     pub(crate) clocks: [Option<ClockSettings>; 2],
     pub(crate) broken: [Option<Broken>; 2],
-    /// What people do at both sides, in order.
+    /// Commands of people at both sides, in order of time.
     pub(crate) commands: Vec<(u64, OperatorCommand)>,
-    /// Whether frames travel in a secure session.
+    /// True if frames travel in a secure session.
     pub(crate) secure: bool,
-    /// What a hand that turns has besides; none of a point.
+    /// Rotation; none for a point.
     pub(crate) pose: Option<DrawnPose>,
     pub(crate) buttons: Option<DrawnButtons>,
     pub(crate) gripper: Option<DrawnGripper>,
@@ -129,9 +129,9 @@ impl Drawn {
     pub(crate) fn new(seed: u64) -> Self {
         let mut numbers = Numbers(seed);
         let n = &mut numbers;
-        // Two streams that begin side by side differ after one mixing only.
+        // Without mixing, the streams of consecutive seeds would be alike.
         n.0 = n.draw();
-        // A press waits for 0.5 s at least: few runs are so long, for they take their time.
+        // A press waits at least 0.5 s. Few runs are so long, because they are slow.
         let is_long = n.chance(0.01);
         let end_ns = if is_long { 1200 } else { n.whole(120, 500) } * MS;
         let turns = n.chance(0.33);
@@ -165,7 +165,7 @@ impl Drawn {
                 fade_in_ns: n.whole(200 * MS, 400 * MS),
                 align_ns,
             },
-            // Held from the start, over a silence that is longer than a press waits.
+            // Held from the start, through a silence that is longer than a press waits.
             clutch: if is_long { Clutch::Schedule(vec![(0, end_ns)]) } else { clutch(n, end_ns) },
             control: n.one_of(&[Control::Position, Control::Velocity, Control::Pd]),
             arm: [n.real(0.5, 8.0), n.real(2.0, 30.0), n.real(0.05, 3.0)],
@@ -185,11 +185,11 @@ impl Drawn {
             buttons: n.chance(0.25).then(|| DrawnButtons::draw(n, end_ns)),
             gripper: n.chance(0.4).then(|| DrawnGripper::draw(n, end_ns)),
         };
-        drawn.without_what_is_refused()
+        drawn.without_refused_commands()
     }
 
-    /// An arm that is turned to its master keeps its scale of rotation.
-    fn without_what_is_refused(mut self) -> Self {
+    /// Remove refused commands: an arm with alignment keeps its scale of rotation.
+    fn without_refused_commands(mut self) -> Self {
         if self.pose.as_ref().is_some_and(|pose| pose.slave.alignment.is_some()) {
             self.commands.retain(|(_, command)| !matches!(command, OperatorCommand::RotationScale(_)));
         }
@@ -258,7 +258,7 @@ fn link(n: &mut Numbers) -> LinkSettings {
         truncate_bytes: 40,
         ..settings
     };
-    // What does not go together is not the subject.
+    // Contradictory settings are not the subject of this test.
     if Link::new(Direction::Forward, 0, &settings).is_ok() {
         settings
     } else {
@@ -266,7 +266,7 @@ fn link(n: &mut Numbers) -> LinkSettings {
     }
 }
 
-/// A way that is cut soon after the start, for longer than a press waits.
+/// Link that is cut soon after the start, for longer than a press waits.
 fn silent(n: &mut Numbers) -> LinkSettings {
     let times = OutageTimes::Once { at_s: n.real(0.0, 0.02), duration_s: n.real(0.51, 0.7) };
     let outages = vec![Outage { times, effect: OutageEffect::Drop }];
@@ -284,7 +284,7 @@ fn attack(n: &mut Numbers) -> Attack {
         Action::Forge { keep_bytes: 64 },
         Action::BitFlip { bits: 3, within: ByteRange { start: 0, end: 64 } },
         Action::SequenceLead { lead: 1000, offset: 16 },
-        // As somebody does who knows the frame: another position, and the checksum put right.
+        // An attacker who knows the frame changes the position and corrects the checksum.
         Action::Alter {
             edits: vec![Edit::F64 { offset: 64, operation: Operation::Multiply, value: -1.0 }],
             checksum: Some(Checksum::Crc32),

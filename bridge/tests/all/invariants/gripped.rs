@@ -1,4 +1,4 @@
-//! A gripper and the trigger that leads it, which the finger may feel: drawn, and what must never be of them.
+//! Gripper and its trigger, with or without force feedback: drawn values and invariants.
 
 use haptether_bridge::{
     FingerTick, GripperOrder, HeldTrigger, LadderState, LedGripper, TickTime, Trigger, TriggerSettings,
@@ -16,10 +16,10 @@ use super::{
     spied::{ROUNDING, Watch},
 };
 
-/// How near a trigger must be to the last command to take the gripper along.
+/// Largest distance between trigger and last command at which the trigger takes over the gripper.
 const PICKS_UP_WITHIN: f64 = 0.02;
 
-/// A trigger that the finger feels.
+/// Trigger with force feedback.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DrawnFelt {
     pub(crate) settings: TriggerSettings,
@@ -31,11 +31,11 @@ pub(crate) struct DrawnFelt {
 impl DrawnFelt {
     fn draw(n: &mut Numbers) -> Self {
         let mass_kg = n.real(0.02, 0.2);
-        // Now and then of so long a way that a jump along it is one that no finger makes.
+        // Sometimes the travel is so long that no finger could make a jump along it.
         let travel_m = if n.chance(0.1) { 1.0 } else { n.real(5e-3, 5e-2) };
         let max_force_n = n.real(0.5, 5.0);
         let scaled = safety(n).at_scale(max_force_n / 7.9, travel_m / 0.14);
-        // What a loop of the longest period can apply.
+        // Largest damping that a loop of the longest period can apply.
         let most = mass_kg / (5.0 * 3e-3) * 0.99;
         let settings = TriggerSettings {
             travel_m,
@@ -57,7 +57,7 @@ impl DrawnFelt {
         Self { settings, mass_kg, finger: [n.real(20.0, 800.0), n.real(0.0, 20.0)] }
     }
 
-    /// A model of it, in a finger that means to be at `course`.
+    /// Build a model of the trigger with a finger that follows `course`.
     fn held(&self, course: &[[f64; 2]]) -> HeldTrigger {
         let (travel_m, [stiffness, damping]) = (self.settings.travel_m, self.finger);
         let (mut from_s, at) = (0.0, |position: f64| Axes::<1>::new(position * travel_m));
@@ -73,11 +73,11 @@ impl DrawnFelt {
     }
 }
 
-/// Of a gripper and its trigger.
+/// Drawn gripper with its trigger.
 #[derive(Clone, Debug)]
 pub(crate) struct DrawnGripper {
     pub(crate) settings: GripperSettings,
-    /// Whether drivers elsewhere read trigger and gripper.
+    /// True if a driver reads the trigger, and the gripper.
     pub(crate) is_driven: [bool; 2],
     /// Time in s and position of the trigger.
     pub(crate) course: Vec<[f64; 2]>,
@@ -109,7 +109,7 @@ impl DrawnGripper {
         }
     }
 
-    /// What leads it.
+    /// Return the trigger that leads the gripper.
     pub(crate) fn trigger(&self) -> Trigger {
         match &self.felt {
             _ if self.is_driven[0] => Trigger::Driven(None),
@@ -118,42 +118,42 @@ impl DrawnGripper {
         }
     }
 
-    /// What is led.
+    /// Return the led gripper.
     pub(crate) fn led(&self) -> LedGripper {
         let new = if self.is_driven[1] { LedGripper::driven } else { LedGripper::simulated };
         new(self.settings).unwrap()
     }
 
-    /// The trigger as its driver has read it; none of a trigger that is a model.
+    /// Return the trigger as read by its driver; none for a modelled trigger.
     pub(crate) fn read_trigger(&self, now_ns: u64) -> Option<Trigger> {
         if !self.is_driven[0] {
             return None;
         }
         let at_s = now_ns as f64 * 1e-9;
-        // Before the first it says nothing.
+        // Before the first point of the course the position is unknown.
         let level =
             self.course.iter().rev().find(|[from_s, _]| *from_s <= at_s).map(|[_, position]| *position);
         Some(Trigger::Driven(Broken::at(self.broken[0], now_ns).or(level)))
     }
 }
 
-/// What was seen of grippers.
+/// Coverage of grippers.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct SeenGripper {
-    /// Ticks at which one was led.
+    /// Ticks at which a gripper was led.
     pub(crate) led: u64,
-    /// Ticks at which one held something while nobody led it.
+    /// Ticks at which a gripper held an object without being led.
     pub(crate) kept: u64,
-    /// Ticks at which one waited, coupled, for the trigger.
+    /// Ticks at which a coupled gripper waited for the trigger.
     pub(crate) waited: u64,
-    /// How often one met something.
+    /// Contacts with an object.
     pub(crate) grips: u64,
     pub(crate) broken: u64,
-    /// Ticks at which a finger felt its trigger, coupled, while that faded, and beside a controller that tripped.
+    /// Ticks with force on the finger: coupled, fading, and while a controller had tripped.
     pub(crate) felt: u64,
     pub(crate) faded: u64,
     pub(crate) tripped: u64,
-    /// Ticks at which it did not though something was held: the trigger was not known, or the jaws did not follow it.
+    /// Ticks with a held object but no force: trigger unknown, or jaws not following it.
     pub(crate) unfelt: [u64; 2],
     pub(crate) faults: u64,
 }
@@ -174,7 +174,7 @@ impl SeenGripper {
         }
     }
 
-    /// What a run of ten thousand scenes must have met.
+    /// Return the counts that must be positive in a run of ten thousand scenes.
     pub(crate) fn all(&self) -> [u64; 11] {
         let Self { led, kept, waited, grips, broken, felt, faded, tripped, faults, .. } = *self;
         let [unknown, apart] = self.unfelt;
@@ -182,19 +182,19 @@ impl SeenGripper {
     }
 }
 
-/// What a gripper is held to, and the driver of one that is elsewhere.
+/// Invariants of a gripper, and the driver of a driven one.
 #[derive(Clone, Debug)]
 pub(crate) struct GripperWatch {
     settings: GripperSettings,
-    /// Jaws of a driver, that do what it is ordered.
+    /// Jaws of a driver, which follow their orders.
     jaws: Option<SimulatedGripper>,
     broken: Option<Broken>,
     now_ns: u64,
     command: Option<f64>,
-    /// The trigger as last heard.
+    /// Trigger as last received.
     trigger: Option<f64>,
     was_led: bool,
-    /// As measured, if that can be.
+    /// Last measured sample, if the sensor was not faulty.
     sample: Option<GripperSample>,
 }
 
@@ -206,7 +206,7 @@ impl GripperWatch {
         Self { settings, jaws, broken, now_ns: 0, command: None, trigger: None, was_led: false, sample: None }
     }
 
-    /// Its driver reads before the tick.
+    /// Read the jaws before the tick, as a driver does.
     pub(crate) fn read(&mut self, now_ns: u64, gripper: &mut LedGripper) {
         let Some(jaws) = &mut self.jaws else { return };
         let sample = jaws.read(now_ns);
@@ -218,7 +218,7 @@ impl GripperWatch {
         });
     }
 
-    /// After the tick: `trigger` is what the peer's newest frame says.
+    /// Check a tick; `trigger` is the position in the newest frame of the peer.
     pub(crate) fn tick(
         &mut self,
         watch: &mut Watch,
@@ -243,7 +243,7 @@ impl GripperWatch {
             watch.hold(fits && command == Some(position), time, || format!("{order:?}, {command:?}"));
             let (step, most) = ((position - from).abs(), fastest * elapsed_s * (1.0 + ROUNDING) + 1e-12);
             watch.hold(step <= most, time, || format!("gripper commanded by {step} > {most}"));
-            // What it held when the two came together, it must not let fall because the trigger was elsewhere.
+            // A trigger at another position must not make the gripper drop an object held at engagement.
             let is_near = trigger.is_some_and(|trigger| {
                 (trigger - from).abs() <= PICKS_UP_WITHIN
                     || heard.is_some_and(|heard| (heard - from) * (trigger - from) < 0.0)
@@ -253,7 +253,7 @@ impl GripperWatch {
             let is_kept = command == before || (before.is_none() && command == Some(sample.position));
             watch.hold(is_kept, time, || format!("command {before:?} to {command:?} without an order"));
         }
-        // Not led since the tick before, the jaws stand, and what they hold they hold.
+        // Jaws that were not led since the last tick keep their position and their object.
         if let (false, Some(last), Some(now)) = (was_led, sampled, self.sample) {
             let same = last.position == now.position && last.holds_object == now.holds_object;
             watch.hold(same, time, || format!("{last:?} to {now:?} while nobody led it, in {state:?}"));
@@ -275,31 +275,31 @@ impl GripperWatch {
     }
 }
 
-/// What was the case at a tick of a trigger that the finger feels.
+/// Values at a tick of a trigger with force feedback.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FingerTickSeen {
     pub(crate) felt: Option<SafetyTick<1>>,
     pub(crate) recorded: FingerTick,
-    /// What leads the gripper; NaN where it is not known.
+    /// Position that leads the gripper; NaN if unknown.
     pub(crate) position: f64,
-    /// As the peer's newest frame says.
+    /// Jaws in the newest frame of the peer.
     pub(crate) jaws: Option<GripperState>,
-    /// The loop slept before it.
+    /// True if the loop stalled before the tick.
     pub(crate) stalled: bool,
 }
 
-/// What the force on a finger is held to.
+/// Invariants of the force on a finger.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FingerWatch {
     settings: TriggerSettings,
-    /// Whether a button leads the gripper, and not the finger.
+    /// True if a button leads the gripper instead of the finger.
     is_button: bool,
     period_s: f64,
-    /// By how much the share of the jaws' force may rise at a tick.
+    /// Largest rise per tick of the share of the jaw force.
     rise: f64,
-    /// The most that this share can be.
+    /// Upper bound of this share.
     share: f64,
-    /// The trigger was not known since the two sides engaged.
+    /// True if the trigger was unknown at some time since engagement.
     is_lost: bool,
     force_n: f64,
 }
@@ -319,8 +319,8 @@ impl FingerWatch {
         })
     }
 
-    /// After a tick: it only opens, by no more than its share of what the jaws press with, within its bounds, and not at all
-    /// where that is not known.
+    /// Check a tick. The force only opens, and is at most the share of the jaw force and within its bounds. It is zero
+    /// if the position is unknown.
     pub(crate) fn tick(&mut self, watch: &mut Watch, time: TickTime, tick: &FingerTickSeen) {
         let FingerTickSeen { felt, recorded, position, jaws, stalled } = *tick;
         let (state, gain, coupled) = (watch.state, watch.gain, watch.state.is_coupled());
@@ -369,7 +369,7 @@ impl FingerWatch {
         watch.hold(!dead || force_n == 0.0, time, || {
             format!("{force_n} N on the finger in {state:?}, gain {gain}, at {position}")
         });
-        // The damping of controllers aside, nothing is felt of nothing.
+        // Without a request and without damping by a controller, the force is zero.
         let is_none = rendered_n == 0.0 && safety_n == 0.0;
         watch.hold(!is_none || force_n == 0.0, time, || format!("{force_n} N on the finger of nothing"));
         let stops = felt.fault.is_none() || state == LadderState::Fault;

@@ -1,4 +1,4 @@
-//! A device or an arm whose sensor may be out of order.
+//! Device or arm whose sensors may be faulty.
 
 use haptether_bridge::{ButtonWord, MasterPlant, SlavePlant, Truth, coupling::RotationState};
 use haptether_master::RotationSample;
@@ -12,13 +12,13 @@ use super::{
     turned::{BrokenTurn, Wrong},
 };
 
-/// A plant whose sensors may be out of order, and what was written to it at the last tick.
+/// Plant with sensors that may be faulty. It stores the last written values.
 #[derive(Clone, Debug)]
 pub(crate) struct Plant<P, const N: usize> {
     pub(crate) model: P,
     broken: Option<Broken>,
     broken_turn: Option<BrokenTurn>,
-    /// What is wrong with its rotation at this tick.
+    /// Fault of the rotation at this tick.
     wrong: Option<Wrong>,
     buttons: Option<DrawnButtons>,
     word: Option<ButtonWord>,
@@ -47,29 +47,29 @@ impl<P, const N: usize> Plant<P, N> {
         }
     }
 
-    /// The same, whose sensor of rotation may be out of order.
+    /// Return the plant with a rotation sensor that may be faulty.
     pub(crate) fn turning(self, broken_turn: Option<BrokenTurn>) -> Self {
         Self { broken_turn, ..self }
     }
 
-    /// The same with buttons.
+    /// Return the plant with buttons.
     pub(crate) fn with_buttons(self, buttons: Option<DrawnButtons>) -> Self {
         Self { buttons, ..self }
     }
 
-    /// Whether something is out of order at this tick.
+    /// Return true if a sensor is faulty at this tick.
     pub(crate) fn is_broken(&self, now_ns: u64) -> bool {
         Broken::at(self.broken, now_ns).is_some() || self.wrong.is_some()
     }
 
-    /// What is wrong with its rotation at this tick.
+    /// Return the fault of the rotation at this tick.
     pub(crate) fn wrong(&self) -> Option<Wrong> {
         self.wrong
     }
 
     fn orientation(&self, orientation: UnitQuaternion<f64>) -> UnitQuaternion<f64> {
         match self.wrong {
-            // Scaled part by part: NaN and infinities are made as they come.
+            // Scaled by component, so that NaN and infinities stay.
             Some(Wrong::Norm(norm)) => {
                 Unit::new_unchecked(Quaternion::from(orientation.coords.map(|part| part * norm)))
             }
@@ -109,7 +109,7 @@ impl<P: MasterPlant<N>, const N: usize> MasterPlant<N> for Plant<P, N> {
     }
 
     fn buttons(&self) -> Option<ButtonWord> {
-        // Before the first tick, too: whether it has any.
+        // Also before the first tick: the value shows whether the plant has buttons.
         self.word.or(self.buttons.as_ref().map(|_| ButtonWord::UNKNOWN))
     }
 
@@ -117,7 +117,7 @@ impl<P: MasterPlant<N>, const N: usize> MasterPlant<N> for Plant<P, N> {
         self.model.engaged();
     }
 
-    /// None: its records then have what the endpoint made of the samples, as of a driver elsewhere.
+    /// None: records then hold the endpoint's values from the samples, as with a driver.
     fn truth(&self) -> Option<Truth<N>> {
         None
     }

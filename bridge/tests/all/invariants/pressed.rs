@@ -1,4 +1,4 @@
-//! Buttons of a device: drawn, and what they must never do.
+//! Buttons of a device: drawn values and invariants.
 
 use haptether_bridge::{ButtonSettings, ButtonWord, LadderState, TickTime};
 
@@ -7,14 +7,14 @@ use super::{
     spied::Watch,
 };
 
-/// Longest bounce of a contact, in ns.
+/// Longest bounce of a contact in ns.
 const BOUNCE_NS: u64 = 20 * MS;
 
-/// What the buttons of a device do, and what for.
+/// Functions of a device's buttons, and their levels over time.
 #[derive(Clone, Debug)]
 pub(crate) struct DrawnButtons {
     pub(crate) settings: ButtonSettings,
-    /// Until when in ns they say what.
+    /// Levels, each with the time in ns until which they hold.
     pub(crate) course: Vec<(u64, ButtonWord)>,
 }
 
@@ -42,7 +42,7 @@ impl DrawnButtons {
             if n.chance(0.4) {
                 word ^= 1 << (bit + 1);
             }
-            // Those that do nothing.
+            // Buttons without a function.
             if n.chance(0.2) {
                 word ^= 1 << 3;
             }
@@ -56,16 +56,16 @@ impl DrawnButtons {
     }
 }
 
-/// What was seen of buttons.
+/// Coverage of buttons.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct SeenButtons {
     pub(crate) presses: u64,
-    /// Ends of gaps in which nobody knew them, with the clutch's closed.
+    /// Ends of gaps with unknown levels, with the clutch button closed.
     pub(crate) gaps: u64,
-    /// Presses and closings that counted for nothing: bounces, and what was closed at the start.
+    /// Presses and closings without effect: bounces, and buttons closed at the start.
     pub(crate) void: u64,
     pub(crate) engagements: u64,
-    /// Of the gripper.
+    /// Switches of the gripper.
     pub(crate) switched: u64,
 }
 
@@ -80,23 +80,23 @@ impl SeenButtons {
         }
     }
 
-    /// What a run of ten thousand scenes must have met.
+    /// Return the counts that must be positive in a run of ten thousand scenes.
     pub(crate) fn all(&self) -> [u64; 5] {
         [self.presses, self.gaps, self.void, self.engagements, self.switched]
     }
 }
 
-/// One contact, as whoever looks at its levels alone must see it.
+/// One contact, judged by its levels only.
 #[derive(Clone, Copy, Debug, Default)]
 struct Contact {
-    /// Since when it has been seen open at every tick.
+    /// Time in ns since which it was open at every tick.
     open_ns: Option<u64>,
-    /// Closed at the last tick, or not known.
+    /// Level at the last tick: closed, open or unknown.
     level: Option<bool>,
 }
 
 impl Contact {
-    /// Whether it is pressed at this tick: closed after it was open for longer than contacts bounce.
+    /// Return true if it is pressed at this tick: closed after it was open for longer than contacts bounce.
     fn is_pressed(&mut self, now_ns: u64, level: Option<bool>) -> bool {
         self.level = level;
         if level == Some(false) {
@@ -107,19 +107,19 @@ impl Contact {
         level == Some(true) && open_ns.is_some_and(|open_ns| now_ns - open_ns >= BOUNCE_NS)
     }
 
-    /// Nobody knows what it did meanwhile.
+    /// Mark the state as unknown.
     fn forget(&mut self) {
         (self.open_ns, self.level) = (None, None);
     }
 }
 
-/// What the buttons of a device are held to.
+/// Invariants of a device's buttons.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ButtonWatch {
     settings: ButtonSettings,
     clutch: Contact,
     gripper: Contact,
-    /// Whether the clutch may be closed.
+    /// True if the clutch may be closed.
     armed: bool,
     pressed_ns: Option<u64>,
     is_closed: bool,
@@ -140,22 +140,22 @@ impl ButtonWatch {
         }
     }
 
-    /// The operator lets go of the clutch.
+    /// The operator releases the clutch.
     pub(crate) fn release(&mut self) {
         self.clutch.forget();
         self.armed = false;
     }
 
-    /// The loop slept.
+    /// The loop stalled.
     pub(crate) fn stall(&mut self) {
         self.gripper.forget();
-        // One that is held goes on; a switch opens.
+        // A held clutch button continues; a toggle opens.
         if !self.armed || self.settings.engage.is_some() {
             self.release();
         }
     }
 
-    /// After a tick at which the device said `word`, with the ladder at `stood` before: what is made of it.
+    /// Check a tick at which the device reported `word`; `stood` is the state of the ladder before it.
     pub(crate) fn tick(
         &mut self,
         watch: &mut Watch,
@@ -174,7 +174,7 @@ impl ButtonWatch {
             let was_aligned = std::mem::replace(&mut self.was_aligned, stood.is_aligned());
             if engage.is_some() {
                 let parted = was_aligned && !stood.is_aligned();
-                // A switch: the next press opens it.
+                // A toggle: the next press opens it.
                 self.armed = now.is_some() && ((self.armed && !parted) ^ pressed);
             } else {
                 let bounces = before == Some(false)

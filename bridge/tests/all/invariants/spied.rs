@@ -1,4 +1,4 @@
-//! Both sides, with every tick held against what must never be.
+//! Both sides, with invariants checked at every tick.
 
 use std::{
     cell::{Cell, RefCell},
@@ -23,16 +23,16 @@ use super::{
     turned::{OrientationWatch, SeenTurn, TorqueWatch, TurnTick, Wrong},
 };
 
-/// Rounding of sums of a few numbers of their size.
+/// Relative rounding error of a sum of a few terms.
 pub(crate) const ROUNDING: f64 = 1e-9;
 
-/// Longest interval in ns between two frames of a peer that a side takes for its period.
+/// Longest interval in ns between frames of a peer that a side accepts as its period.
 const MAX_INTERVAL_NS: u64 = 20_000_000;
 
-/// That the bound on the reach acted on a command.
+/// Bit for the bound on the reach in the limits of a command.
 const REACH: u8 = 2;
 
-/// What was seen of all runs: a test in which nothing happens proves nothing.
+/// Coverage of all runs: a test without events proves nothing.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Seen {
     /// Ticks in each state of the ladder, at the master and at the slave.
@@ -41,7 +41,7 @@ pub(crate) struct Seen {
     pub(crate) growth_limited: u64,
     pub(crate) commands_limited: u64,
     pub(crate) soft_stops: u64,
-    /// Samples of the arm that were taken, and that were held.
+    /// Samples of the arm that were accepted, and that were held.
     pub(crate) samples: [u64; 2],
     pub(crate) accepted: u64,
     pub(crate) authentic: u64,
@@ -52,7 +52,7 @@ pub(crate) struct Seen {
 }
 
 impl Seen {
-    /// What was seen here and there.
+    /// Return the sum of both.
     pub(crate) fn and(&self, other: &Self) -> Self {
         let sum =
             |side: usize| std::array::from_fn(|state| self.ticks[side][state] + other.ticks[side][state]);
@@ -73,52 +73,52 @@ impl Seen {
     }
 }
 
-/// What both sides are held to.
-#[allow(clippy::struct_excessive_bools)] // what was the case at the last tick
+/// Invariants of both sides.
+#[allow(clippy::struct_excessive_bools)] // states of the last tick
 #[derive(Clone, Debug)]
 pub(crate) struct Watch {
     side: usize,
     pub(crate) state: LadderState,
     pub(crate) gain: f64,
-    /// By how much that rose at the last tick.
+    /// Rise of the gain at the last tick.
     rise: f64,
     clock_ns: Option<u64>,
     holds: u64,
-    /// Whether the clutch was seen open, and then closed, since the last hold began.
+    /// True if the clutch was open since the last hold began. `pressed` is true if it was closed after that.
     opened: bool,
     pressed: bool,
-    /// When the clutch was closed last, on the clock of the side, and for how long in ns a press waits at most.
+    /// Time of the last closing on the clock of the side. `align_ns` is the longest wait of a press in ns.
     closed_ns: Option<u64>,
     align_ns: u64,
     was_closed: bool,
-    /// The frame of the peer that it acts on: when it was taken, on the clock of the side, where the peer stands, and whether
-    /// its clutch is closed and it hears this side.
+    /// Newest frame of the peer: its time on the clock of the side, and the peer's state. Then true if the peer's
+    /// clutch is closed, and true if the peer hears this side.
     heard: Option<(u64, LadderState, bool, bool)>,
-    /// How long in ns of silence nobody moves by a frame: what leads to HOLD, and the longest interval that a peer may have.
+    /// Silence in ns after which no frame may move anything: time to HOLD plus the longest interval of a peer.
     silent_ns: u64,
     /// C.
     frame: UnitQuaternion<f64>,
-    /// When it was last coupled, on the clock of the side, and how long in ns a force may take to fade.
+    /// Last time coupled, on the clock of the side. `fade_out_ns` is the longest fade of the force.
     coupled_ns: u64,
     fade_out_ns: u64,
-    /// What the plant has put in and had out, as seen here, and as the last frame said.
+    /// Energy into and out of the plant: as computed here, and as in the last frame.
     energy: PortEnergy,
     said: PortEnergy,
     turns: bool,
     /// Run and sequence of the newest frame that was acted on.
     newest: Option<(u64, u64)>,
     commands: Vec<(u64, OperatorCommand)>,
-    /// What either side has sent, where a session must let nothing else through.
+    /// Frames sent by either side; in a session, no other frame may be accepted.
     sent: Option<Sent>,
     pub(crate) seen: Seen,
     wrong: Option<String>,
 }
 
-/// The arm as turned to the master at the slave's last tick, for both sides to see.
+/// Alignment in progress as of the slave's last tick; shared by both sides.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Turning {
     turns: Rc<Cell<bool>>,
-    /// Sequence of the first frame that was sent since it turns without a pause.
+    /// Sequence of the first frame sent in the current alignment.
     since: Rc<Cell<Option<u64>>>,
 }
 
@@ -127,7 +127,7 @@ impl Turning {
         self.turns.get()
     }
 
-    /// It turns now, or not; gives whether it did.
+    /// Set whether the arm turns, and return the value before.
     fn replace(&self, turns: bool) -> bool {
         if !turns {
             self.since.set(None);
@@ -141,13 +141,13 @@ impl Turning {
         }
     }
 
-    /// Whether a frame was sent while it turned, as it still does.
+    /// Return true if the frame was sent during the current alignment.
     fn is_of(&self, sequence: u64) -> bool {
         self.since.get().is_some_and(|since| since <= sequence)
     }
 }
 
-/// The frames of the master and of the slave, by sequence.
+/// Frames of the master and of the slave, by sequence.
 pub(crate) type Sent = Rc<RefCell<[Vec<Vec<u8>>; 2]>>;
 
 impl Watch {
@@ -188,7 +188,7 @@ impl Watch {
         }
     }
 
-    /// What a side sends is a frame, and its energies are those that were seen here.
+    /// Check that a side sends a valid frame with the energies computed here.
     fn send<const N: usize>(&mut self, time: LinkTime, frame: &[u8], layout: FrameLayout) -> Option<Frame> {
         let (tick, role) = (TickTime::at(time.tick_ns), [Role::Master, Role::Slave][self.side]);
         let decoded = Frame::decode(frame, role, layout);
@@ -210,7 +210,7 @@ impl Watch {
         decoded.ok()
     }
 
-    /// The frame that a side took must be newer than what it had and, in a session, one that the peer sent.
+    /// Check that an accepted frame is newer than the last and, in a session, was sent by the peer.
     fn accepted<const N: usize>(&mut self, now_ns: u64, datagram: &[u8], taken: bool, layout: FrameLayout) {
         if !taken {
             self.seen.refused += 1;
@@ -233,7 +233,8 @@ impl Watch {
         let stands = LadderState::from_code(frame.state).unwrap_or(LadderState::Fault);
         self.heard = Some((now_ns, stands, frame.clutch, frame.hears_peer));
         let newest = self.newest.replace((frame.run_id, frame.sequence));
-        // In the clear, who repairs the checksum may well feign another session once the peer is silent.
+        // Without encryption, an attacker who corrects the checksum can imitate another session once the peer is
+        // silent.
         let may_change = self.sent.is_none();
         let newer =
             newest.is_none_or(
@@ -244,7 +245,7 @@ impl Watch {
         self.hold(newer, time, || format!("acted on {} after {newest:?}", frame.sequence));
     }
 
-    /// What holds of the ladder at a side; gives the state before.
+    /// Check the ladder of a side; return the state before.
     fn ladder(
         &mut self,
         time: TickTime,
@@ -282,14 +283,14 @@ impl Watch {
         if state.is_coupled() && !before.is_coupled() {
             self.seen.engagements[self.side] += 1;
             self.seen.turn.engagements[self.side] += u64::from(self.turns);
-            // The slave hears of a press later than it is made.
+            // The slave receives a press later than it is made.
             let waited_ns = self.closed_ns.map_or(u64::MAX, |closed_ns| time.clock_ns - closed_ns);
             let in_time = self.side == 1 || waited_ns <= self.align_ns;
             self.hold(in_time, time, || format!("engaged {waited_ns} ns after the press"));
             let pressed = self.pressed && self.holds == holds;
             self.hold(pressed, time, || format!("{before:?} to {state:?} without a press after a release"));
         }
-        // A press that ended without the two being engaged is over, too.
+        // A press that ended without engagement is over too.
         let is_unanswered =
             before == LadderState::Aligning && state == LadderState::Disengaged && self.was_closed;
         if holds > self.holds || state == LadderState::Fault || is_unanswered {
@@ -301,8 +302,8 @@ impl Watch {
 }
 
 impl Watch {
-    /// Of an arm that was turned to the master at the last tick, and is at this one: within a press only, and only by what
-    /// the master has said since it was silent.
+    /// Check the alignment. `turned` and `turns` are true if the arm is turned at the last tick and at this one. It
+    /// may turn only during a press, and only by a recent frame of the master.
     fn aligning(&mut self, time: TickTime, (turned, turns): (bool, bool), clutch: bool) {
         let (state, waited_ns) = (self.state, self.closed_ns.map_or(u64::MAX, |since| time.clock_ns - since));
         let may = state == LadderState::Aligning && clutch && self.pressed && waited_ns <= self.align_ns;
@@ -323,7 +324,7 @@ fn axes<const N: usize>(of: Axes<3>) -> Axes<N> {
     Axes::from_fn(|axis, _| of[axis])
 }
 
-/// The side of the hand, watched.
+/// Master with checks.
 #[derive(Clone, Debug)]
 pub(crate) struct Near<P, const N: usize, R> {
     side: MasterSide<Plant<P, N>, N, Feeling<R>>,
@@ -337,11 +338,11 @@ pub(crate) struct Near<P, const N: usize, R> {
     finger: Option<FingerWatch>,
     stalled: bool,
     measures: bool,
-    /// Of the arm at the other side.
+    /// Alignment of the peer's arm.
     turning: Turning,
 }
 
-/// The side of the robot, watched.
+/// Slave with checks.
 #[derive(Clone, Debug)]
 pub(crate) struct Far<P, const N: usize, S> {
     side: SlaveSide<Plant<P, N>, N, S>,
@@ -349,15 +350,15 @@ pub(crate) struct Far<P, const N: usize, S> {
     bounds: CommandBounds,
     home: Option<Axes<N>>,
     command: Option<Axes<N>>,
-    /// The coupled point from the tool point in m, in the tool's frame.
+    /// Coupled point from the tool point in m, in the tool's frame.
     reference_m: Option<Axes<3>>,
-    /// Power in W of the measured wrench, and the sum of its parts.
+    /// Power in W of the measured wrench, and the sum of its absolute parts.
     power_w: Option<(f64, f64)>,
     /// Force and rotation of the last sample that was not held.
     taken: (Axes<N>, Option<RotationState>),
     clock_ns: u64,
     orientation: Option<OrientationWatch>,
-    /// Whether it was being turned to the master at the last tick.
+    /// Alignment at the last tick.
     turning: Turning,
     gripper: Option<GripperWatch>,
 }
@@ -390,14 +391,14 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
         self.watch.wrong.map_or(Ok(self.watch.seen), Err)
     }
 
-    /// The device is given no torque but what is recorded, and none where it measures no orientation.
+    /// Check that the device receives only the recorded torque, and none if it measures no orientation.
     fn turn(&mut self, time: TickTime, record: &MasterRecord<N, Feeling<R>>) {
         let (Some(torque), Some(rotation)) = (&mut self.torque, record.rotation.rotation()) else { return };
         let (plant, watch) = (&mut self.side.plant, &mut self.watch);
         let written = plant.torque.take();
         torque.tick(watch, time, self.period_s, rotation, record.tripped, written);
         let Some(wrong) = plant.wrong() else { return };
-        // What the device does not measure is in no sample, whatever is wrong with it; a device has no sensor of torque.
+        // A faulty value reaches a sample only if the device measures it; a device has no torque sensor.
         let is_sampled = self.measures || !matches!(wrong, Wrong::Speed(_));
         if wrong.is_none() && is_sampled && !matches!(wrong, Wrong::Torque(_)) {
             watch.seen.turn.faults[0] += 1;
@@ -406,7 +407,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
         }
     }
 
-    /// `-(F·V + tau·w) dT`, of what is requested as far as the device can render it.
+    /// Add `-(F·V + tau·w) dT` of the request, as far as the device can render it.
     fn energy(&mut self, time: TickTime, record: &MasterRecord<N, Feeling<R>>) {
         if record.fault != 0 {
             return;
@@ -417,14 +418,14 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
         self.watch.energy.add(-power_w, self.period_s * (time.missed + 1) as f64);
     }
 
-    /// Of an arm that is turned to the master nothing is rendered, but for what still fades of what was before.
+    /// Check that no force is rendered during alignment, except the fade of an earlier force.
     fn while_turned(&mut self, time: TickTime, record: &MasterRecord<N, Feeling<R>>) {
         let coupled = record.state.is_coupled();
         let turning = self.turning.get();
         self.watch.hold(!(turning && coupled), time, || "engaged with an arm that is turned".into());
         let rise = self.watch.rise;
         self.watch.hold(!turning || rise <= 0.0, time, || format!("gain rose by {rise} as the arm turned"));
-        // In the clear, somebody else may say of an arm what he likes.
+        // Without encryption, an attacker can send any state of the arm.
         let newest = self.side.exchange().link().newest().filter(|_| self.watch.sent.is_some());
         if newest.is_some_and(|frame| self.turning.is_of(frame.sequence)) {
             let torque = record.rotation.rotation().map_or(0.0, |turn| turn.rendered_torque.norm());
@@ -435,7 +436,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
         self.watch.seen.turn.fading += u64::from(turning && self.watch.gain > 0.0);
     }
 
-    /// Norm and growth of the force. Unloading is free; the growth is exceeded only by what the power bound takes.
+    /// Check norm and growth of the force. Unloading is not limited, and the power bound may exceed the growth limit.
     fn force(&mut self, time: TickTime, record: &MasterRecord<N, Feeling<R>>) {
         let last = std::mem::replace(&mut self.force, record.device_force);
         let force = self.force;
@@ -492,8 +493,8 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
         self.watch.wrong.map_or(Ok(self.watch.seen), Err)
     }
 
-    /// `F_e·V + tau_e·w` of what it was given, over the time since the tick before: of the wrench about the tool point, as the
-    /// arm measures it, and of the twist there of a tool whose coupled point moves and turns as that which was written.
+    /// Add the energy `F_e·V + tau_e·w` since the last tick. The wrench is measured about the tool point. The twist of
+    /// the tool point follows from the written twist of the coupled point.
     fn energy(&mut self, record: &SlaveRecord<N, S>, elapsed_s: f64) {
         let plant = &self.side.plant;
         let [_, measured_velocity, force] = plant.sample;
@@ -511,7 +512,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
             force.dot(&(velocity - round))
         });
         let turning = measured.zip(turned).map_or(0.0, |(measured, (_, w))| measured.torque.dot(&w));
-        // What an arm touches while it is turned to the master is not felt.
+        // Contact during alignment is not felt.
         let power_w = if record.state.is_coupled() { moving + turning } else { 0.0 };
         self.watch.energy.add(power_w, elapsed_s);
         self.power_w = measured.filter(|_| record.fault == 0 && !is_held).map(|measured| {
@@ -522,8 +523,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
         });
     }
 
-    /// As measured, the power of a wrench is the same about any point of the tool. Of an arm that is turned to the master
-    /// there is none.
+    /// Check the power of the sent wrench: it is the same about any point of the tool, and zero during alignment.
     fn power(&mut self, time: LinkTime, frame: &Frame) {
         self.turning.sent(frame.sequence);
         if self.turning.get() {
@@ -541,8 +541,8 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
         });
     }
 
-    /// Position and velocity of the coupled point, of what is written of the tool point and its rotation; and how far rounding
-    /// may have shifted the velocity, in m/s.
+    /// Return position and velocity of the coupled point from the written tool point and rotation, and the rounding
+    /// error of the velocity in m/s.
     fn about(
         &self,
         [position, velocity]: [Axes<N>; 2],
@@ -556,7 +556,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
         ([position + axes(by), velocity + round], ROUNDING * round.norm())
     }
 
-    /// What of its rotation is commanded.
+    /// Check the commanded rotation.
     fn turn(
         &mut self,
         time: TickTime,
@@ -596,7 +596,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
         }
     }
 
-    /// What is commanded: nothing moves but while coupled, and then no faster and no further than it may.
+    /// Check the command: it moves only while coupled, within the bounds on speed and reach.
     fn command(
         &mut self,
         time: TickTime,
@@ -631,17 +631,17 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
         }
         let has_engaged = self.watch.seen.engagements[1] > 0 || self.watch.seen.turn.aligning > 0;
         self.watch.hold(has_engaged || command.is_none(), time, || format!("{command:?} before it engaged"));
-        // The first goes on from where the arm is.
+        // The first command continues from the position of the arm.
         let Some((before, command)) = before.or(measured).zip(command) else { return };
         let step = (command - before).norm();
         if state.is_coupled() {
             let most = speed * elapsed_s * (1.0 + ROUNDING) + 1e-12;
             self.watch.hold(step <= most, time, || format!("commanded step {step} > {most} in {state:?}"));
-            // Anchored where both are: what the hand did while they were apart leads nothing.
+            // Both sides are anchored at engagement, so motion of the hand before it has no effect.
             let jumps = !was_coupled && step > 1e-9 && limited & REACH == 0;
             self.watch.hold(!jumps, time, || format!("jumped by {step} m when it engaged"));
             let out = self.home.map_or(0.0, |home| (command - home).norm());
-            // A stop may have come to rest outside: it is led back, never further out.
+            // A stop may have ended outside: the command may lead back, but not further out.
             let was_out = self.home.map_or(0.0, |home| (before - home).norm());
             let most = reach.max(was_out) * (1.0 + ROUNDING);
             self.watch.hold(out <= most, time, || format!("commanded {out} m out, beyond {most}"));
@@ -723,7 +723,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for Near<P, N, R> {
     }
 
     fn exchange_mut(&mut self) -> &mut Exchange {
-        // A runner in virtual time asks for it where the loop has slept, and for nothing else.
+        // The runner in virtual time calls this only after the loop has stalled.
         self.stalled = true;
         self.side.exchange_mut()
     }
@@ -801,7 +801,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Side for Far<P, N, S> {
     }
 }
 
-/// Does at a side what people do there by the time of a tick; whether they let go of the clutch.
+/// Apply the operator's commands due at a tick; return true if the clutch was released.
 fn act(side: &mut impl Side, watch: &mut Watch, time: TickTime) -> bool {
     let mut released = false;
     let due = watch.commands.iter().take_while(|(at_ns, _)| *at_ns <= time.now_ns).count();

@@ -1,4 +1,4 @@
-//! What a scene of kind pose has besides, and what must never be of its rotation.
+//! Rotation in a scene of kind pose: drawn values and invariants.
 
 use haptether_bridge::{
     MasterRotation, MasterRotationSettings, SlaveRotationSettings, TickTime,
@@ -15,32 +15,32 @@ use super::{
     spied::{ROUNDING, Watch},
 };
 
-/// Lever at which a handle is held, in m.
+/// Lever in m at which a handle is held.
 const LEVER_M: f64 = 0.05;
-/// Rounding of an angle that was taken by an inverse cosine, in rad.
+/// Rounding error in rad of an angle from an inverse cosine.
 const ANGLE: f64 = 3e-8;
-/// That the bound on the angle acted on a command.
+/// Bit for the bound on the angle in the limits of a command.
 const TURN: u8 = 8;
-/// How near in rad an arm that is turned to its master must be when the two engage.
+/// Largest angle in rad to the master at the engagement of an aligned arm.
 const ALIGNED: f64 = 0.01;
 
-/// What a sensor of rotation says that is out of order.
+/// Fault of a rotation sensor.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Wrong {
-    /// The quaternion is so long.
+    /// Norm of the quaternion.
     Norm(f64),
-    /// It says nothing.
+    /// No orientation.
     Unknown,
-    /// The angular velocity of one axis is this.
+    /// Angular velocity of one axis.
     Speed(f64),
-    /// The torque about one axis is this.
+    /// Torque about one axis.
     Torque(f64),
-    /// It has turned by so much in rad at once.
+    /// Sudden turn in rad.
     Leap(f64),
 }
 
 impl Wrong {
-    /// Whether no device measures so; a leap is one that the hand may have made.
+    /// Return true if no device can measure this. A leap may be a motion of the hand.
     pub(crate) fn is_none(self) -> bool {
         let is_possible = match self {
             Self::Norm(norm) => (norm.abs() - 1.0).abs() <= 1e-9,
@@ -53,7 +53,7 @@ impl Wrong {
     }
 }
 
-/// A sensor of rotation that is out of order, from when to when in ns.
+/// Faulty rotation sensor, with its interval in ns.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct BrokenTurn {
     from_ns: u64,
@@ -81,16 +81,16 @@ impl BrokenTurn {
     }
 }
 
-/// All of a hand and an arm that turn.
+/// Drawn rotation of hand and arm.
 #[derive(Clone, Debug)]
 pub(crate) struct DrawnPose {
-    /// How the hand turns: until when in s, with what angular velocity in rad/s.
+    /// Turns of the hand: end in s and angular velocity in rad/s.
     pub(crate) turns: Vec<(f64, Axes<3>)>,
-    /// Whether device and arm are rigid bodies that yield to torques.
+    /// True if the device, or the arm, is a rigid body that yields to torques.
     pub(crate) is_modelled: [bool; 2],
     pub(crate) measures: bool,
     pub(crate) inertia_kg_m2: f64,
-    /// How both stand at the start.
+    /// Orientations of master and slave at the start.
     pub(crate) starts: [UnitQuaternion<f64>; 2],
     /// Stiffness in N m/rad against which the arm turns.
     pub(crate) stiffness: f64,
@@ -98,9 +98,9 @@ pub(crate) struct DrawnPose {
     pub(crate) lock: RotationLock,
     pub(crate) master: MasterRotationSettings,
     pub(crate) slave: SlaveRotationSettings,
-    /// The point of the tool that is coupled, in m from the tool point in the tool's frame.
+    /// Coupled point of the tool, in m from the tool point in the tool's frame.
     pub(crate) reference_m: Option<Axes<3>>,
-    /// Somebody turns the arm of a driver so, in rad, before it is led.
+    /// Turn in rad of a driven arm by a person before it is led.
     pub(crate) moved_rad: Option<Axes<3>>,
 }
 
@@ -115,11 +115,11 @@ fn orientation(n: &mut Numbers) -> UnitQuaternion<f64> {
 }
 
 impl DrawnPose {
-    /// `align_ns` is how long a press waits.
+    /// Draw the rotation; `align_ns` is the time for which a press waits.
     pub(crate) fn draw(n: &mut Numbers, end_ns: u64, align_ns: u64) -> Self {
         let inertia_kg_m2 = n.real(1e-4, 2e-3);
         let mut at_s = 0.0;
-        // About one axis beyond 2 pi, or about any.
+        // Turn about one axis by more than 2 pi, or about several axes.
         let (axis, is_steady) = (direction(n), n.chance(0.4));
         let turns = (0..n.whole(1, 5))
             .map(|_| {
@@ -174,31 +174,31 @@ impl DrawnPose {
         .aligned(n, align_ns)
     }
 
-    /// Some of what can be turned to its master before the two engage is, and most of that within the time there is.
+    /// Give some arms an alignment, which mostly ends before a press times out.
     fn aligned(mut self, n: &mut Numbers, align_ns: u64) -> Self {
         let speed = f64::min(n.one_of(&[0.5, 2.5, 10.0, 30.0]), self.slave.bounds.speed);
         let max_angle = f64::min(n.one_of(&[0.2, 1.0, 3.1]), 0.7e-9 * speed * align_ns as f64);
-        // A link of 500 ms each way takes a second of it.
+        // A link of 500 ms each way takes one second of that time.
         if self.lock != RotationLock::Free || align_ns <= 1000 * MS || !n.chance(0.5) {
             return self;
         }
         self.slave.rotation_scale = 1.0;
         self.slave.alignment = Some(AlignmentSettings { speed, max_angle });
         if n.chance(0.9) {
-            // Most of them soon enough for the scene to go on.
+            // Most alignments end soon enough for the scene to continue.
             let most = if n.chance(0.7) { f64::min(0.1 * speed, max_angle) } else { 1.2 * max_angle };
             let off = direction(n) * n.real(0.0, most);
             self.starts[0] = UnitQuaternion::from_scaled_axis(off) * self.starts[1];
         }
         if n.chance(0.15) {
-            // Beyond the bound on its angle, and the hand where the arm was.
+            // The arm is turned beyond the bound on its angle, and the hand is at the arm's first orientation.
             self.slave.bounds.turn = 0.1;
             self.is_modelled[1] = false;
             self.moved_rad = Some(direction(n) * n.real(0.0, f64::min(0.9, max_angle)));
             self.starts[0] = self.starts[1];
         }
         if n.chance(0.7) {
-            // A hand that the arm can catch.
+            // A hand that the arm can follow.
             for (_, velocity) in &mut self.turns {
                 *velocity = velocity.cap_magnitude(0.3 * speed);
             }
@@ -207,36 +207,35 @@ impl DrawnPose {
     }
 }
 
-/// The angle between two orientations, exact near 0 as well.
+/// Return the angle between two orientations, which is exact near 0 too.
 fn angle(from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>) -> f64 {
     let turn = to * from.inverse();
     2.0 * turn.imag().norm().atan2(turn.w.abs())
 }
 
-/// What was seen of rotations.
+/// Coverage of rotations.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct SeenTurn {
-    /// At both sides.
+    /// Engagements at both sides.
     pub(crate) engagements: [u64; 2],
     pub(crate) torques: u64,
     pub(crate) growth_limited: u64,
     pub(crate) tripped: u64,
-    /// Ticks of trips that were shared, and of trips of one alone.
+    /// Ticks of shared trips, and of trips of only force or only torque.
     pub(crate) shared: u64,
     pub(crate) alone: u64,
-    /// Ticks at which either bound on the orientation acted.
+    /// Ticks at which each bound on the orientation acted.
     pub(crate) speed_limited: u64,
     pub(crate) turn_limited: u64,
     pub(crate) faults: [u64; 2],
-    /// Ticks at which an arm was turned to its master, how often that ended with the two engaged, how often else, and
-    /// ticks at which it was refused.
+    /// Alignment: ticks with it, ends with engagement, other ends, and ticks at which it was refused.
     pub(crate) aligning: u64,
     pub(crate) aligned: u64,
     pub(crate) cut: u64,
     pub(crate) refused: u64,
-    /// Ticks at which the hand's force faded while the arm was turned: few press so soon.
+    /// Ticks at which the hand's force faded during alignment; few operators press so soon.
     pub(crate) fading: u64,
-    /// Ticks at which an arm was led at another point than its tool point.
+    /// Ticks at which an arm was led at a point other than its tool point.
     pub(crate) about_a_point: u64,
 }
 
@@ -261,7 +260,7 @@ impl SeenTurn {
         }
     }
 
-    /// What a run of ten thousand scenes must have met.
+    /// Return the counts that must be positive in a run of ten thousand scenes.
     pub(crate) fn all(&self) -> [u64; 16] {
         let Self { engagements: [near, far], faults: [near_faults, far_faults], .. } = *self;
         [
@@ -285,7 +284,7 @@ impl SeenTurn {
     }
 }
 
-/// What a torque on a hand is held to.
+/// Invariants of the torque on a hand.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TorqueWatch {
     limiter: LimiterSettings,
@@ -299,7 +298,8 @@ impl TorqueWatch {
         Self { limiter, shares_trips, torque: Axes::zeros() }
     }
 
-    /// As of the force, in the base frame; `tripped` is of the force, `written` what the device was given.
+    /// Check a tick, like the force, in the base frame. `tripped` are the trips of the force; `written` is the torque
+    /// that the device received.
     pub(crate) fn tick(
         &mut self,
         watch: &mut Watch,
@@ -317,7 +317,7 @@ impl TorqueWatch {
         let share = if squared > 0.0 { (last.dot(&torque) / squared).clamp(0.0, 1.0) } else { 0.0 };
         let (growth, most) = ((torque - last * share).norm(), slew * period_s);
         let by_power = record.acted & Acted::POWER.bits() != 0;
-        // An orientation whose norm is off by up to 1e-9 scales what it turns by twice that.
+        // An orientation whose norm is off by up to 1e-9 scales a rotated vector by twice that.
         let rounding = ROUNDING * (most + 2.0 * last.norm()) + 1e-12;
         watch.hold(by_power || growth <= most + rounding, time, || {
             format!("growth of the torque {growth} > {most}")
@@ -329,7 +329,7 @@ impl TorqueWatch {
         watch.hold(written == Some(torque), time, || format!("recorded {torque:?}, written {written:?}"));
         let finite = record.rendered_torque.iter().chain(&record.grasp_torque).chain(&record.safety_torque);
         watch.hold(finite.clone().all(|x| x.is_finite()), time, || format!("{record:?}"));
-        // The force of PC is no intervention.
+        // The force of PC is not an intervention.
         let of_pc = Tripped::of(ControllerKind::Pc).bits();
         let either = (tripped & !of_pc != 0, record.tripped & !of_pc != 0);
         watch.hold(!self.shares_trips || either.0 == either.1, time, || {
@@ -344,37 +344,37 @@ impl TorqueWatch {
     }
 }
 
-/// What was the case at a tick of an arm that turns.
+/// Values at a tick of an arm that turns.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TurnTick {
-    /// What the endpoint commands.
+    /// Command of the endpoint.
     pub(crate) command: Option<UnitQuaternion<f64>>,
-    /// What the arm was given, and whether it was given a position.
+    /// Rotation written to the arm, and true if a position was written.
     pub(crate) written: (Option<(UnitQuaternion<f64>, Axes<3>)>, bool),
-    /// As measured, if that can be.
+    /// Measured orientation, if the sensor is not faulty.
     pub(crate) measured: Option<UnitQuaternion<f64>>,
     /// `C R_m C'` of the master's newest frame.
     pub(crate) target: Option<UnitQuaternion<f64>>,
-    /// It came to rest elsewhere.
+    /// True if the arm was stopped at this tick, where it may rest elsewhere.
     pub(crate) stops: bool,
-    /// Which bounds acted.
+    /// Bits of the bounds that acted.
     pub(crate) limited: u8,
-    /// It is being turned to the master.
+    /// True during alignment.
     pub(crate) turns: bool,
 }
 
-/// What a commanded orientation is held to.
+/// Invariants of a commanded orientation.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OrientationWatch {
     bounds: RotationBounds,
     lock: RotationLock,
     alignment: Option<AlignmentSettings>,
-    /// The longest time in s that one step of it makes up for.
+    /// Longest time in s for which one step compensates.
     max_step_s: f64,
     home: Option<UnitQuaternion<f64>>,
     command: Option<UnitQuaternion<f64>>,
     was_coupled: bool,
-    /// The bound on the angle has acted since the two engaged.
+    /// True if the bound on the angle has acted since engagement.
     is_led_off: bool,
 }
 
@@ -394,7 +394,7 @@ impl OrientationWatch {
         }
     }
 
-    /// The arm stood so at its first sample that could be.
+    /// Take the first valid orientation of the arm.
     pub(crate) fn begin(&mut self, measured: UnitQuaternion<f64>) {
         self.home.get_or_insert(measured);
     }
@@ -417,10 +417,10 @@ impl OrientationWatch {
             let norm = orientation.quaternion().norm();
             watch.hold((norm - 1.0).abs() <= 1e-9, time, || format!("commanded a norm of {norm}"));
         }
-        // The first goes on from where the arm is.
+        // The first command continues from the orientation of the arm.
         let Some((before, command)) = before.or(measured).zip(command) else { return };
         let step = angle(&before, &command);
-        // As far as it may be turned to the master within this tick, where the two are not engaged yet.
+        // Largest alignment step within this tick, before engagement.
         let aligns_by =
             self.alignment.map_or(0.0, |alignment| alignment.speed * elapsed_s.min(self.max_step_s));
         if let Some((alignment, target)) = self.alignment.zip(target) {
@@ -433,7 +433,7 @@ impl OrientationWatch {
             let (out, was_out) = (from_home(&target), from_home(&before));
             let may = was_off <= alignment.max_angle + ANGLE && out <= turn + ANGLE;
             watch.hold(!turns || may, time, || format!("turned from {was_off} off to {out} from the first"));
-            // From beyond the bound on its angle it is led back within that first.
+            // From beyond the bound on its angle, the arm is first led back within it.
             let nears = off <= was_off + ANGLE || was_out > turn;
             watch.hold(!turns || nears, time, || format!("turned from {was_off} to {off} off"));
         }
@@ -441,14 +441,15 @@ impl OrientationWatch {
             let most = speed * elapsed_s * (1.0 + ROUNDING) + ANGLE;
             watch.hold(step <= most, time, || format!("commanded turn {step} > {most} in {state:?}"));
             let from_home = |of| self.home.map_or(0.0, |home| angle(&home, of));
-            // As of the reach: a stop may have come to rest outside.
+            // As for the reach: a stop may have ended outside.
             let (out, was_out) = (from_home(&command), from_home(&before));
             let most = turn.max(was_out) + ANGLE;
             watch.hold(out <= most, time, || format!("commanded {out} rad from the first, beyond {turn}"));
-            // What the bound on the angle has led off the axis comes back to it, no faster than it may.
+            // After the bound on the angle has led the orientation off the axis, it returns no faster than the speed
+            // bound.
             self.is_led_off = (self.is_led_off && was_coupled) || limited & TURN != 0;
             let is_free = self.is_led_off;
-            // Anchored where both are: what the hand did while they were apart leads nothing.
+            // Both sides are anchored at engagement, so motion of the hand before it has no effect.
             let jumps = !was_coupled && step > aligns_by * (1.0 + ROUNDING) + ANGLE;
             watch.hold(is_free || !jumps, time, || format!("jumped by {step} when it engaged"));
             let way = (command * before.inverse()).scaled_axis();

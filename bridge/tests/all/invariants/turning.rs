@@ -1,4 +1,4 @@
-//! Hands and arms that turn: models, and drivers of devices that are elsewhere.
+//! Hands and arms that turn: models, and devices with drivers.
 
 use std::{cell::RefCell, rc::Rc};
 
@@ -18,7 +18,7 @@ use nalgebra::{Unit, UnitQuaternion};
 
 use super::{drawn::Drawn, spied::Turning, turned::DrawnPose};
 
-/// Of a driven arm that is no longer led, in rad/s².
+/// Angular deceleration in rad/s² of a driven arm that is no longer led.
 const ANGULAR_DECELERATION: f64 = 25.0;
 
 fn turned(by: Axes<3>, from: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
@@ -29,7 +29,7 @@ fn quat_wxyz(of: &UnitQuaternion<f64>) -> [f64; 4] {
     [of.w, of.i, of.j, of.k]
 }
 
-/// A device that turns as the hand does, whatever the torque: one that is far stronger.
+/// Device that turns exactly as its hand does, because the hand is much stronger than any torque.
 #[derive(Clone, Debug)]
 struct Led {
     point: SimulatedMaster<3>,
@@ -68,7 +68,7 @@ impl MasterPlant<3> for Led {
     }
 }
 
-/// The device of a scene of kind pose.
+/// Return the device of a scene of kind pose.
 pub(crate) fn device(point: SimulatedMaster<3>, pose: &DrawnPose) -> Box<dyn MasterPlant<3>> {
     let start = pose.starts[0];
     if !pose.is_modelled[0] {
@@ -79,7 +79,7 @@ pub(crate) fn device(point: SimulatedMaster<3>, pose: &DrawnPose) -> Box<dyn Mas
     let (mut end, mut from_s) = (start, 0.0);
     let legs = pose.turns.iter().map(|(until_s, velocity)| {
         let duration_s = until_s - std::mem::replace(&mut from_s, *until_s);
-        // A hand that is bound to turn less than half a turn in a leg.
+        // The hand turns by less than pi in one leg.
         end = turned((velocity * duration_s).cap_magnitude(3.0), &end);
         RotationLeg { duration_s, end_wxyz: quat_wxyz(&end), shape: LegShape::MinimumJerk }
     });
@@ -99,35 +99,35 @@ pub(crate) fn device(point: SimulatedMaster<3>, pose: &DrawnPose) -> Box<dyn Mas
     Box::new(TurningMaster { point, body })
 }
 
-/// What a driver that is elsewhere was ordered that must never be.
+/// First order to a driver that violates the invariants.
 pub(crate) type Complaint = Rc<RefCell<Option<String>>>;
 
-/// An arm whose driver is elsewhere: it goes to what is ordered, and springs pull it back.
+/// Arm with a driver: it moves to the ordered position, and springs pull it back.
 #[derive(Clone, Debug)]
 pub(crate) struct DrivenArm {
     arm: DrivenSlave<3>,
     position: Axes<3>,
     orientation: UnitQuaternion<f64>,
     home: UnitQuaternion<f64>,
-    /// In N/m and N m/rad.
+    /// Stiffness in N/m and N m/rad.
     stiffness: [f64; 2],
     rate: f64,
     now_ns: u64,
-    /// What it was ordered before, and how long ago in s, the tick before the last and the last.
+    /// Last order.
     ordered: Option<(Axes<3>, UnitQuaternion<f64>)>,
-    /// The angular velocity of that order, and whether the last was of a tick at which it was led.
+    /// Angular velocity of the last order.
     ordered_turn: Axes<3>,
     is_led: bool,
     turning: Turning,
     past_s: [f64; 2],
     moved_rad: Option<Axes<3>>,
-    /// How fast it may be ordered in m/s and rad/s, what still brakes included.
+    /// Largest ordered speeds in m/s and rad/s, with deceleration included.
     fastest: [f64; 2],
     complaint: Complaint,
 }
 
 impl DrivenArm {
-    /// Follows for `past_s`.
+    /// Follow the order for `past_s`.
     fn follow(&mut self, past_s: f64) {
         let [mut velocity, mut angular_velocity] = [Axes::<3>::zeros(); 2];
         if let SlaveOrder::Move { position, rotation, .. } = *self.arm.order() {
@@ -151,7 +151,7 @@ impl DrivenArm {
         });
     }
 
-    /// Orders that no driver could follow.
+    /// Report orders that no driver could follow.
     fn check(&mut self) {
         let order = *self.arm.order();
         let before = self.ordered.take();
@@ -164,7 +164,7 @@ impl DrivenArm {
         let over_s = self.past_s[0].max(self.past_s[1]);
         let turn = rotation.map_or(Axes::zeros(), |(_, velocity)| velocity);
         let changed = (turn - std::mem::replace(&mut self.ordered_turn, turn)).norm();
-        // Left alone it brakes evenly, and never at once.
+        // A driven arm that is no longer led decelerates evenly and never stops at once.
         let is_led = self.is_led || self.turning.get();
         let brakes = is_led || before.is_none() || changed <= ANGULAR_DECELERATION * over_s + 1e-6;
         let follows = before.zip(self.ordered).is_none_or(|((from, turned_from), (to, turned_to))| {
@@ -179,7 +179,7 @@ impl DrivenArm {
     }
 }
 
-/// The arm of a scene of kind pose.
+/// Arm of a scene of kind pose.
 #[derive(Clone, Debug)]
 pub(crate) enum Arm {
     Modelled(Box<SimulatedTool>),
@@ -193,7 +193,7 @@ impl Arm {
         let position = Axes::<3>::new(0.02, 0.0, 0.0);
         if !pose.is_modelled[1] {
             let angular_speed = pose.slave.bounds.speed;
-            // Where the coupled point stays, the tool point goes round it.
+            // While the coupled point stays, the tool point moves around it.
             let round = pose.reference_m.map_or(0.0, |reference_m| reference_m.norm() * angular_speed);
             let arm = DrivenSlave::new(5.0).unwrap();
             return Self::Driven(Box::new(DrivenArm {
@@ -210,7 +210,7 @@ impl Arm {
                 turning,
                 past_s: [0.0; 2],
                 moved_rad: pose.moved_rad,
-                // By a clock that is set what is due at once is more.
+                // A clock with an error can make more motion due at once.
                 fastest: if drawn.clocks[1].is_some() {
                     [f64::INFINITY; 2]
                 } else {
