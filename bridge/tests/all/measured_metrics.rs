@@ -90,7 +90,10 @@ fn a_metric_alone_has_the_bits_that_it_has_beside_all_others() {
                         // Both are of the same ticks.
                         let is_ticks = |metric: Metric| metric.name().starts_with("intervention");
                         let is_same = other == metric || is_ticks(other) && is_ticks(metric);
-                        assert!(is_same || alone.value(other, 1e-3).is_none(), "{name} {metric:?}: {other:?}");
+                        assert!(
+                            is_same || alone.value(other, 1e-3).is_none(),
+                            "{name} {metric:?}: {other:?}"
+                        );
                     }
                 }
                 // Something is compared: it is there, and not 0 in all rows.
