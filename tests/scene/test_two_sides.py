@@ -412,3 +412,12 @@ def test_a_link_has_bounds() -> None:
     assert link_bounds(LinkSettings(delay_s=0.05)) == (0.05, 0.0)
     assert link_bounds(LinkSettings(preset="starlink"))[1] == np.inf
     assert link_bounds(LinkSettings(delay_s=0.05, jitter_s=0.01, distribution="lognormal"))[0] == np.inf
+
+
+@pytest.mark.parametrize("period_us", [700, 900, 1100, 1300, 1620, 1700, 1900])
+@pytest.mark.parametrize("mass_kg", [0.002, 0.003, 0.0077])
+def test_default_damping_is_within_its_bound_at_any_period(period_us: int, mass_kg: float) -> None:
+    """The default is m / (5 dT) of the decimal period; the endpoint's period is in whole ns."""
+    master = {"device": None, "mass_kg": mass_kg}
+    run = {"period_s": period_us * 1e-6, "duration_s": 0.02}
+    assert simulate(two_sides(master=master, run=run, safety={"controllers": ["wsc", "pc"]})).metrics.ticks > 0

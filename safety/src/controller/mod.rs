@@ -142,6 +142,7 @@ fn dampable<const N: usize>(
     if !is_applied {
         return non_negative(name, symbol, damping);
     }
-    let highest = device.lightest_kg() / (5.0 * period_s);
+    // A scene computes the bound from its decimal period, an endpoint from whole ns: they differ by rounding.
+    let highest = device.lightest_kg() / (5.0 * period_s) * (1.0 + 8.0 * f64::EPSILON);
     in_range(name, symbol, damping, 0.0, highest, "between 0 and m / (5 dT)")
 }

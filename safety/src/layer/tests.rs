@@ -208,8 +208,8 @@ fn accepted_stop_leaves_no_trace_of_the_held_ticks() {
     }
 }
 
-/// While samples are held, the damping of the last tick remains beside a changing F_v: F_c = d - g F_v with
-/// d = F_c + g F_v of the last tick. It fades with the authority and does not grow again.
+/// While samples are held, the damping of the last tick remains beside a changing `F_v`: `F_c = d - g F_v` with
+/// `d = F_c + g F_v` of the last tick. It fades with the authority and does not grow again.
 #[test]
 fn damping_of_held_ticks_fades_with_the_authority() {
     let safety = SafetySettings { controllers: [ControllerKind::Vfc].into(), ..SafetySettings::default() };

@@ -179,6 +179,26 @@ fn late_ticks_and_ticks_without_a_sample_do_not_count() {
     }
 }
 
+/// Late ticks hide as many ticks with a new sample as without, whatever their share.
+#[test]
+fn late_ticks_do_not_bias_the_share() {
+    for every in [0.9, 1.0, 1.25, 1.3, 1.5, 2.0, 3.0] {
+        for late_share in [0.1, 0.3, 0.6] {
+            let mut renewal = Renewal::default();
+            for tick in 0..20_000_u32 {
+                let draw = |n: f64| ((f64::from(tick) * (12.9898 + n)).sin() * 43758.5453).rem_euclid(1.0);
+                let is_late = draw(0.0) < late_share;
+                let read = f64::from(tick) + if is_late { 0.5 + 0.45 * draw(3.1) } else { 0.0 };
+                let time_s = (read / every + 0.3).floor() * every * 1e-3;
+                let position = [0.4 * path(Path::Sines, time_s, 0.0)];
+                renewal.step(Some(Stamped { position: &position, orientation: None, time_s: None }), is_late);
+            }
+            let (share, expected) = (renewal.total_share().unwrap(), f64::min(1.0, 1.0 / every));
+            assert!((share - expected).abs() < 0.03, "{every} {late_share}: {share}, must be {expected}");
+        }
+    }
+}
+
 #[test]
 fn the_slower_of_position_and_orientation_counts_whatever_the_sign_of_the_quaternion() {
     let mut renewal = Renewal::default();
