@@ -1,10 +1,12 @@
 """Poses through the driver, against a controller of plain objects: samples, refusals and texts."""
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from tests.ur.fake_rtde import START_POSE, STOPPED, Arm, install
@@ -188,10 +190,13 @@ def test_a_model_that_is_another_cannot_be_led_by_poses(arm: Arm) -> None:
 def test_a_wrist_that_turns_over_is_announced_once(arm: Arm, capsys: pytest.CaptureFixture[str]) -> None:
     driven = Driven()
     driven.step(BEGIN)
-    for q5 in (0.5, 0.01, -0.01, 0.01, -0.1, -0.3, -0.3):
-        arm.q[4] = q5
-        driven.step(BEGIN)
+    turns = (float(arm.q[4]), 0.5, 0.01, -0.01, 0.01, -0.1, -0.3, -0.3)
+    for before, after in itertools.pairwise(turns):
+        # No joint turns faster than `MAX_JOINT_RAD_S`.
+        for q5 in np.linspace(before, after, 3 + int(abs(after - before) / 0.015)):
+            arm.q[4] = q5
+            driven.step(BEGIN)
     said = capsys.readouterr().err
-    assert said.count("the wrist has turned over: joint 5 is at -0.10 rad") == 1
+    assert said.count("the wrist has turned over: joint 5 is at -0.0") == 1
     assert said.count("turned over") == 1
     driven.driver.close()
