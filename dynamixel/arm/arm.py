@@ -31,6 +31,7 @@ from haptether.dynamixel.arm.checks import (
 from haptether.dynamixel.arm.cycle import cycle_s
 from haptether.dynamixel.arm.faults import ArmFaultError, FaultKind, hardware_error
 from haptether.dynamixel.arm.grip import GripServo
+from haptether.dynamixel.arm.plausible import PlausibleReads
 from haptether.dynamixel.arm.roll_call import RollCall
 from haptether.dynamixel.arm.settings import TURN, ArmSettings, ServoSettings
 from haptether.dynamixel.control_table import (
@@ -70,13 +71,6 @@ HELD_S: Final = 3.0
 """Time in s for a person to hold an arm before another program's torque is removed."""
 BEGUN_S: Final = 3.0
 """Largest time in s from `open` to torque; afterwards the person who started it may have left."""
-MAX_DOUBTFUL: Final = 3
-"""Largest number of reads in a row that are left out as wrong."""
-FASTEST_SHARE: Final = 2.0
-"""Speed of a joint, as a multiple of the no-load speed of its servo, beyond which a read is not plausible."""
-PAUSE_S: Final = 0.02
-"""Longest time in s for which one read is trusted to have moved at that speed."""
-QUANTA_RAD: Final = 2.0 * RAD_PER_TICK
 CLOSED_S: Final = 15.0
 """Longest duration in s of a step of `open` or of a recovery, with many silent servos."""
 
@@ -116,8 +110,6 @@ class ServoArm:
         count = len(servos)
         self.position: Vector = np.full(count, np.nan)
         """q in rad, shape (n,)."""
-        self.accepted: Vector = np.full(count, np.nan)
-        """q in rad of the last plausible read, shape (n,): goals and compensation follow it, not `position`."""
         self.velocity: Vector = np.full(count, np.nan)
         """Velocities in rad/s, shape (n,)."""
         self.current: Vector = np.full(count, np.nan)
@@ -133,13 +125,10 @@ class ServoArm:
         # For turn k = 0.
         self._shift = -sign * np.array([CENTRE * RAD_PER_TICK + servo.offset_rad for servo in servos])
         self._velocity_scale = sign * RAD_S_PER_UNIT
-        units = np.array([servo.servo.current_unit_a or math.nan for servo in servos])
-        self._current_scale = sign * units
+        self._current_scale = sign * np.array([servo.servo.current_unit_a or math.nan for servo in servos])
         self._sort_by_mode(settings.servos)
-        self._moved = np.empty(count)
-        self._fastest = FASTEST_SHARE * np.array([servo.servo.no_load_rad_s for servo in servos])
-        self._accepted_s, self._doubtful = 0.0, 0
-        """Time of `accepted`, and reads since that were not plausible."""
+        self.plausible = PlausibleReads(servos)
+        """Goals and compensation follow its joint angles."""
         self._bus: DynamixelBus | None = None
         self._read: SyncRead
         self._read_joints: SyncRead
@@ -340,7 +329,7 @@ class ServoArm:
             self._nothing()
             self._missed(error, now_s)
             return False
-        if (text := self._jump(now_s)) is not None:
+        if (text := self.plausible.take(self.position, now_s)) is not None:
             self._nothing()
             self._latch(ArmFaultError(FaultKind.JUMP, text))
             return False
@@ -604,8 +593,7 @@ class ServoArm:
         turns = TURN * np.round((near - self.position) / TURN)
         self._shift += turns
         self.position += turns
-        self.accepted[:] = self.position
-        self._accepted_s, self._doubtful = time.monotonic(), 0
+        self.plausible.restart(self.position)
         self._goal_shift = self._shift[self._in_position]
 
     def _torque_on(self, checklist: Checklist, *, verify: bool = True) -> None:
@@ -701,29 +689,6 @@ class ServoArm:
         self.position += self._shift
         np.multiply(fields["velocity"], self._velocity_scale, out=self.velocity)
         np.multiply(fields["current"], self._current_scale, out=self.current)
-
-    def _jump(self, now_s: float) -> str | None:
-        """Accept a plausible read, hold up to three others, and return the fault of a jump.
-
-        A joint moves at most at `_fastest`, in a longer pause over 20 ms only. A read beyond that is held back. The
-        fourth in a row is a jump, unless the joint may have moved so far in the whole time since the last accepted one.
-        """
-        moved, since_s = self._moved, now_s - self._accepted_s
-        np.subtract(self.position, self.accepted, out=moved)
-        np.abs(moved, out=moved)
-        self._doubtful += 1
-        span_s = min(since_s, PAUSE_S) if self._doubtful <= MAX_DOUBTFUL else since_s
-        excess = moved - (self._fastest * span_s + QUANTA_RAD)
-        index = int(excess.argmax())
-        if excess[index] <= 0.0:
-            np.copyto(self.accepted, self.position)
-            self._accepted_s, self._doubtful = now_s, 0
-        elif self._doubtful > MAX_DOUBTFUL or moved[index] > math.pi:
-            return (
-                f"servo {self._ids[index]} went {moved[index]:.2f} rad in {1e3 * since_s:.0f} ms: must be at most"
-                f" {self._fastest[index]:.1f} rad/s: see its supply and its cable"
-            )
-        return None
 
     def _nothing(self) -> None:
         self.position.fill(np.nan)

@@ -123,7 +123,9 @@ class DynamixelMaster:
         """
         if self._sample is None:
             return
-        reflected = self._kinematics.torques(self._accepted, (*force, *(torque or (0.0,) * 3))) if self._poses else force
+        reflected = force
+        if self._poses:
+            reflected = self._kinematics.torques(self._accepted, (*force, *(torque or (0.0,) * 3)))
         if len(reflected) != self._joints:
             message = f"force = {tuple(reflected)}: {self.arm.name} has {self._joints} joints: must be as many"
             raise ValueError(message)
@@ -165,7 +167,7 @@ class DynamixelMaster:
         position, velocity = self.servos.position.tolist(), self.servos.velocity.tolist()
         trigger = min(max(position[-1] / self._range, 0.0), 1.0) if self._range else None
         self._q, self._w = position[: self._joints], velocity[: self._joints]
-        self._accepted = self.servos.accepted[: self._joints].tolist()
+        self._accepted = self.servos.plausible.position[: self._joints].tolist()
         if not self._poses:
             return MasterSample(self._q, self._w, trigger=trigger)
         place, quat, twist = self._kinematics.state(self._q, self._w)

@@ -110,7 +110,7 @@ class DynamixelSlave:
         elif fresh:
             self._felt = self._torque.of(arm.current, arm.velocity, now_s - self._read_s)
             if self._goal is None:
-                self._goal = self._within(arm.accepted)
+                self._goal = self._within(arm.plausible.position)
             if arm.ramp < 1.0:
                 # The caps rise with each write.
                 arm.write_positions(self._goal)
@@ -129,7 +129,7 @@ class DynamixelSlave:
             return
         wanted = self._within(wanted)
         if not self._led:
-            away = np.abs(wanted - self.servos.accepted)
+            away = np.abs(wanted - self.servos.plausible.position)
             if self.options.start == "refuse" and away.max() > self.options.max_jump:
                 joint = int(away.argmax())
                 self._refuse(
@@ -142,7 +142,7 @@ class DynamixelSlave:
         step = self.options.max_speed * min(now_s - self._written_s, MAX_STEP_S)
         self._written_s = now_s
         goal = np.clip(wanted, self._goal - step, self._goal + step)
-        at, lag = self.servos.accepted, self.options.max_lag
+        at, lag = self.servos.plausible.position, self.options.max_lag
         self._goal = self._within(np.clip(goal, at - lag, at + lag))
         self.servos.write_positions(self._goal)
 
@@ -150,7 +150,7 @@ class DynamixelSlave:
         """Hold the joints in place; keep the goal offset that carries their weight."""
         self._led = False
         if self._goal is not None and self.servos.fault is None:
-            at = self.servos.accepted
+            at = self.servos.plausible.position
             self._goal = self._within(np.clip(self._goal, at - REST_LAG, at + REST_LAG))
             self.servos.write_positions(self._goal)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from haptether.dynamixel.arm import ArmFaultError, ArmSettings, FaultKind, ServoArm, ServoSettings, write_calibration
-from haptether.dynamixel.arm.arm import FASTEST_SHARE, PAUSE_S, QUANTA_RAD
+from haptether.dynamixel.arm.plausible import FASTEST_SHARE, PAUSE_S, QUANTA_RAD
 from haptether.master.dynamixel.driver import DynamixelMaster
 from haptether.slave.dynamixel.driver import DynamixelSlave
 
@@ -46,8 +46,7 @@ class Scripted(ServoArm):
         self.ends: list[ArmFaultError] = []
 
     def begin(self) -> None:
-        self.accepted[:] = 0.0
-        self._accepted_s = time.monotonic()
+        self.plausible.restart(np.zeros(len(self.position)))
         self._watch_at_s = self._heard_s = np.inf
         self._ramp = 1.0
 
@@ -154,7 +153,7 @@ def test_fast_motion_is_accepted_up_to_twice_the_no_load_speed(
         arm.true[0] += speed * elapsed_s
         device.read()
         if not is_fault:
-            behind = arm.true[0] - arm.accepted[0]
+            behind = arm.true[0] - arm.plausible.position[0]
             assert behind <= QUANTA_RAD or 10 <= n < 13, n
     assert bool(arm.ends) == is_fault
 

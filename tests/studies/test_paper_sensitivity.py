@@ -140,7 +140,8 @@ def test_hsc_says_something_of_the_active_force_only_where_it_waits(force_thresh
     if force_threshold_n == 0.1:
         assert f"it trips {trip.ours * 1e3:.0f} ms after the force begins" in PAGE
     if not early:
-        assert f"trips {(trip.ours - ACTIVE_RELEASE_S) * 1e3:.0f} ms after the hand begins to let go" in PAGE.replace("\n", " ")
+        after_ms = (trip.ours - ACTIVE_RELEASE_S) * 1e3
+        assert f"trips {after_ms:.0f} ms after the hand begins to let go" in PAGE.replace("\n", " ")
         assert f"MEV {mev.ours:.2g} m/s" in PAGE
     watched = bench.active(1.0, WATCHED, None)
     above = np.flatnonzero(watched.grasp[:200] > 1.5)
