@@ -80,5 +80,7 @@ def _roc(panel: "Axes", each: TunedThreshold) -> None:
                    color=colour, marker=".", ms=4.0, lw=0.8, elinewidth=0.4)  # fmt: skip
     panel.plot(each.point.false_trips_per_h, 100.0 * each.point.missed / each.point.releases, "o", color=PAPER,
                mfc="none", ms=7.0)  # fmt: skip
-    panel.set_xscale("symlog", linthresh=max(1e-9, float(rates[rates > 0.0].min()) if (rates > 0.0).any() else 1.0))
+    least = float(rates[rates > 0.0].min()) if (rates > 0.0).any() else 1.0
+    # A power of ten, so that no label of the linear part lies beside the 0.
+    panel.set_xscale("symlog", linthresh=10.0 ** np.ceil(np.log10(least)))
     panel.set_xlim(left=0.0)
