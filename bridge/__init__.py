@@ -18,7 +18,14 @@ from haptether._core import (
     ladder_state_name,
     run_local,
 )
-from haptether.bridge.codes import LADDER_STATES, OBSERVED_SIGNALS, TRIP_BITS, ObservedSignal, tripped_names
+from haptether.bridge.codes import (
+    LADDER_STATES,
+    OBSERVED_SIGNALS,
+    TRIP_BITS,
+    ObservedSignal,
+    trip_thresholds,
+    tripped_names,
+)
 from haptether.bridge.devices.find import (
     GRIPPERS,
     MASTERS,
@@ -275,6 +282,7 @@ __all__ = [
     "simulate",
     "sweep",
     "sweep_to_file",
+    "trip_thresholds",
     "tripped_names",
     "unusual_numbers",
     "wipe_key",

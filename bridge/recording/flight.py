@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import json
 
-from haptether.bridge.codes import LADDER_STATES, OBSERVED_SIGNALS, TRIP_BITS, tripped_names
+from haptether.bridge.codes import LADDER_STATES, OBSERVED_SIGNALS, TRIP_BITS, trip_thresholds, tripped_names
 from haptether.bridge.flight import SCHEMA, Flight, FlightCause, Intervention, Tick, Transition, Trip, read_flight
 from haptether.bridge.recording.read import Recording, read_recording
 
@@ -121,11 +121,7 @@ def _thresholds(recording: Recording) -> dict[str, float]:
     """Return the trip threshold of each controller; empty without a scene."""
     if not recording.scene:
         return {}
-    safety = json.decode(recording.scene).get("safety") or {}
-    named = {"hsc": safety.get("grasp_threshold"), "wsc": safety.get("energy_threshold_j")}
-    return {"vfc": 1.0, "pc": 0.0} | {
-        name: float(value) for name, value in named.items() if isinstance(value, int | float)
-    }
+    return trip_thresholds(json.decode(recording.scene).get("safety") or {})
 
 
 def _ticks(recording: Recording, time_s: npt.NDArray[np.float64], end: int) -> list[Tick]:

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from haptether.safety import ControllerName
 
 __all__ = [
+    "CANCELLING",
     "CONTROLLERS",
     "ESTIMATORS",
     "LADDER_STATES",
@@ -114,6 +115,8 @@ CONTROLLERS: tuple[tuple[str, str, str], ...]
 """Name, title and source of each safety controller, in the order of the bits of `tripped`."""
 TRIP_BITS: tuple[tuple[str, int], ...]
 """Controllers by name, and "held", with their bits in `tripped`."""
+CANCELLING: tuple[str, ...]
+"""Controllers whose intervention takes the rendered force away; the others add a force."""
 OBSERVED: tuple[tuple[str, str, str], ...]
 """Each controller's name, the signal of its observer, and that signal's symbol with unit."""
 LADDER_STATES: tuple[str, ...]
@@ -647,6 +650,10 @@ class SafetySettings:
         probe_threshold: float = 0.2,
         release_tries: int = 0,
     ) -> SafetySettings: ...
+    @property
+    def thresholds(self) -> dict[str, float]:
+        """Threshold of each controller's observer by the controller's name; positive: it trips above, else below."""
+
     def __eq__(self, other: object, /) -> bool: ...
 
 @final

@@ -36,6 +36,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PySafetyController>()?;
     module.add_class::<controller::PyIntervention>()?;
     module.add_class::<controller::PyInterventions>()?;
+    controller::add_observed(module)?;
     module.add_class::<PyLimiterSettings>()?;
     module.add_class::<limiter::PyLimiter>()?;
     module.add_class::<samples::PySampleBounds>()?;
@@ -59,6 +60,8 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
         .chain([("held", Tripped::HELD.bits()), ("research", Tripped::RESEARCH.bits())])
         .collect::<Vec<_>>();
     module.add("TRIP_BITS", PyTuple::new(module.py(), bits)?)?;
+    let cancelling = ControllerKind::cancelling().map(|kind| kind.about().name);
+    module.add("CANCELLING", PyTuple::new(module.py(), cancelling.collect::<Vec<_>>())?)?;
     let observed = ControllerKind::ALL.map(|kind| (kind.about().name, kind.observed()));
     let observed = observed.map(|(name, observed)| (name, observed.column, observed.symbol));
     module.add("OBSERVED", PyTuple::new(module.py(), observed)?)

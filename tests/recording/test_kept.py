@@ -9,7 +9,6 @@ import haptether
 from haptether.bridge import (
     LADDER_STATES,
     OBSERVED_SIGNALS,
-    TRIP_BITS,
     Recording,
     load_scene,
     read_recording,
@@ -106,11 +105,3 @@ def test_bits_and_signals_of_controllers_are_those_of_the_binary(controller: str
     assert set(tripped_names(bits)) <= {controller, "held"}
     for name, observed in OBSERVED_SIGNALS.items():
         assert np.isfinite(run.signals[observed.signal]).any() == (name == controller), name
-
-
-def test_figures_which_use_no_room_have_the_bits_and_states_of_the_binary() -> None:
-    from haptether.view.figures.run import LADDER, TRIPPED
-
-    assert {name: bit for bit, name in TRIPPED.items()} == TRIP_BITS
-    # Figures show "disengaged" as "apart".
-    assert LADDER[1:] == list(LADDER_STATES[1:])

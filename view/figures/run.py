@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from haptether import _core
 from haptether.view.figures.events import RunEvent, merged_events
 from haptether.view.figures.rotation import angle_apart, angle_from_first
 from haptether.view.style.colours import AXES, CONTROLLERS, HELD, SIGNALS, controller_look
@@ -23,9 +24,9 @@ if TYPE_CHECKING:
 Array = npt.NDArray[np.float64]
 Recorded = Mapping[str, npt.NDArray[Any]]
 
-LADDER = ["apart", "aligning", "engaged", "stale", "hold", "stop", "fault"]
-"""Ladder states by code."""
-TRIPPED = {1: "vfc", 2: "hsc", 4: "wsc", 8: "pc", 16: "held", 128: "research"}
+LADDER = ["apart", *_core.LADDER_STATES[1:]]
+"""Ladder states by code; readers know "disengaged" as "apart"."""
+TRIPPED = {bit: name for name, bit in _core.TRIP_BITS}
 """Controllers by bit."""
 NOTHING = 2e-3
 """Components below this fraction of the largest axis are not drawn."""

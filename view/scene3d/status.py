@@ -15,6 +15,7 @@ from haptether.bridge import (
     Scene,
     Signals,
     ladder_state_name,
+    trip_thresholds,
 )
 from haptether.bridge.scene.resolve import spec_of
 from haptether.view.scene3d.extent import is_joints
@@ -186,10 +187,8 @@ def _controllers(signals: Signals, scene: Scene | None) -> tuple[str, ...]:
 
 def _thresholds(scene: Scene | None) -> dict[str, float]:
     """Return the thresholds of the controllers; the paper's without a scene or for a display-only scene."""
-    if scene is None or (scene.master.device is None and scene.master.mass_kg is None):
-        return {"vfc": 1.0, "hsc": 1.5, "wsc": -0.03, "pc": 0.0}
-    safety = spec_of(scene)["safety"]
-    return {"vfc": 1.0, "hsc": safety["grasp_threshold"], "wsc": safety["energy_threshold_j"], "pc": 0.0}
+    is_shown_only = scene is None or (scene.master.device is None and scene.master.mass_kg is None)
+    return trip_thresholds({} if scene is None or is_shown_only else spec_of(scene)["safety"])
 
 
 def spans(time_s: npt.NDArray[np.float64], on: npt.NDArray[np.bool_]) -> list[tuple[float, float]]:

@@ -4,17 +4,24 @@ Source: M. Okabe, K. Ito, "Color Universal Design", 2008. Lines also differ in t
 """
 
 from collections.abc import Iterable
+from itertools import chain
 from typing import Any
 
+from haptether import _core
 from haptether.view.scene3d.colours import COMMANDED, DEVICE_FORCE, ENVIRONMENT_FORCE, HAND_FORCE
 
-CONTROLLERS = {
+LOOKS: tuple[tuple[str, Any], ...] = (
+    ("#e69f00", "-."),
+    ("#0072b2", "--"),
+    ("#009e73", "-"),
+    ("#cc79a7", (0, (5, 1, 1, 1, 1, 1))),
+)
+"""Colours and dashes of the first controllers of the registry; further ones repeat the colours, dotted."""
+CONTROLLERS: dict[str, tuple[str, Any]] = {
     "none": ("#d55e00", "-"),
-    "vfc": ("#e69f00", "-."),
-    "hsc": ("#0072b2", "--"),
-    "wsc": ("#009e73", "-"),
-    "pc": ("#cc79a7", (0, (5, 1, 1, 1, 1, 1))),
-}
+    **dict(zip((name for name, _, _ in _core.CONTROLLERS),
+               chain(LOOKS, ((colour, (0, (1, 2))) for colour, _ in LOOKS)), strict=False)),
+}  # fmt: skip
 """Colour and dashes of each controller, and of a run without one."""
 UNION = "#56b4e9"
 """Colour of several controllers at once; the dashes identify them."""

@@ -19,6 +19,7 @@ from haptether.bridge import (
     TelemetryLost,
     TelemetryMessage,
     TelemetrySample,
+    trip_thresholds,
     tripped_names,
 )
 
@@ -179,12 +180,7 @@ class SideState:
     def observers(self) -> list[Observer]:
         """Return the controllers of the scene, or without a scene those that observe."""
         safety = (self.hello.scene or {}).get("safety") or {}
-        thresholds = {
-            "vfc": 1.0,
-            "hsc": safety.get("grasp_threshold"),
-            "wsc": safety.get("energy_threshold_j"),
-            "pc": 0.0,
-        }
+        thresholds = trip_thresholds(safety)
         armed = safety.get("controllers")
         bits = self._bits("tripped") | self._bits("rotation_tripped")
         found = []
@@ -193,7 +189,7 @@ class SideState:
             extremes = self.extremes(signal)
             if signal not in self.kinds or (extremes is None if armed is None else name not in armed):
                 continue
-            above = name in {"vfc", "hsc"}
+            above = thresholds[name] > 0.0
             found.append(
                 Observer(
                     controller=name,

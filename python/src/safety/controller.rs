@@ -7,7 +7,11 @@ use haptether_safety::{
         SafetySettings,
     },
 };
-use pyo3::{exceptions::PyValueError, prelude::*};
+use pyo3::{
+    exceptions::PyValueError,
+    prelude::*,
+    types::{IntoPyDict, PyCFunction, PyDict, PyTuple},
+};
 
 use super::{
     device::{AnyDevice, PyDeviceModel},
@@ -82,6 +86,11 @@ impl PySafetySettings {
         Ok(Self { inner: settings })
     }
 
+    #[getter]
+    fn thresholds<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        ControllerKind::ALL.map(|kind| (kind.about().name, kind.threshold(&self.inner))).into_py_dict(py)
+    }
+
     fn __repr__(&self) -> String {
         format!("{:?}", self.inner)
     }
@@ -112,28 +121,54 @@ pub(super) fn fault_message(code: u8) -> Option<String> {
     Fault::from_code(code).map(|fault| fault.to_string())
 }
 
-#[pyclass(name = "Intervention", module = "haptether.safety", frozen, get_all)]
+#[pyclass(name = "Intervention", module = "haptether.safety", frozen)]
 pub(crate) struct PyIntervention {
+    #[pyo3(get)]
     safety_force: Py<PyAny>,
+    #[pyo3(get)]
     device_force: Py<PyAny>,
+    #[pyo3(get)]
     tripped: u8,
+    #[pyo3(get)]
     fault: u8,
-    velocity_force: f64,
-    grasp: f64,
-    windowed_energy_j: f64,
-    energy_j: f64,
+    observed: PerController<f64>,
 }
 
-#[pyclass(name = "Interventions", module = "haptether.safety", frozen, get_all)]
+#[pyclass(name = "Interventions", module = "haptether.safety", frozen)]
 pub(crate) struct PyInterventions {
+    #[pyo3(get)]
     safety_force: Py<PyAny>,
+    #[pyo3(get)]
     device_force: Py<PyAny>,
+    #[pyo3(get)]
     tripped: Py<PyAny>,
+    #[pyo3(get)]
     fault: Py<PyAny>,
-    velocity_force: Option<Py<PyAny>>,
-    grasp: Option<Py<PyAny>>,
-    windowed_energy_j: Option<Py<PyAny>>,
-    energy_j: Option<Py<PyAny>>,
+    observed: PerController<Option<Py<PyAny>>>,
+}
+
+/// Add a property for each observer of the registry to `Intervention` and `Interventions`.
+pub(super) fn add_observed(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    let py = module.py();
+    let property = py.import("builtins")?.getattr("property")?;
+    for kind in ControllerKind::ALL {
+        let of_tick = move |of: &Bound<'_, PyTuple>, _: Option<&Bound<'_, PyDict>>| -> PyResult<f64> {
+            Ok(of.get_item(0)?.cast::<PyIntervention>()?.get().observed[kind])
+        };
+        let of_run =
+            move |of: &Bound<'_, PyTuple>, _: Option<&Bound<'_, PyDict>>| -> PyResult<Option<Py<PyAny>>> {
+                let given = of.get_item(0)?;
+                let values = &given.cast::<PyInterventions>()?.get().observed[kind];
+                Ok(values.as_ref().map(|values| values.clone_ref(of.py())))
+            };
+        for (class, getter) in [
+            (py.get_type::<PyIntervention>(), PyCFunction::new_closure(py, None, None, of_tick)?),
+            (py.get_type::<PyInterventions>(), PyCFunction::new_closure(py, None, None, of_run)?),
+        ] {
+            class.setattr(kind.observed().column, property.call1((getter,))?)?;
+        }
+    }
+    Ok(())
 }
 
 #[pymethods]
@@ -175,10 +210,7 @@ impl PySafetyController {
                 device_force: sample_out(py, &(rendered + step.safety_force)),
                 tripped: step.tripped.bits(),
                 fault,
-                velocity_force: step.observed[ControllerKind::Vfc],
-                grasp: step.observed[ControllerKind::Hsc],
-                windowed_energy_j: step.observed[ControllerKind::Wsc],
-                energy_j: step.observed[ControllerKind::Pc],
+                observed: step.observed,
             })
         })
     }
@@ -223,16 +255,12 @@ impl PySafetyController {
                 }
             });
         });
-        let mut column_of = |kind: ControllerKind| observed[kind].take().map(|values| column(py, values));
         Ok(PyInterventions {
             safety_force: seen.velocity.shaped(py, safety)?,
             device_force: seen.velocity.shaped(py, device)?,
             tripped: column(py, tripped),
             fault: column(py, faults),
-            velocity_force: column_of(ControllerKind::Vfc),
-            grasp: column_of(ControllerKind::Hsc),
-            windowed_energy_j: column_of(ControllerKind::Wsc),
-            energy_j: column_of(ControllerKind::Pc),
+            observed: PerController(observed.0.map(|values| values.map(|values| column(py, values)))),
         })
     }
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from haptether.cli.shared.screen import Screen
     from haptether.studies import LinkSummary, PushResult
 
-Controller = Literal["none", "vfc", "hsc", "wsc"]
+Controller = Literal["none", "vfc", "hsc", "wsc", "pc"]
 
 ALONE_S = 0.2
 """A slave that ends at most this long before the master has ended with it, in s."""
@@ -49,15 +49,11 @@ class Master(LiveOptions):
     peer: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
     """Address of the slave, or of netsim before it."""
     controller: Controller = "wsc"
-    """Safety controller: velocity and force (vfc), windowed energy (wsc), grasp (hsc), or none. One of your own runs
-    in `simulate`, `sweep` and `evaluate` only: docs/own_controller.md."""
+    """Safety controller: velocity and force (vfc), grasp (hsc), windowed energy (wsc), passivity (pc), or none. One of
+    your own runs in `simulate`, `sweep` and `evaluate` only: docs/own_controller.md."""
     listen: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
     """Own address, of the peer's kind (IPv4 or IPv6). By default that of the route to the peer, which is loopback for a
     peer on this machine, with a free port; 0.0.0.0:0 where the route may change during the run."""
-    key: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Key file of the secure session, the same at both sides; `haptether keygen` makes one."""
-    insecure: bool = False
-    """Go without a key: frames travel in the clear, and anybody who can send can steer."""
     depth: float = 0.045
     """Depth in m of the hand's target inside the wall."""
     release_at_s: float | None = None
@@ -70,8 +66,6 @@ class Master(LiveOptions):
     """Pressed at the start and held (once), open until somebody presses it (open), or worked by a simulated person who
     presses again 0.5 s after a hold (auto). A scene's "auto" counts only with --clutch auto, also for a device with a
     driver; otherwise only its button or SIGUSR1 presses the clutch."""
-    flight: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Write the last states and commands at a stop, at a fault and at the end; `haptether explain` prints them."""
     duration_s: float | None = None
     """End this long after the first engagement, in s; without it, run until Ctrl-C."""
     patience_s: float = 10.0
@@ -79,8 +73,6 @@ class Master(LiveOptions):
     keep_s: float | None = None
     """Time in s at the end of the run that figures and trace hold; its memory is taken at the start. By default 600 s
     with --trace, else 16 MiB: 87 s along one axis, 24 s of poses."""
-    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Write the result as JSON at the end; - for standard output."""
     trace: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write the ticks of the last --keep-s as NumPy arrays (.npz)."""
 

@@ -21,8 +21,12 @@ TRACE_S = 600.0
 
 @dataclass(frozen=True, kw_only=True)
 class LiveOptions(FileOptions):
-    """Options of scene, real time and recording."""
+    """Options of both sides: session, scene, real time and files."""
 
+    key: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Key file of the secure session, the same at both sides; `haptether keygen` makes one."""
+    insecure: bool = False
+    """Go without a key: frames travel in the clear, and anybody who can send can steer."""
     scene: Annotated[str | None, tyro.conf.arg(metavar="SCENE")] = None
     """Take everything but the network from a scene, the same at both sides, and drive its devices."""
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")] = ()
@@ -40,6 +44,10 @@ class LiveOptions(FileOptions):
     counted."""
     min_free_bytes: Annotated[int, tyro.conf.arg(metavar="N")] = 1_000_000_000
     """End only the recording when fewer free bytes than this are left on its disk."""
+    flight: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write the last states and commands at a stop, at a fault and at the end; `haptether explain` prints them."""
+    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Write the result as JSON at the end; - for standard output."""
     telemetry: Annotated[Path | None, tyro.conf.arg(metavar="PATH|none")] = None
     """Send samples and events to readers at a Unix socket of this path, or nowhere (none); by default in the user's
     folder of running sides, where `haptether watch` finds it. See docs/telemetry.md."""

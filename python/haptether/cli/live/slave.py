@@ -1,7 +1,6 @@
 """`haptether slave`."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -37,10 +36,6 @@ class Slave(LiveOptions):
 
     listen: Annotated[str, tyro.conf.arg(metavar="HOST:PORT")]
     """Address to listen on; answers go to the source of the master's frames."""
-    key: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Key file of the secure session, the same at both sides; `haptether keygen` makes one."""
-    insecure: bool = False
-    """Go without a key: frames travel in the clear, and anybody who can send can steer."""
     wall_stiffness: float = 100.0
     """Stiffness of the wall in N/m."""
     push_at_s: float | None = None
@@ -54,13 +49,9 @@ class Slave(LiveOptions):
     count: --patience-s bounds it."""
     patience_s: float | None = None
     """Give up if no master has come after this time in s; without it, wait for one."""
-    flight: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Write the last states and commands at a stop, at a fault and at the end; `haptether explain` prints them."""
     keep_s: float | None = None
     """Time in s at the end of the run that the figures hold; its memory is taken at the start. By default 16 MiB: 174 s
     along one axis, 72 s of poses."""
-    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Write the result as JSON at the end; - for standard output."""
 
     def run(self) -> int:
         """Run until it is stopped."""

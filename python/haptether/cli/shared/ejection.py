@@ -6,10 +6,14 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from haptether.bridge import Scene
-    from haptether.safety import EjectionBound
+    from haptether.safety import EjectionBound, EjectionSettings
 
-CANCELLING = frozenset({"vfc", "hsc", "wsc"})
-"""Controllers whose intervention removes the force."""
+
+def cancels(settings: "EjectionSettings") -> bool:
+    """True if an intervention of any controller takes the force away."""
+    from haptether._core import CANCELLING
+
+    return not set(CANCELLING).isdisjoint(settings.controllers)
 
 
 def scene_bound(scene: "Scene", free_s: float | None = None) -> "EjectionBound | None":
@@ -34,7 +38,7 @@ def _is_of_joints(scene: "Scene") -> bool:
 def release_line(scene: "Scene") -> str | None:
     """Return the line that names how the force returns after a trip without a probe for a hand; None with a probe."""
     settings = scene.ejection_settings()
-    if not CANCELLING.intersection(settings.controllers) or settings.probe_force_n > 0.0:
+    if not cancels(settings) or settings.probe_force_n > 0.0:
         return None
     unit = "N m" if _is_of_joints(scene) else "N"
     if scene.safety.probe_force_n is not None:
@@ -65,7 +69,7 @@ def force_returns_by(scene: "Scene") -> str:
 def release_law(scene: "Scene") -> dict[str, object] | None:
     """Return how the force returns after a trip, for machines; None without a controller that removes it."""
     settings = scene.ejection_settings()
-    if not CANCELLING.intersection(settings.controllers):
+    if not cancels(settings):
         return None
     return {
         "probe_force": settings.probe_force_n,
