@@ -62,26 +62,4 @@ __all__ = [
 
 if not TYPE_CHECKING:  # otherwise a type checker would accept any name
     # Without a UR arm NumPy is not loaded.
-    __getattr__, __dir__ = lazy_names(
-        __name__,
-        {
-            "robotiq.driver": ("RobotiqGripper",),
-            "robotiq.models": ("ROBOTIQ_MODELS", "RobotiqModel"),
-            "robotiq.options": ("RobotiqOptions",),
-            "ur.driver": ("UrSlave",),
-            "ur.kinematics.arm": ("Rates", "UrKinematics"),
-            "ur.kinematics.chain": ("UrCalibration", "read_calibration"),
-            "ur.kinematics.constraints": (
-                "SelfKeepOut",
-                "StreamingCost",
-                "StreamingLimits",
-                "WorkspacePlane",
-                "model_limits",
-            ),
-            "ur.kinematics.inverse": ("UrInverse",),
-            "ur.kinematics.models": ("UR_MODELS", "UrModel", "WrenchSensor", "ur_model"),
-            "ur.kinematics.quadratic": ("QuadraticProgram",),
-            "ur.kinematics.streaming": ("UrStreaming",),
-            "ur.options": ("UrOptions",),
-        },
-    )
+    __getattr__, __dir__ = lazy_names(__name__)

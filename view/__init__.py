@@ -29,12 +29,4 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:  # otherwise a type checker would accept any name
-    __getattr__, __dir__ = lazy_names(
-        __name__,
-        {
-            "scene3d.description": ("Description", "Moment", "NothingRecordedError", "describe", "describe_beside"),
-            "scene3d.live": ("LiveDescription",),
-            "terminal.panel": ("headline", "panel"),
-            "terminal.state": ("Observer", "SideState"),
-        },
-    )
+    __getattr__, __dir__ = lazy_names(__name__)

@@ -2,17 +2,13 @@
 
 from typing import TYPE_CHECKING
 
+from haptether.lazy_names import lazy_names
+
 if TYPE_CHECKING:
     from haptether.master.inverse3.driver import Inverse3
 
 __all__ = ["Inverse3"]
 
-
-def __getattr__(name: str) -> object:
+if not TYPE_CHECKING:  # otherwise a type checker would accept any name
     # The emulator must not load the driver.
-    if name == "Inverse3":
-        from haptether.master.inverse3.driver import Inverse3  # noqa: PLC0415
-
-        return Inverse3
-    message = f"module {__name__!r} has no attribute {name!r}"
-    raise AttributeError(message)
+    __getattr__, __dir__ = lazy_names(__name__)

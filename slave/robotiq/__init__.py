@@ -2,17 +2,13 @@
 
 from typing import TYPE_CHECKING
 
+from haptether.lazy_names import lazy_names
+
 if TYPE_CHECKING:
     from haptether.slave.robotiq.driver import RobotiqGripper
 
 __all__ = ["RobotiqGripper"]
 
-
-def __getattr__(name: str) -> object:
+if not TYPE_CHECKING:  # otherwise a type checker would accept any name
     # Users of the models only, such as the emulator, must not load the driver.
-    if name == "RobotiqGripper":
-        from haptether.slave.robotiq.driver import RobotiqGripper  # noqa: PLC0415
-
-        return RobotiqGripper
-    message = f"module {__name__!r} has no attribute {name!r}"
-    raise AttributeError(message)
+    __getattr__, __dir__ = lazy_names(__name__)

@@ -2,6 +2,8 @@
 
 from typing import TYPE_CHECKING
 
+from haptether.lazy_names import lazy_names
+
 if TYPE_CHECKING:
     from haptether.slave.ur_emulator.connections import Faults
     from haptether.slave.ur_emulator.control import ControlLine
@@ -11,21 +13,6 @@ if TYPE_CHECKING:
     from haptether.slave.ur_emulator.robot.safety import SafetyLimits
     from haptether.slave.ur_emulator.rtde.variables import ControllerVersion
     from haptether.slave.ur_emulator.server import Server
-
-_MODULES = {
-    "ControlLine": "control",
-    "Controller": "controller",
-    "ControllerSettings": "controller",
-    "ControllerVersion": "rtde.variables",
-    "EmulatedGripper": "gripper.gripper",
-    "Faults": "connections",
-    "GrippedObject": "gripper.gripper",
-    "GripperSettings": "gripper.gripper",
-    "SafetyLimits": "robot.safety",
-    "Server": "server",
-    "ToolEnvironment": "robot.contact",
-    "WrenchSensing": "robot.contact",
-}
 
 __all__ = [
     "ControlLine",
@@ -42,12 +29,6 @@ __all__ = [
     "WrenchSensing",
 ]
 
-
-def __getattr__(name: str) -> object:
+if not TYPE_CHECKING:  # otherwise a type checker would accept any name
     # Most of these modules import CasADi, which is slow.
-    if name in _MODULES:
-        from importlib import import_module  # noqa: PLC0415
-
-        return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
-    message = f"module {__name__!r} has no attribute {name!r}"
-    raise AttributeError(message)
+    __getattr__, __dir__ = lazy_names(__name__)

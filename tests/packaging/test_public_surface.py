@@ -193,3 +193,30 @@ except SystemExit as end:
 assert not status, status
 """
     assert heavy_modules(program) == ""
+
+
+def test_names_that_load_on_first_use_are_those_that_type_checkers_see(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    package = tmp_path / "lazy_package"
+    package.mkdir()
+    (package / "__init__.py").write_text(
+        "from typing import TYPE_CHECKING\n"
+        "from haptether.lazy_names import lazy_names\n"
+        "if TYPE_CHECKING:\n"
+        "    from lazy_package.sound import first, second\n"
+        "    from lazy_package.broken import third\n"
+        "if not TYPE_CHECKING:\n"
+        "    __getattr__, __dir__ = lazy_names(__name__)\n"
+    )
+    (package / "sound.py").write_text("first, second = 1, 2\n")
+    (package / "broken.py").write_text("import sys\nthird = sys.no_such_name\n")
+    lazy = importlib.import_module("lazy_package")
+    assert "lazy_package.sound" not in sys.modules
+    assert {"first", "second", "third"} <= set(dir(lazy))
+    assert (lazy.second, vars(lazy)["second"]) == (2, 2)
+    with pytest.raises(AttributeError, match="'lazy_package' has no attribute 'fourth'"):
+        _ = lazy.fourth
+    with pytest.raises(ImportError, match=r"lazy_package\.broken cannot be loaded: module 'sys' has no"):
+        _ = lazy.third
