@@ -1,11 +1,11 @@
 """Control line of the emulated bus: one-line commands with one-line answers."""
 
 import json
-import math
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from haptether.control_line import CommandLine, numbers, refuse, whole
 from haptether.dynamixel.emulator.joint import HeldBy
 from haptether.dynamixel.emulator.servo import HardwareError
 from haptether.input_file import read_text
@@ -24,13 +24,12 @@ MAX_STOP_RAD: Final = 1000.0
 MAX_PATH_BYTES: Final = 1 << 22
 MAX_LINE: Final = 1 << 12
 """Longest line of a path file that is read."""
-MAX_COUNT: Final = 1_000_000
 MAX_DURATION_S: Final = 3600.0
 SHOWN_LINES: Final = 20
 """Default number of log lines shown."""
 
 
-class ControlLine:
+class ControlLine(CommandLine):
     """Commands of an operator or a test to the emulator.
 
     Args:
@@ -43,48 +42,28 @@ class ControlLine:
         self._bus = bus
         self._process = process
         self._made = made
-        self.quit = False
-        """True if the process must end."""
-        self._commands: dict[str, Callable[[list[str], float], str | None]] = {
-            "help": lambda _a, _t: " ".join(sorted(self._commands)),
-            "status": lambda _a, now_s: json.dumps(self.status(now_s)),
-            "log": self._log,
-            "quit": self._quit,
-            "reset": self._reset,
-            "drop": self._fault("drop"),
-            "corrupt": self._fault("corrupt"),
-            "mute": self._fault("mute"),
-            "silent": self._silent,
-            "unplug": self._unplug,
-            "plug": self._plug,
-            "brown-out": self._brown_out,
-            "hardware-error": self._hardware_error,
-            "voltage": self._voltage,
-            "temperature": self._temperature,
-            "push": self._push,
-            "place": self._place,
-            "stops": self._stops,
-            "hand": self._hand,
-            "lead": self._lead,
-        }
-
-    def answer(self, line: str, now_s: float) -> str:
-        """Return the answer to a line: `ok`, `ok RESULT`, or `error: WHY`.
-
-        Args:
-            line: Command with its arguments.
-            now_s: Time of the process in s.
-        """
-        name, *arguments = line.split() or [""]
-        command = self._commands.get(name)
-        if command is None:
-            shown = repr(name) if name else "an empty line"
-            return f"error: {shown}: must be one of {' '.join(sorted(self._commands))}"
-        try:
-            result = command(arguments, now_s)
-        except (ValueError, OSError) as error:
-            return f"error: {name}: {error}"
-        return f"ok {result}" if result else "ok"
+        super().__init__(
+            {
+                "status": lambda _a, now_s: json.dumps(self.status(now_s)),
+                "log": self._log,
+                "reset": self._reset,
+                "drop": self._fault("drop"),
+                "corrupt": self._fault("corrupt"),
+                "mute": self._fault("mute"),
+                "silent": self._silent,
+                "unplug": self._unplug,
+                "plug": self._plug,
+                "brown-out": self._brown_out,
+                "hardware-error": self._hardware_error,
+                "voltage": self._voltage,
+                "temperature": self._temperature,
+                "push": self._push,
+                "place": self._place,
+                "stops": self._stops,
+                "hand": self._hand,
+                "lead": self._lead,
+            }
+        )
 
     def status(self, now_s: float) -> dict[str, Any]:
         """Return state and figures."""
@@ -92,27 +71,24 @@ class ControlLine:
         return {**self._bus.figures(), **(self._process.figures() if self._process is not None else {})}
 
     def _log(self, arguments: list[str], _now_s: float) -> str:
-        return json.dumps(list(self._bus.log)[-_count(arguments, SHOWN_LINES) :])
-
-    def _quit(self, _arguments: list[str], _now_s: float) -> None:
-        self.quit = True
+        return json.dumps(list(self._bus.log)[-whole(arguments, SHOWN_LINES) :])
 
     def _reset(self, _arguments: list[str], _now_s: float) -> None:
         if self._made is None:
-            _refuse("the bus cannot be made a second time")
+            refuse("the bus cannot be made a second time")
         else:
             self._bus = self._server.bus = self._made()
 
     def _fault(self, name: str) -> "Callable[[list[str], float], None]":
         def set_fault(arguments: list[str], _now_s: float) -> None:
-            setattr(self._bus.faults, name, _count(arguments, 1, 0))
+            setattr(self._bus.faults, name, whole(arguments, 1, 0))
 
         return set_fault
 
     def _silent(self, arguments: list[str], _now_s: float) -> None:
         servo = self._servo(arguments)
         if arguments[1:] not in (["on"], ["off"]):
-            _refuse("must be an id, and on or off")
+            refuse("must be an id, and on or off")
         servo.silent = arguments[1] == "on"
 
     def _unplug(self, _arguments: list[str], _now_s: float) -> None:
@@ -122,45 +98,45 @@ class ControlLine:
         return self._server.plug()
 
     def _brown_out(self, arguments: list[str], now_s: float) -> None:
-        (duration_s,) = _numbers(arguments, 1)
+        (duration_s,) = numbers(arguments, 1)
         if not 0.0 <= duration_s <= MAX_DURATION_S:
-            _refuse(f"{duration_s:g}: must be 0 to {MAX_DURATION_S:g} s")
+            refuse(f"{duration_s:g}: must be 0 to {MAX_DURATION_S:g} s")
         self._bus.brown_out(duration_s, now_s)
 
     def _hardware_error(self, arguments: list[str], _now_s: float) -> None:
         servo = self._servo(arguments)
         names = {error.name.lower().replace("_", "-"): error for error in HardwareError if error.name}
         if len(arguments) != 2 or arguments[1] not in names:
-            _refuse(f"must be an id and one of {' '.join(names)}")
+            refuse(f"must be an id and one of {' '.join(names)}")
         servo.fail(names[arguments[1]])
 
     def _voltage(self, arguments: list[str], _now_s: float) -> None:
-        (voltage_v,) = _numbers(arguments[:1], 1)
+        (voltage_v,) = numbers(arguments[:1], 1)
         if not 0.0 <= voltage_v <= 100.0:
-            _refuse(f"{voltage_v:g}: must be 0 to 100 V")
+            refuse(f"{voltage_v:g}: must be 0 to 100 V")
         for servo in [self._servo(arguments[1:])] if arguments[1:] else self._bus.servos:
             servo.voltage_v = voltage_v
 
     def _temperature(self, arguments: list[str], _now_s: float) -> None:
         servo = self._servo(arguments)
-        (temperature_c,) = _numbers(arguments[1:], 1)
+        (temperature_c,) = numbers(arguments[1:], 1)
         if not 0.0 <= temperature_c <= 255.0:
-            _refuse(f"{temperature_c:g}: must be 0 to 255 degC")
+            refuse(f"{temperature_c:g}: must be 0 to 255 degC")
         servo.temperature_c = temperature_c
 
     def _push(self, arguments: list[str], now_s: float) -> None:
         servo = self._servo(arguments)
-        (torque_nm,) = _numbers(arguments[1:], 1)
+        (torque_nm,) = numbers(arguments[1:], 1)
         if abs(torque_nm) > MAX_TORQUE_NM:
-            _refuse(f"{torque_nm:g}: must be at most {MAX_TORQUE_NM:g} N m")
+            refuse(f"{torque_nm:g}: must be at most {MAX_TORQUE_NM:g} N m")
         servo.advance(now_s)
         servo.joint.pushed_nm = torque_nm
 
     def _place(self, arguments: list[str], now_s: float) -> None:
         servo = self._servo(arguments)
-        (position_rad,) = _numbers(arguments[1:], 1)
+        (position_rad,) = numbers(arguments[1:], 1)
         if abs(position_rad) > 1000.0:
-            _refuse(f"{position_rad:g}: must be at most 1000 rad")
+            refuse(f"{position_rad:g}: must be at most 1000 rad")
         servo.advance(now_s)
         servo.joint.position_rad, servo.joint.velocity_rad_s = position_rad, 0.0
         servo.advance(now_s)
@@ -181,13 +157,13 @@ class ControlLine:
             servo.joint.hand = None
             return
         given = [*arguments[1:], "0"] if len(arguments) == 4 else arguments[1:]
-        goal_rad, stiffness, damping, duration_s = _numbers(given, 4)
+        goal_rad, stiffness, damping, duration_s = numbers(given, 4)
         if abs(goal_rad) > 1000.0:
-            _refuse(f"{goal_rad:g}: must be at most 1000 rad")
+            refuse(f"{goal_rad:g}: must be at most 1000 rad")
         if not (0.0 <= stiffness <= MAX_STIFFNESS and 0.0 <= damping <= MAX_STIFFNESS):
-            _refuse(f"{stiffness:g} {damping:g}: stiffness and damping must be 0 to {MAX_STIFFNESS:g}")
+            refuse(f"{stiffness:g} {damping:g}: stiffness and damping must be 0 to {MAX_STIFFNESS:g}")
         if not 0.0 <= duration_s <= MAX_DURATION_S:
-            _refuse(f"{duration_s:g}: must be 0 to {MAX_DURATION_S:g} s")
+            refuse(f"{duration_s:g}: must be 0 to {MAX_DURATION_S:g} s")
         joint = servo.joint
         begun = joint.position_rad if joint.hand is None else joint.hand.place_rad(now_s)
         joint.hand = HeldBy(
@@ -197,13 +173,13 @@ class ControlLine:
 
     def _lead(self, arguments: list[str], now_s: float) -> None:
         if len(arguments) != 1:
-            _refuse("must be the path of a file")
+            refuse("must be the path of a file")
         times, places = _path(Path(arguments[0]))
         hands = {}
         for servo_id in places:
             joint = self._bus.servo(servo_id).joint
             if joint.hand is None:
-                _refuse(f"no hand holds servo {servo_id}: must be held first, by `hand`")
+                refuse(f"no hand holds servo {servo_id}: must be held first, by `hand`")
             hands[servo_id] = joint
         self._bus.advance(now_s)
         for servo_id, joint in hands.items():
@@ -222,7 +198,7 @@ class ControlLine:
 
     def _servo(self, arguments: list[str]) -> "Servo":
         if not arguments or not arguments[0].isdecimal():
-            _refuse("the first must be the id of a servo")
+            refuse("the first must be the id of a servo")
         return self._bus.servo(int(arguments[0][:6]))
 
 
@@ -232,24 +208,10 @@ def stops_of(ends: list[str]) -> tuple[float, float]:
     Raises:
         ValueError: The angles are invalid.
     """
-    low, high = sorted(_numbers(ends, 2))
+    low, high = sorted(numbers(ends, 2))
     if not (low < high and max(-low, high) <= MAX_STOP_RAD):
-        _refuse(f"{low:g} {high:g}: must be two angles within {MAX_STOP_RAD:g} rad")
+        refuse(f"{low:g} {high:g}: must be two angles within {MAX_STOP_RAD:g} rad")
     return low, high
-
-
-def _refuse(message: str) -> None:
-    raise ValueError(message)
-
-
-def _numbers(arguments: list[str], count: int) -> list[float]:
-    try:
-        numbers = [float(argument) for argument in arguments]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        _refuse(f"{' '.join(arguments)!r}: must be {count} finite number{'s' if count > 1 else ''}")
-    return numbers
 
 
 def _path(path: Path) -> tuple[tuple[float, ...], dict[int, tuple[float, ...]]]:
@@ -257,29 +219,20 @@ def _path(path: Path) -> tuple[tuple[float, ...], dict[int, tuple[float, ...]]]:
     try:
         text = read_text(path, MAX_PATH_BYTES)
     except ValueError as error:
-        _refuse(f"{path}: {error}")
+        refuse(f"{path}: {error}")
     header, *lines = text.replace('"', "").splitlines() or [""]
     first, *ids = header.split(",")
     if first != "time_s" or not ids or not all(one.isdecimal() for one in ids):
-        _refuse(f"{path}: its header must be time_s and ids of servos")
+        refuse(f"{path}: its header must be time_s and ids of servos")
     rows = []
     for number, line in enumerate(lines, start=2):
         try:
-            rows.append(_numbers(line[:MAX_LINE].split(","), 1 + len(ids)))
+            rows.append(numbers(line[:MAX_LINE].split(","), 1 + len(ids)))
         except ValueError as error:
-            _refuse(f"{path}: line {number}: {error}")
+            refuse(f"{path}: line {number}: {error}")
     times = tuple(row[0] - rows[0][0] for row in rows)
     if not rows or any(later <= earlier for earlier, later in pairwise(times)):
-        _refuse(f"{path}: its times must increase")
+        refuse(f"{path}: its times must increase")
     if any(abs(place) > 1000.0 for row in rows for place in row[1:]):
-        _refuse(f"{path}: its angles must be at most 1000 rad")
+        refuse(f"{path}: its angles must be at most 1000 rad")
     return times, {int(one): tuple(row[1 + at] for row in rows) for at, one in enumerate(ids)}
-
-
-def _count(arguments: list[str], default: int, least: int = 1) -> int:
-    if not arguments:
-        return default
-    (number,) = _numbers(arguments, 1)
-    if number != int(number) or not least <= number <= MAX_COUNT:
-        _refuse(f"{number:g}: must be a whole number, {least} to {MAX_COUNT}")
-    return int(number)

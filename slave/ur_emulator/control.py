@@ -5,6 +5,7 @@ import math
 import re
 from typing import TYPE_CHECKING, Any, Final
 
+from haptether.control_line import CommandLine, is_on, numbers, refuse, whole
 from haptether.slave.ur.state import SafetyMode
 from haptether.slave.ur_emulator.connections import KINDS
 from haptether.slave.ur_emulator.controller import START_UP_S
@@ -13,8 +14,6 @@ from haptether.slave.ur_emulator.robot.safety import MOVING_MODES
 from haptether.slave.ur_emulator.rtde.variables import REGISTERS, ControllerVersion
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from haptether.slave.ur_emulator.connections import Faults
     from haptether.slave.ur_emulator.controller import Controller
     from haptether.slave.ur_emulator.robot.contact import ToolEnvironment
@@ -26,7 +25,7 @@ SHOWN_LINES: Final = 20
 """Lines of the log if no number is given."""
 
 
-class ControlLine:
+class ControlLine(CommandLine):
     """Commands of an operator or a test to the emulator.
 
     Args:
@@ -47,67 +46,44 @@ class ControlLine:
         self._environment = environment
         self._faults = faults
         self._process = process
-        self.quit = False
-        """True if the process must end."""
-        self._commands: dict[str, Callable[[list[str], float], str | None]] = {
-            "help": lambda _a, _t: " ".join(sorted(self._commands)),
-            "status": lambda _a, _t: json.dumps(self._status()),
-            "log": self._log,
-            "quit": self._quit,
-            "reset": self._reset,
-            "forget-lateness": lambda _a, _t: self._process.reset_lateness() if self._process else None,
-            "push": self._push,
-            "engage": lambda _a, _t: self._environment.engage(),
-            "anchor": lambda _a, _t: self._environment.anchor(self._controller.robot.measured.pose[:3]),
-            "protective-stop": self._protective_stop,
-            "unlock": self._unlock,
-            "emergency-stop": lambda _a, _t: self._controller.safety.emergency_stop(self._controller.now_s),
-            "release-emergency-stop": self._release,
-            "safety-fault": lambda _a, _t: self._controller.safety.fault("on command", self._controller.now_s),
-            "stop-program": lambda _a, _t: self._controller.stop_program(),
-            "pause-program": lambda _a, _t: None if self._controller.pause() else _refuse("no program is playing"),
-            "play": lambda _a, _t: None if self._controller.play() else _refuse("no program is paused or loaded"),
-            "power": self._power,
-            "remote-control": self._remote_control,
-            "slider": self._slider,
-            "start-up": self._start_up,
-            "freeze": self._freeze,
-            "thaw": lambda _a, _t: self._faults.thaw(),
-            "late": self._late,
-            "drop": self._drop,
-            "refuse": self._refuse_connections,
-            "version": self._version,
-            "in-use": self._in_use,
-            "gripper-fault": self._gripper_fault,
-            "gripper-object": self._gripper_object,
-            "gripper-silent": self._gripper_silent,
-        }
-
-    def answer(self, line: str, now_s: float) -> str:
-        """Return the answer to a line: `ok`, `ok RESULT`, or `error: WHY`.
-
-        Args:
-            line: The command with its arguments.
-            now_s: Time of the process in s.
-        """
-        name, *arguments = line.split() or [""]
-        command = self._commands.get(name)
-        if command is None:
-            shown = repr(name) if name else "an empty line"
-            return f"error: {shown}: must be one of {' '.join(sorted(self._commands))}"
-        try:
-            result = command(arguments, now_s)
-        except ValueError as error:
-            return f"error: {name}: {error}"
-        return f"ok {result}" if result else "ok"
+        super().__init__(
+            {
+                "status": lambda _a, _t: json.dumps(self.status()),
+                "log": self._log,
+                "reset": self._reset,
+                "forget-lateness": lambda _a, _t: self._process.reset_lateness() if self._process else None,
+                "push": self._push,
+                "engage": lambda _a, _t: self._environment.engage(),
+                "anchor": lambda _a, _t: self._environment.anchor(self._controller.robot.measured.pose[:3]),
+                "protective-stop": self._protective_stop,
+                "unlock": self._unlock,
+                "emergency-stop": lambda _a, _t: self._controller.safety.emergency_stop(self._controller.now_s),
+                "release-emergency-stop": self._release,
+                "safety-fault": lambda _a, _t: self._controller.safety.fault("on command", self._controller.now_s),
+                "stop-program": lambda _a, _t: self._controller.stop_program(),
+                "pause-program": lambda _a, _t: None if self._controller.pause() else refuse("no program is playing"),
+                "play": lambda _a, _t: None if self._controller.play() else refuse("no program is paused or loaded"),
+                "power": self._power,
+                "remote-control": self._remote_control,
+                "slider": self._slider,
+                "start-up": self._start_up,
+                "freeze": self._freeze,
+                "thaw": lambda _a, _t: self._faults.thaw(),
+                "late": self._late,
+                "drop": self._drop,
+                "refuse": self._refuse_connections,
+                "version": self._version,
+                "in-use": self._in_use,
+                "gripper-fault": self._gripper_fault,
+                "gripper-object": self._gripper_object,
+                "gripper-silent": self._gripper_silent,
+            }
+        )
 
     # ------------------------------------------------------------------------------------------------- answers
 
-    def status_json(self) -> bytes:
-        """Return state and figures for the line `status`."""
-        return json.dumps(self._status(), indent=2).encode()
-
-    def _status(self) -> dict[str, Any]:
+    def status(self) -> dict[str, Any]:
+        """Return state and figures."""
         controller, measured = self._controller, self._controller.robot.measured
         return {
             "model": controller.settings.model.name,
@@ -135,13 +111,7 @@ class ControlLine:
         }
 
     def _log(self, arguments: list[str], _now_s: float) -> str:
-        (count,) = _numbers(arguments or [str(SHOWN_LINES)], 1)
-        if count < 1.0 or count != int(count):
-            _refuse(f"{count:g}: must be a whole number of lines, 1 or more")
-        return json.dumps(list(self._controller.log)[-int(count) :])
-
-    def _quit(self, _arguments: list[str], _now_s: float) -> None:
-        self.quit = True
+        return json.dumps(list(self._controller.log)[-whole(arguments, SHOWN_LINES) :])
 
     def _reset(self, _arguments: list[str], _now_s: float) -> None:
         self._environment.reset()
@@ -153,11 +123,11 @@ class ControlLine:
 
     def _push(self, arguments: list[str], _now_s: float) -> None:
         if not 1 <= len(arguments) <= 2:
-            _refuse("must be FX or FX,FY,FZ in N, and for how long in s")
+            refuse("must be FX or FX,FY,FZ in N, and for how long in s")
         parts = arguments[0].split(",")
-        force = [*_numbers(parts, len(parts)), 0.0, 0.0][:3]
+        force = [*numbers(parts, len(parts)), 0.0, 0.0][:3]
         if len(parts) not in {1, 3} or max(map(abs, force)) > MAX_FORCE_N:
-            _refuse(f"force {arguments[0]}: must be one or three numbers of at most {MAX_FORCE_N:g} N")
+            refuse(f"force {arguments[0]}: must be one or three numbers of at most {MAX_FORCE_N:g} N")
         duration_s = _positive(arguments[1:], math.inf)
         self._environment.push((force[0], force[1], force[2]), duration_s)
 
@@ -167,15 +137,15 @@ class ControlLine:
     def _unlock(self, _arguments: list[str], _now_s: float) -> str:
         safety = self._controller.safety
         if safety.mode != SafetyMode.PROTECTIVE_STOP:
-            _refuse(f"is in no protective stop but in {safety.mode.name}")
+            refuse(f"is in no protective stop but in {safety.mode.name}")
         answer = safety.unlock(self._controller.now_s)
         if safety.mode == SafetyMode.PROTECTIVE_STOP:
-            _refuse(answer)
+            refuse(answer)
         return answer
 
     def _release(self, _arguments: list[str], _now_s: float) -> None:
         if not self._controller.safety.release_emergency_stop():
-            _refuse("is not pressed")
+            refuse("is not pressed")
 
     def _power(self, arguments: list[str], _now_s: float) -> None:
         safety = self._controller.safety
@@ -183,24 +153,24 @@ class ControlLine:
             safety.power_off()
         elif arguments == ["on"]:
             if safety.mode not in MOVING_MODES:
-                _refuse(f"is in {safety.mode.name}: that must end first")
+                refuse(f"is in {safety.mode.name}: that must end first")
             safety.release_brakes(self._controller.now_s)
         else:
-            _refuse("must be on (with the brakes released) or off")
+            refuse("must be on (with the brakes released) or off")
 
     def _remote_control(self, arguments: list[str], _now_s: float) -> None:
-        self._controller.remote_control = _switch(arguments)
+        self._controller.remote_control = is_on(arguments)
 
     def _slider(self, arguments: list[str], _now_s: float) -> None:
-        (fraction,) = _numbers(arguments, 1)
+        (fraction,) = numbers(arguments, 1)
         if not 0.0 <= fraction <= 1.0:
-            _refuse(f"{arguments[0]}: must be between 0 and 1")
+            refuse(f"{arguments[0]}: must be between 0 and 1")
         self._controller.client_settings.slider = fraction
 
     def _start_up(self, arguments: list[str], _now_s: float) -> None:
         start_up_s = _positive(arguments, START_UP_S)
         if start_up_s > MAX_START_UP_S:
-            _refuse(f"{start_up_s:g}: must be at most {MAX_START_UP_S:g} s")
+            refuse(f"{start_up_s:g}: must be at most {MAX_START_UP_S:g} s")
         self._controller.start_up_s = start_up_s
 
     # ------------------------------------------------------------------------------------------------- network
@@ -209,32 +179,32 @@ class ControlLine:
         self._faults.freeze(now_s, _positive(arguments, math.inf))
 
     def _late(self, arguments: list[str], _now_s: float) -> None:
-        late_s, jitter_s = _numbers(([*arguments, "0"])[:2] if len(arguments) == 1 else arguments, 2)
+        late_s, jitter_s = numbers(([*arguments, "0"])[:2] if len(arguments) == 1 else arguments, 2)
         if not (0.0 <= late_s <= 60.0 and 0.0 <= jitter_s <= 60.0):
-            _refuse("must be between 0 and 60 s")
+            refuse("must be between 0 and 60 s")
         self._faults.late_s, self._faults.jitter_s = late_s, jitter_s
 
     def _drop(self, arguments: list[str], _now_s: float) -> None:
         kinds = KINDS if not arguments or arguments == ["all"] else set(arguments)
         if not kinds <= KINDS:
-            _refuse(f"must be all or some of {' '.join(sorted(KINDS))}")
+            refuse(f"must be all or some of {' '.join(sorted(KINDS))}")
         self._faults.dropping |= kinds
 
     def _refuse_connections(self, arguments: list[str], _now_s: float) -> None:
-        self._faults.refusing = _switch(arguments)
+        self._faults.refusing = is_on(arguments)
 
     def _version(self, arguments: list[str], _now_s: float) -> None:
         if arguments == ["real"]:
             self._controller.claimed_version = None
             return
-        numbers = arguments[0].split(".") if len(arguments) == 1 else []
-        if not (2 <= len(numbers) <= 4 and all(re.fullmatch(r"[0-9]{1,9}", part) for part in numbers)):
-            _refuse("must be real, or like 5.8 or 5.8.0.10253")
-        self._controller.claimed_version = ControllerVersion(*map(int, numbers))
+        parts = arguments[0].split(".") if len(arguments) == 1 else []
+        if not (2 <= len(parts) <= 4 and all(re.fullmatch(r"[0-9]{1,9}", part) for part in parts)):
+            refuse("must be real, or like 5.8 or 5.8.0.10253")
+        self._controller.claimed_version = ControllerVersion(*map(int, parts))
 
     def _in_use(self, arguments: list[str], _now_s: float) -> None:
         names = [f"input_{kind}_register_{number}" for kind in ("int", "double") for number in range(REGISTERS)]
-        self._controller.inputs.blocked = frozenset(names if _switch(arguments) else ())
+        self._controller.inputs.blocked = frozenset(names if is_on(arguments) else ())
 
     # -------------------------------------------------------------------------------------------------- gripper
 
@@ -247,51 +217,31 @@ class ControlLine:
         return gripper
 
     def _gripper_fault(self, arguments: list[str], _now_s: float) -> None:
-        (fault,) = _numbers(arguments, 1)
+        (fault,) = numbers(arguments, 1)
         if fault != int(fault):
-            _refuse(f"{arguments[0]}: must be a whole number")
+            refuse(f"{arguments[0]}: must be a whole number")
         self._gripper.fail(int(fault))
 
     def _gripper_object(self, arguments: list[str], _now_s: float) -> None:
         if arguments == ["none"]:
             self._gripper.put(None)
             return
-        numbers = [argument for argument in arguments if argument != "inside"]
-        if not 1 <= len(numbers) <= 2:
-            _refuse("must be none, or a width in mm, 'inside' where the jaws meet it so, and a stiffness in N/mm")
-        (width_mm,) = _numbers(numbers[:1], 1)
-        stiffness_n_per_m = 1e3 * _positive(numbers[1:], math.inf)
+        given = [argument for argument in arguments if argument != "inside"]
+        if not 1 <= len(given) <= 2:
+            refuse("must be none, or a width in mm, 'inside' where the jaws meet it so, and a stiffness in N/mm")
+        (width_mm,) = numbers(given[:1], 1)
+        stiffness_n_per_m = 1e3 * _positive(given[1:], math.inf)
         inside = "inside" in arguments
         self._gripper.put(GrippedObject(width_m=1e-3 * width_mm, inside=inside, stiffness_n_per_m=stiffness_n_per_m))
 
     def _gripper_silent(self, arguments: list[str], _now_s: float) -> None:
-        self._gripper.silent = _switch(arguments)
-
-
-def _refuse(message: str) -> None:
-    raise ValueError(message)
-
-
-def _numbers(arguments: list[str], count: int) -> list[float]:
-    try:
-        numbers = [float(argument) for argument in arguments]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        _refuse(f"{' '.join(arguments)!r}: must be {count} finite number{'s' if count > 1 else ''}")
-    return numbers
+        self._gripper.silent = is_on(arguments)
 
 
 def _positive(arguments: list[str], default: float) -> float:
     if not arguments:
         return default
-    (number,) = _numbers(arguments, 1)
+    (number,) = numbers(arguments, 1)
     if number <= 0.0:
-        _refuse(f"{number:g}: must be positive")
+        refuse(f"{number:g}: must be positive")
     return number
-
-
-def _switch(arguments: list[str]) -> bool:
-    if arguments not in (["on"], ["off"]):
-        _refuse("must be on or off")
-    return arguments == ["on"]

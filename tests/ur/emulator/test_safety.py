@@ -181,7 +181,7 @@ def test_power_comes_and_goes(world: World) -> None:
         ("unlock", "unlock: is in no protective stop but in NORMAL"),
         ("release-emergency-stop", "is not pressed"),
         ("log x", "must be 1 finite number"),
-        ("log 0", "log: 0: must be a whole number of lines, 1 or more"),
+        ("log 0", "log: 0: must be a whole number, 1 to 1000000"),
         ("log -1", "log: -1: must be a whole number"),
         ("log 2.5", "log: 2.5: must be a whole number"),
         ("log 1 2", "must be 1 finite number"),

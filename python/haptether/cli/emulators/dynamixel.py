@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from haptether.cli.shared.output import FileOptions
+from haptether.cli.emulators.serving import EmulatorOptions
 
 if TYPE_CHECKING:
     from haptether.dynamixel.emulator import ArmLoad, Bus, Server, Servo, StreamLine
@@ -16,7 +16,7 @@ MAX_CONSTANT = 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class DynamixelEmulator(FileOptions):
+class DynamixelEmulator(EmulatorOptions):
     """Emulate a bus of Dynamixel servos behind a pseudo-terminal, for the real client libraries.
 
     Servos of the X series speak Protocol 2.0 with the control tables of their models: EEPROM that is locked while
@@ -74,26 +74,16 @@ class DynamixelEmulator(FileOptions):
     kernel threads without priority, which are late on a busy machine."""
     seed: int = 0
     """Seed of the choice of lost or wrong bytes."""
-    control: Annotated[str | None, tyro.conf.arg(metavar="-|127.0.0.1:PORT|PATH")] = None
-    """Source of control lines: standard input, TCP of this machine, or a Unix socket."""
     realtime: Literal["auto", "off", "require"] = "auto"
     """Ask for SCHED_FIFO and go on without (auto), do not ask (off), or fail without (require)."""
-    duration_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
-    """End after this time in s; without it, run until Ctrl-C."""
-    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Write state and figures as JSON at the end; - for standard output."""
 
     def run(self) -> int:
         """Serve until it is stopped."""
         import time
 
-        from haptether.cli.emulators.serving import serve
-        from haptether.cli.shared.numbers import check_duration
-        from haptether.cli.shared.output import check_target, write_report
         from haptether.dynamixel.emulator import ControlLine, Server
 
-        check_duration("duration_s", self.duration_s)
-        check_target(self.json, force=self.force)
+        self.check()
         if not 0 <= self.seed < 2**64:
             message = f"seed = {self.seed}: must be 0 to 2^64 - 1"
             raise ValueError(message)
@@ -112,13 +102,8 @@ class DynamixelEmulator(FileOptions):
         )
         line = ControlLine(bus, server, self._bus)
         reached = "" if tcp is None else f", {'TCP' if self.socket is None else 'socket'} {tcp.address}"
-        figures = serve(
-            server, line, f"{self._headline(server)}{reached}", lambda: line.status(time.monotonic()),
-            control=self.control, duration_s=self.duration_s, json=self.json, realtime=self.realtime,
-        )  # fmt: skip
-        if self.json is not None:
-            write_report(self.json, figures)
-        return 0
+        headline = f"{self._headline(server)}{reached}"
+        return self.serve(server, line, headline, lambda: line.status(time.monotonic()), self.realtime)
 
     def _bus(self) -> "Bus":
         from haptether.dynamixel.emulator import Bus

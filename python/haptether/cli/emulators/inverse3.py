@@ -1,18 +1,14 @@
 """`haptether inverse3-emulator`."""
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from haptether.cli.shared.output import FileOptions
+from haptether.cli.emulators.serving import EmulatorOptions
 
 MAX_PORT = 65535
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inverse3Emulator(FileOptions):
+class Inverse3Emulator(EmulatorOptions):
     """Emulate the vendor's service of a Haply Inverse3 with a VerseGrip, for the driver and other clients.
 
     It speaks the WebSocket and JSON of version 3.5, on this machine only: a frame on connection, then one for each
@@ -39,22 +35,12 @@ class Inverse3Emulator(FileOptions):
     """b in N s/m."""
     coulomb: float = 0.038
     """c in N."""
-    control: Annotated[str | None, tyro.conf.arg(metavar="-|127.0.0.1:PORT|PATH")] = None
-    """Source of control lines: standard input, TCP of this machine, or a Unix socket."""
-    duration_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
-    """End after this time in s; without it, run until Ctrl-C."""
-    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Write state and figures as JSON at the end; - for standard output."""
 
     def run(self) -> int:
         """Serve until it is stopped."""
-        from haptether.cli.emulators.serving import serve
-        from haptether.cli.shared.numbers import check_duration
-        from haptether.cli.shared.output import check_target, write_report
         from haptether.master.inverse3.emulator import ControlLine, EmulatedInverse3, EmulatedSettings, Server, Service
 
-        check_duration("duration_s", self.duration_s)
-        check_target(self.json, force=self.force)
+        self.check()
         for name in ("port", "event_port"):
             if not 0 <= getattr(self, name) <= MAX_PORT:
                 message = f"{name} = {getattr(self, name)}: must be 0 to {MAX_PORT}"
@@ -63,10 +49,5 @@ class Inverse3Emulator(FileOptions):
         service = Service(EmulatedInverse3(settings), grip=not self.no_grip)
         server = Server(service, "127.0.0.1", self.port, self.event_port)
         line = ControlLine(service, server)
-        figures = serve(
-            server, line, f"an Inverse3 on 127.0.0.1:{server.port}, events on {server.event_port}", line.figures,
-            control=self.control, duration_s=self.duration_s, json=self.json,
-        )  # fmt: skip
-        if self.json is not None:
-            write_report(self.json, figures)
-        return 0
+        headline = f"an Inverse3 on 127.0.0.1:{server.port}, events on {server.event_port}"
+        return self.serve(server, line, headline, line.figures)

@@ -1,12 +1,11 @@
 """`haptether ur-emulator`."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from haptether.cli.shared.output import FileOptions
+from haptether.cli.emulators.serving import EmulatorOptions
 
 if TYPE_CHECKING:
     from haptether.slave import SceneTouch
@@ -18,7 +17,7 @@ MAX_PORT = 65535
 
 
 @dataclass(frozen=True, kw_only=True)
-class UrEmulator(FileOptions):
+class UrEmulator(EmulatorOptions):
     """Emulate the controller of a UR arm, for the real client libraries.
 
     It serves RTDE on port 30004, the dashboard on 29999 and scripts on 30001 to 30003 of one address. The protocol
@@ -71,42 +70,26 @@ class UrEmulator(FileOptions):
     """Begin in local control, which refuses scripts, rather than in remote control."""
     unlock_after_s: float = 5.0
     """Time in s after a protective stop during which it cannot be unlocked."""
-    control: Annotated[str | None, tyro.conf.arg(metavar="-|127.0.0.1:PORT|PATH")] = None
-    """Source of control lines: standard input, TCP of this machine, or a Unix socket."""
     realtime: Literal["auto", "off", "require"] = "auto"
     """Ask for SCHED_FIFO and go on without (auto), do not ask (off), or fail without (require)."""
-    duration_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
-    """End after this time in s; without it, run until Ctrl-C."""
-    json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Write state and figures as JSON at the end; - for standard output."""
 
     def run(self) -> int:
         """Serve until it is stopped."""
-        from haptether.cli.emulators.serving import serve
-        from haptether.cli.shared.numbers import check_duration
-        from haptether.cli.shared.output import check_target, write_json
         from haptether.slave.ur_emulator import ControlLine, Faults, Server
 
-        check_duration("duration_s", self.duration_s)
         if not 0 <= self.seed < 2**64:
             message = f"seed = {self.seed}: must be 0 to 2^64 - 1"
             raise ValueError(message)
         if not 0.0 <= self.unlock_after_s <= MAX_UNLOCK_S:
             message = f"unlock_after_s = {self.unlock_after_s:g}: must be 0 to {MAX_UNLOCK_S:g} s"
             raise ValueError(message)
-        check_target(self.json, force=self.force)
+        self.check()
         self._check_host()
         controller, environment = self._controller()
         faults = Faults(seed=self.seed)
         server = Server(controller, faults, self.host, self.gripper_port)
         line = ControlLine(controller, environment, faults, server)
-        serve(
-            server, line, self._headline(server), lambda: None,
-            control=self.control, duration_s=self.duration_s, json=self.json, realtime=self.realtime,
-        )  # fmt: skip
-        if self.json is not None:
-            write_json(self.json, line.status_json())
-        return 0
+        return self.serve(server, line, self._headline(server), line.status, self.realtime)
 
     def _headline(self, server: "Server") -> str:
         gripper = "" if self.gripper is None else f", a {self.gripper} on port {server.gripper_port}"
