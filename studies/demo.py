@@ -1,9 +1,7 @@
 """Demonstration: slave, network and master as processes, once per controller."""
 
 import contextlib
-import secrets
 import tempfile
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
@@ -12,7 +10,15 @@ import msgspec
 import numpy as np
 
 from haptether.bridge import write_key
-from haptether.studies.processes import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, Process, StopRequest, child_process
+from haptether.studies.processes import (
+    END_TIMEOUT_S,
+    START_TIMEOUT_S,
+    StopRequest,
+    child_process,
+    emulated_ur,
+    slave_behind,
+    until_ended,
+)
 from haptether.studies.remote_push import PushResult
 from haptether.view.style.colours import controller_look, controller_title
 from haptether.view.style.events import EventMark, name_events
@@ -64,7 +70,6 @@ def run_demo(
         Interrupted: A stop was requested; all processes have ended.
         RuntimeError: A process failed; the message contains its output.
     """
-    local = "127.0.0.1:0"
     # Counted from each process's start, because the others may start slowly.
     limit = str(scene.duration_s + 3 * START_TIMEOUT_S + END_TIMEOUT_S)
     with contextlib.ExitStack() as stack:
@@ -72,29 +77,27 @@ def run_demo(
         key = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "demo.key"
         write_key(key)
         arm = _ur_arm(scene, limit, stack, stopped) if scene.slave == "ur" else _simulated_arm(scene)
-        slave = stack.enter_context(child_process(
-            "slave", "--listen", local, "--key", str(key), "--duration-s", limit, "--patience-s", limit, *arm,
-        ))  # fmt: skip
-        slave_address = slave.headline(stopped).rsplit(" ", 1)[-1]
-        netsim = stack.enter_context(child_process(
-            "netsim", "proxy", "--listen", local, "--forward", slave_address, "--delay-s", str(scene.delay_s),
-            "--jitter-s", str(scene.jitter_s), "--loss", str(scene.loss), "--seed", str(scene.seed),
-            "--duration-s", limit,
-        ))  # fmt: skip
-        netsim_address = netsim.headline(stopped).split(",")[0].rsplit(" ", 1)[-1]
+        slave, address = slave_behind(scene, limit, stack, stopped, "--key", str(key), *arm)
         result, trace = folder / f"{controller}.json", folder / f"{controller}.npz"
         result.unlink(missing_ok=True)
         master = stack.enter_context(child_process(
-            "master", "--peer", netsim_address, "--listen", local, "--key", str(key), "--controller", controller,
+            "master", "--peer", address, "--listen", "127.0.0.1:0", "--key", str(key), "--controller", controller,
             "--depth", str(scene.depth), "--release-at-s", str(scene.release_at_s),
             "--clutch", "auto", "--duration-s", str(scene.duration_s), "--json", str(result), "--trace", str(trace),
             "--force",
         ))  # fmt: skip
         master.headline(stopped)
-        _follow(scene, controller, master, show, stopped)
-        if stopped:
-            # Ctrl-C of a terminal reaches all of them.
-            raise Interrupted
+
+        def each(at_s: float) -> None:
+            if at_s < scene.push_at_s:
+                stage = "the hand presses the remote wall"
+            elif at_s < scene.release_at_s:
+                stage = "the arm is shoved"
+            else:
+                stage = "the hand has let go"
+            show(f"{controller}: {stage}", min(at_s, scene.duration_s))
+
+        until_ended(master, scene.duration_s, each, stopped)
         if master.process.returncode != 0 or not result.exists():
             raise RuntimeError(master.failure(slave))
         return msgspec.json.decode(result.read_bytes(), type=PushResult)
@@ -110,8 +113,6 @@ def _simulated_arm(scene: DemoScene) -> tuple[str, ...]:
 
 def _ur_arm(scene: DemoScene, limit: str, stack: contextlib.ExitStack, stopped: StopRequest) -> tuple[str, ...]:
     """Start an emulated controller for `limit` s with wall and push at its tool; return the slave's options."""
-    # The controller's ports are fixed, so use a random address to run several demonstrations.
-    host = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
     far = (
         "--scene", "remote_push",
         "--set", f"environment.objects.0.contact.stiffness={scene.wall_stiffness}",
@@ -119,39 +120,10 @@ def _ur_arm(scene: DemoScene, limit: str, stack: contextlib.ExitStack, stopped: 
         "--set", f"environment.pushers.0.force_n={scene.push_force_n}",
         "--set", f"environment.pushers.0.duration_s={scene.push_duration_s}",
     )  # fmt: skip
-    emulator = stack.enter_context(
-        child_process("ur-emulator", "--host", host, "--duration-s", limit, *far, says="listening on")
-    )
-    emulator.headline(stopped)
+    host = emulated_ur(limit, stack, stopped, *far)
     return (
         *far, "--set", "slave.device=ur", "--set", f"slave.options.host={host}", "--set", "slave.period_s=0.002",
     )  # fmt: skip
-
-
-def _follow(
-    scene: DemoScene,
-    controller: str,
-    master: "Process",
-    show: Callable[[str, float], None],
-    stopped: StopRequest,
-) -> None:
-    begun = time.monotonic()
-    deadline = begun + scene.duration_s + START_TIMEOUT_S
-    while master.process.poll() is None:
-        at_s = time.monotonic() - begun
-        if at_s < scene.push_at_s:
-            stage = "the hand presses the remote wall"
-        elif at_s < scene.release_at_s:
-            stage = "the arm is shoved"
-        else:
-            stage = "the hand has let go"
-        show(f"{controller}: {stage}", min(at_s, scene.duration_s))
-        if stopped:
-            raise Interrupted
-        if time.monotonic() > deadline:
-            message = f"the master did not end within {scene.duration_s + START_TIMEOUT_S:g} s"
-            raise RuntimeError(message)
-        stopped.sleep(0.05)
 
 
 def draw_demo(scene: DemoScene, results: Sequence[PushResult], folder: Path, path: Path, columns: Columns = 2) -> None:

@@ -2,7 +2,6 @@
 
 import contextlib
 import tempfile
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -17,7 +16,15 @@ from haptether.dynamixel.description import ArmDescription, Trigger
 from haptether.dynamixel.emulator import JointSettings, servos_of
 from haptether.master.dynamixel.options import LeaderOptions, arm_settings
 from haptether.studies.leader import CLUTCH, LEADER, ROW_S, Leader, along, emulated_arm
-from haptether.studies.processes import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, Process, StopRequest, child_process
+from haptether.studies.processes import (
+    END_TIMEOUT_S,
+    START_TIMEOUT_S,
+    Process,
+    StopRequest,
+    child_process,
+    slave_behind,
+    until_ended,
+)
 from haptether.view.style.colours import AXES, SIGNALS, controller_look, controller_title
 from haptether.view.style.figure import Columns, letter, new_figure, styled, write_figure
 from haptether.view.style.legend import legend_above, legend_below
@@ -162,7 +169,7 @@ def run_follow(
         Interrupted: A stop was requested; all processes have ended.
         RuntimeError: A process failed; the message contains its output.
     """
-    local, lasts_s = "127.0.0.1:0", scene.settle_s + scene.duration_s + 1.0
+    lasts_s = scene.settle_s + scene.duration_s + 1.0
     # Counted from each process's start, because the others may start slowly.
     limit = str(lasts_s + 5 * START_TIMEOUT_S + END_TIMEOUT_S)
     trace, result, recording = (folder / f"follow-{controller}.{end}" for end in ("npz", "json", "mcap"))
@@ -180,19 +187,12 @@ def run_follow(
         leader.hold()
         file.write_text(follower_file(leader.arm), encoding="utf-8")
         text.write_text(scene_text(scene, controller, leader.arm, (leader.port, follower.port), file), encoding="utf-8")
-        slave = stack.enter_context(child_process(
-            "slave", "--scene", str(text), "--listen", local, "--key", str(key), "--duration-s", limit,
-            "--patience-s", limit, "--record", str(recording), "--force", "--min-free-bytes", "0",
-        ))  # fmt: skip
-        slave_address = slave.headline(stopped).rsplit(" ", 1)[-1]
-        netsim = stack.enter_context(child_process(
-            "netsim", "proxy", "--listen", local, "--forward", slave_address, "--delay-s", str(scene.delay_s),
-            "--jitter-s", str(scene.jitter_s), "--loss", str(scene.loss), "--seed", str(scene.seed),
-            "--duration-s", limit,
-        ))  # fmt: skip
-        netsim_address = netsim.headline(stopped).split(",")[0].rsplit(" ", 1)[-1]
+        slave, address = slave_behind(
+            scene, limit, stack, stopped, "--scene", str(text), "--key", str(key), "--record", str(recording),
+            "--force", "--min-free-bytes", "0",
+        )  # fmt: skip
         master = stack.enter_context(child_process(
-            "master", "--scene", str(text), "--peer", netsim_address, "--listen", local, "--key", str(key),
+            "master", "--scene", str(text), "--peer", address, "--listen", "127.0.0.1:0", "--key", str(key),
             "--duration-s", str(lasts_s), "--trace", str(trace), "--force", "--json", str(result), *CLUTCH,
         ))  # fmt: skip
         master.headline(stopped)
@@ -200,8 +200,6 @@ def run_follow(
         whole = _play(
             scene, master, (leader, follower), lambda stage, at_s: show(f"{controller}: {stage}", at_s), stopped
         )
-        if stopped:
-            raise Interrupted
         if master.process.returncode != 0 or not whole:
             raise RuntimeError(master.failure(slave))
         # The recording is complete once the slave has ended.
@@ -228,17 +226,16 @@ def _play(
         (scene.release_at_s, "the hand has let go", leader, f"hand {joint.servo} off"),
         (scene.push_ends_s, "the push has ended", follower, f"push {joint.servo} 0"),
     ]
-    stage, begun_s = "", time.monotonic()
-    while master.process.poll() is None and not stopped:
-        at_s = time.monotonic() - begun_s
+    stage = ""
+
+    def each(at_s: float) -> None:
+        nonlocal stage
         if events and at_s >= events[0][0]:
             _, stage, arm, line = events.pop(0)
             arm.emulated.say(line)
         show(stage, min(at_s, scene.duration_s))
-        if at_s > scene.duration_s + START_TIMEOUT_S:
-            message = f"the master did not end within {scene.duration_s + START_TIMEOUT_S:g} s"
-            raise RuntimeError(message)
-        stopped.sleep(0.01)
+
+    until_ended(master, scene.duration_s, each, stopped)
     return not events
 
 

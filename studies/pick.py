@@ -1,9 +1,7 @@
 """Demonstration of pick, turn and place with a full hand, as processes on one machine."""
 
 import contextlib
-import secrets
 import tempfile
-import time
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -15,7 +13,15 @@ import numpy.typing as npt
 
 from haptether.bridge import load_scene, read_recording, write_key
 from haptether.studies.leader import LEADER_S, led_leader
-from haptether.studies.processes import END_TIMEOUT_S, START_TIMEOUT_S, Interrupted, StopRequest, child_process
+from haptether.studies.processes import (
+    END_TIMEOUT_S,
+    START_TIMEOUT_S,
+    StopRequest,
+    child_process,
+    emulated_ur,
+    slave_behind,
+    until_ended,
+)
 from haptether.view.style.colours import SIGNALS
 from haptether.view.style.figure import Columns, letter, new_figure, styled, write_figure
 from haptether.view.style.legend import legend_above
@@ -74,7 +80,7 @@ def run_pick(scene: PickScene, folder: Path, show: Callable[[str, float], None],
         Interrupted: A stop was requested; all processes have ended.
         RuntimeError: A process failed; the message contains its output.
     """
-    local, duration_s = "127.0.0.1:0", load_scene(SCENE).run.duration_s
+    duration_s = load_scene(SCENE).run.duration_s
     # Counted from each process's start, because the others may start slowly.
     limit = str(duration_s + 5 * START_TIMEOUT_S + END_TIMEOUT_S)
     recording, trace = folder / "pick.mcap", folder / "pick.npz"
@@ -83,17 +89,10 @@ def run_pick(scene: PickScene, folder: Path, show: Callable[[str, float], None],
         key = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "pick.key"
         write_key(key)
         arm = _ur_arm(limit, stack, stopped) if scene.slave == "ur" else SIMULATED
-        slave = stack.enter_context(child_process(
-            "slave", "--scene", SCENE, "--listen", local, "--key", str(key), "--duration-s", limit,
-            "--patience-s", limit, "--record", str(recording), "--force", "--min-free-bytes", "0", *arm,
-        ))  # fmt: skip
-        slave_address = slave.headline(stopped).rsplit(" ", 1)[-1]
-        netsim = stack.enter_context(child_process(
-            "netsim", "proxy", "--listen", local, "--forward", slave_address, "--delay-s", str(scene.delay_s),
-            "--jitter-s", str(scene.jitter_s), "--loss", str(scene.loss), "--seed", str(scene.seed),
-            "--duration-s", limit,
-        ))  # fmt: skip
-        netsim_address = netsim.headline(stopped).split(",")[0].rsplit(" ", 1)[-1]
+        slave, address = slave_behind(
+            scene, limit, stack, stopped, "--scene", SCENE, "--key", str(key), "--record", str(recording), "--force",
+            "--min-free-bytes", "0", *arm,
+        )  # fmt: skip
         leader = None if scene.master == "simulated" else led_leader(limit, stack, stopped)
         if leader is not None:
             leader.prepare(duration_s)
@@ -101,24 +100,14 @@ def run_pick(scene: PickScene, folder: Path, show: Callable[[str, float], None],
         # The driver's checklist and the rise of its torque precede the hand's path.
         lasts_s = duration_s + (0.0 if leader is None else LEADER_S)
         master = stack.enter_context(child_process(
-            "master", "--scene", SCENE, "--peer", netsim_address, "--listen", local, "--key", str(key),
+            "master", "--scene", SCENE, "--peer", address, "--listen", "127.0.0.1:0", "--key", str(key),
             "--duration-s", str(lasts_s), "--trace", str(trace), "--force", *SIMULATED, *led,
         ))  # fmt: skip
         master.headline(stopped)
         if leader is not None:
             leader.lead(stopped)
-        begun_s = time.monotonic()
-        while master.process.poll() is None:
-            at_s = time.monotonic() - begun_s
-            show("the hand leads arm and gripper", min(at_s, duration_s))
-            if stopped:
-                raise Interrupted
-            if at_s > lasts_s + START_TIMEOUT_S:
-                message = f"the master did not end within {lasts_s + START_TIMEOUT_S:g} s"
-                raise RuntimeError(message)
-            stopped.sleep(0.05)
-        if stopped:
-            raise Interrupted
+        stage = "the hand leads arm and gripper"
+        until_ended(master, lasts_s, lambda at_s: show(stage, min(at_s, duration_s)), stopped)
         if master.process.returncode != 0:
             raise RuntimeError(master.failure(slave))
         # The recording is complete once the slave has ended.
@@ -133,13 +122,8 @@ SIMULATED = ("--set", "slave.device=simulated", "--set", "slave.options={}", "--
 
 def _ur_arm(limit: str, stack: contextlib.ExitStack, stopped: StopRequest) -> tuple[str, ...]:
     """Start an emulated controller with a gripper for `limit` s; return the slave's options."""
-    # The controller's ports are fixed, so use a random address to run several demonstrations.
-    host = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
-    emulator = stack.enter_context(child_process(
-        "ur-emulator", "--host", host, "--duration-s", limit, "--gripper", "2f-85", "--gripper-object-mm", "40",
-        "--gripper-active", says="listening on",
-    ))  # fmt: skip
-    emulator.headline(stopped)
+    gripper = ("--gripper", "2f-85", "--gripper-object-mm", "40", "--gripper-active")
+    host = emulated_ur(limit, stack, stopped, *gripper)
     return ("--set", f"slave.options.host={host}", "--set", f"slave.gripper.options.host={host}")
 
 

@@ -3,11 +3,12 @@
 import contextlib
 import os
 import queue
+import secrets
 import shutil
 import subprocess
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Protocol
 
 from haptether.child import child_environment, module_command
@@ -135,3 +136,68 @@ def child_process(name: str, *arguments: str, says: str | None = None) -> Iterat
         yield child
     finally:
         child.end()
+
+
+class Network(Protocol):
+    """Network of a demonstration, the same each way."""
+
+    @property
+    def delay_s(self) -> float:
+        """Mean delay in s."""
+
+    @property
+    def jitter_s(self) -> float:
+        """Standard deviation of the delay in s."""
+
+    @property
+    def loss(self) -> float:
+        """Probability of loss."""
+
+    @property
+    def seed(self) -> int:
+        """Seed of the draws."""
+
+
+def slave_behind(
+    network: Network, limit: str, stack: contextlib.ExitStack, stopped: StopRequest, *slave: str
+) -> tuple[Process, str]:
+    """Start a slave with these options, and netsim before it, each for `limit` s; return the slave and its address."""
+    local = ("--listen", "127.0.0.1:0", "--duration-s", limit)
+    process = stack.enter_context(child_process("slave", *local, "--patience-s", limit, *slave))
+    netsim = stack.enter_context(child_process(
+        "netsim", "proxy", *local, "--forward", process.headline(stopped).rsplit(" ", 1)[-1],
+        "--delay-s", str(network.delay_s), "--jitter-s", str(network.jitter_s), "--loss", str(network.loss),
+        "--seed", str(network.seed),
+    ))  # fmt: skip
+    return process, netsim.headline(stopped).split(",")[0].rsplit(" ", 1)[-1]
+
+
+def emulated_ur(limit: str, stack: contextlib.ExitStack, stopped: StopRequest, *arguments: str) -> str:
+    """Start an emulated controller for `limit` s; return its address."""
+    # The controller's ports are fixed, so use a random address to run several demonstrations.
+    host = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
+    command = ("ur-emulator", "--host", host, "--duration-s", limit, *arguments)
+    stack.enter_context(child_process(*command, says="listening on")).headline(stopped)
+    return host
+
+
+def until_ended(master: Process, lasts_s: float, each: Callable[[float], None], stopped: StopRequest) -> None:
+    """Call `each` with the time in s until a master of a demonstration ends.
+
+    Raises:
+        Interrupted: A stop was requested.
+        RuntimeError: The master did not end in time.
+    """
+    begun_s = time.monotonic()
+    while master.process.poll() is None:
+        at_s = time.monotonic() - begun_s
+        each(at_s)
+        if stopped:
+            break
+        if at_s > lasts_s + START_TIMEOUT_S:
+            message = f"the master did not end within {lasts_s + START_TIMEOUT_S:g} s"
+            raise RuntimeError(message)
+        stopped.sleep(0.01)
+    if stopped:
+        # Ctrl-C of a terminal reaches all processes.
+        raise Interrupted

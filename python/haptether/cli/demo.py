@@ -1,17 +1,23 @@
 """`haptether demo`."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import tyro
 
 from haptether.cli.shared.picture import PictureOptions
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from haptether.cli.shared.screen import Screen
+    from haptether.cli.shared.stop import Stopped
     from haptether.studies import DemoScene, FollowScene, PickScene, PushResult
 
+
+Result = TypeVar("Result")
 
 OWN_FOLDER = Path("out/demo")
 """Default folder of the files."""
@@ -75,15 +81,13 @@ class Demo(PictureOptions):
     def run(self) -> int:
         """Run all controllers; 0 if protection held, 1 if not, 130 on Ctrl-C."""
         import msgspec
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         from haptether.cli.shared.numbers import check_seed
         from haptether.cli.shared.output import check_target
         from haptether.cli.shared.screen import screen
-        from haptether.cli.shared.stop import Stopped
         from haptether.extras import require
         from haptether.netsim import LinkSettings, link_spec
-        from haptether.studies import DEMO_CONTROLLERS, DemoScene, FollowScene, Interrupted, PickScene, run_demo
+        from haptether.studies import DEMO_CONTROLLERS, DemoScene, FollowScene, PickScene, run_demo
 
         check_seed(self.seed)
         check_target(self.json, force=self.force)
@@ -119,23 +123,38 @@ class Demo(PictureOptions):
             f"at {scene.release_at_s:g} s the hand lets go",
             highlight=False,
         )
+        runs = [partial(run_demo, scene, controller) for controller in DEMO_CONTROLLERS]
+        results = self._results(console, scene.duration_s, runs)
+        return 130 if results is None else self._report(console, scene, results)
+
+    def _results(
+        self,
+        console: "Screen",
+        lasts_s: float,
+        runs: "Sequence[Callable[[Path, Callable[[str, float], None], Stopped], Result]]",
+    ) -> "list[Result] | None":
+        """Return the results of the runs, with a progress bar; None after Ctrl-C."""
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+        from haptether.cli.shared.stop import Stopped
+        from haptether.studies import Interrupted
+
         columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
         results = []
         with Stopped() as stopped, Progress(*columns, console=console) as progress:
-            bar = progress.add_task("", total=len(DEMO_CONTROLLERS) * scene.duration_s)
-            for number, controller in enumerate(DEMO_CONTROLLERS):
+            bar = progress.add_task("", total=len(runs) * lasts_s)
+            for number, run in enumerate(runs):
 
-                def show(stage: str, at_s: float, begun: float = number * scene.duration_s) -> None:
-                    text = f"{stage:<34}"
-                    progress.update(bar, completed=begun + at_s, description=text)
+                def show(stage: str, at_s: float, begun: float = number * lasts_s) -> None:
+                    progress.update(bar, completed=begun + at_s, description=f"{stage:<34}")
 
                 try:
-                    results.append(run_demo(scene, controller, self._folder, show, stopped))
+                    results.append(run(self._folder, show, stopped))
                 except Interrupted:
                     console.print("interrupted: all processes have ended")
-                    return 130
-            progress.update(bar, completed=len(DEMO_CONTROLLERS) * scene.duration_s)
-        return self._report(console, scene, results)
+                    return None
+            progress.update(bar, completed=len(runs) * lasts_s)
+        return results
 
     @property
     def _folder(self) -> Path:
@@ -206,12 +225,9 @@ class Demo(PictureOptions):
         return self.task or ("pick" if self.master == "dynamixel" else "push")
 
     def _follow(self, scene: "FollowScene") -> int:
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
         from haptether.cli.shared.output import write_report
         from haptether.cli.shared.screen import screen
-        from haptether.cli.shared.stop import Stopped
-        from haptether.studies import FOLLOW_CONTROLLERS, Interrupted, draw_follow, run_follow
+        from haptether.studies import FOLLOW_CONTROLLERS, draw_follow, run_follow
 
         console = screen(self.json)
         console.print(
@@ -222,20 +238,10 @@ class Demo(PictureOptions):
             f"follower,\n  at {scene.release_at_s:g} s the hand lets go of the leader",
             highlight=False,
         )
-        columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
-        results = []
-        with Stopped() as stopped, Progress(*columns, console=console) as progress:
-            bar = progress.add_task("", total=len(FOLLOW_CONTROLLERS) * scene.duration_s)
-            for number, controller in enumerate(FOLLOW_CONTROLLERS):
-
-                def show(stage: str, at_s: float, begun: float = number * scene.duration_s) -> None:
-                    progress.update(bar, completed=begun + at_s, description=f"{stage:<34}")
-
-                try:
-                    results.append(run_follow(scene, controller, self._folder, show, stopped))
-                except Interrupted:
-                    console.print("interrupted: all processes have ended")
-                    return 130
+        runs = [partial(run_follow, scene, controller) for controller in FOLLOW_CONTROLLERS]
+        results = self._results(console, scene.duration_s, runs)
+        if results is None:
+            return 130
         picture = self._picture("follow")
         if picture is not None:
             draw_follow(scene, results, self._folder, picture, self.page_columns)
@@ -258,13 +264,10 @@ class Demo(PictureOptions):
         return 0 if protected and carried else 1
 
     def _pick(self, scene: "PickScene") -> int:
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
         from haptether.bridge import load_scene
         from haptether.cli.shared.output import write_report
         from haptether.cli.shared.screen import screen
-        from haptether.cli.shared.stop import Stopped
-        from haptether.studies import Interrupted, draw_pick, run_pick
+        from haptether.studies import draw_pick, run_pick
 
         console = screen(self.json)
         arm = "an emulated UR controller with a Robotiq gripper - ur-rtde - " if self.slave == "ur" else ""
@@ -275,18 +278,10 @@ class Demo(PictureOptions):
             "the hand goes down, takes something, turns it by 60 degrees and puts it down beside",
             highlight=False,
         )
-        columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
-        with Stopped() as stopped, Progress(*columns, console=console) as progress:
-            bar = progress.add_task("", total=load_scene("ur_pick").run.duration_s)
-
-            def show(stage: str, at_s: float) -> None:
-                progress.update(bar, completed=at_s, description=f"{stage:<34}")
-
-            try:
-                result = run_pick(scene, self._folder, show, stopped)
-            except Interrupted:
-                console.print("interrupted: all processes have ended")
-                return 130
+        results = self._results(console, load_scene("ur_pick").run.duration_s, [partial(run_pick, scene)])
+        if results is None:
+            return 130
+        (result,) = results
         picture = self._picture("pick")
         if picture is not None:
             draw_pick(scene, self._folder, picture, self.page_columns)
