@@ -4,6 +4,8 @@ import math
 from collections.abc import Sequence
 from typing import Final, TypeAlias
 
+from haptether.options import refused
+
 Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
 
@@ -73,6 +75,21 @@ class DeviceFrame:
             raise ValueError(message)
         x, y, z = self.vector([part / norm for part in quat_wxyz[1:]])
         return quat_wxyz[0] / norm, x, y, z
+
+
+def check_frame(device: str, axes: Sequence[str], origin: Vector) -> None:
+    """Refuse options that describe no frame; `device` names the driver in the message.
+
+    Raises:
+        ValueError: Invalid axes, or an origin more than 1 m away along an axis.
+    """
+    try:
+        DeviceFrame(axes, origin)
+    except ValueError as error:
+        message = f"{device}: {error}"
+        raise ValueError(message) from None
+    if not all(abs(part) <= 1.0 for part in origin):
+        raise refused(device, "origin", origin, "must be within 1 m")
 
 
 def quaternion(matrix: Sequence[Sequence[float]]) -> Quaternion:

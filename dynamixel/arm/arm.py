@@ -347,16 +347,9 @@ class ServoArm:
 
         Sends nothing during a fault; an invalid number is a fault.
         """
-        if self._fault is not None:
-            return
         wanted = self._wanted_a
-        self._check_count("currents", currents_a, wanted)
-        wanted[:] = currents_a
-        if not math.isfinite(wanted.sum()):
-            self._latch(ArmFaultError(FaultKind.NOT_FINITE, "a current was commanded that is no number"))
+        if not self._takes(("a current", "currents"), currents_a, wanted):
             return
-        if self._ramp < 1.0:
-            self._rise(time.monotonic())
         np.minimum(wanted, self._current_cap, out=wanted)
         np.maximum(wanted, -self._current_cap, out=wanted)
         wanted *= self._units_per_a
@@ -369,16 +362,10 @@ class ServoArm:
 
         Sends nothing during a fault; an invalid number is a fault.
         """
-        if self._fault is not None:
+        wanted, rises = self._wanted_rad, self._ramp < 1.0
+        if not self._takes(("an angle", "angles"), positions_rad, wanted):
             return
-        wanted = self._wanted_rad
-        self._check_count("angles", positions_rad, wanted)
-        wanted[:] = positions_rad
-        if not math.isfinite(wanted.sum()):
-            self._latch(ArmFaultError(FaultKind.NOT_FINITE, "an angle was commanded that is no number"))
-            return
-        if self._ramp < 1.0:
-            self._rise(time.monotonic())
+        if rises:
             self._limit(self._ramp)
         np.minimum(wanted, self._high_goal, out=wanted)
         np.maximum(wanted, self._low_goal, out=wanted)
@@ -397,10 +384,20 @@ class ServoArm:
         with contextlib.suppress(OSError, RuntimeError):
             self.grip.send(self._bus)
 
-    def _check_count(self, what: str, given: Sequence[float] | Vector, wanted: Vector) -> None:
+    def _takes(self, what: tuple[str, str], given: Sequence[float] | Vector, wanted: Vector) -> bool:
+        """Copy a command and advance the ramp; return False during a fault. An invalid number is a fault."""
+        if self._fault is not None:
+            return False
         if len(given) != len(wanted):
-            message = f"{self.name}: {len(given)} {what}: must be {len(wanted)}, one of each servo that takes them"
+            message = f"{self.name}: {len(given)} {what[1]}: must be {len(wanted)}, one of each servo that takes them"
             raise ValueError(message)
+        wanted[:] = given
+        if not math.isfinite(wanted.sum()):
+            self._latch(ArmFaultError(FaultKind.NOT_FINITE, f"{what[0]} was commanded that is no number"))
+            return False
+        if self._ramp < 1.0:
+            self._rise(time.monotonic())
+        return True
 
     def stop(self, kind: FaultKind, text: str) -> None:
         """End all torque for a reason of the driver, as a fault.

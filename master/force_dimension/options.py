@@ -6,7 +6,7 @@ from typing import Annotated, Any, Final, Literal
 import msgspec
 from msgspec import Meta
 
-from haptether.master.frame import DeviceFrame
+from haptether.master.frame import DeviceFrame, check_frame
 from haptether.options import converted, refused
 
 DEVICE: Final = "driver = force-dimension"
@@ -70,13 +70,7 @@ def force_dimension_options(given: Mapping[str, Any]) -> ForceDimensionOptions:
         ValueError: A key is unknown, or a value is invalid; names the key.
     """
     options = converted(ForceDimensionOptions, given, DEVICE, {})
-    try:
-        frame = options.frame
-    except ValueError as error:
-        message = f"{DEVICE}: {error}"
-        raise ValueError(message) from None
-    if not all(abs(part) <= 1.0 for part in frame.origin):
-        raise refused(DEVICE, "origin", options.origin, "must be within 1 m")
+    check_frame(DEVICE, options.axes, options.origin)
     if options.wrist and len(options.axes) != 3:
         raise refused(DEVICE, "wrist", options.wrist, "must be false with fewer than three axes")
     if options.gripper_open_m is not None and not options.gripper_open_m - options.gripper_closed_m >= 1e-3:

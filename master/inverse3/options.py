@@ -6,7 +6,7 @@ from typing import Annotated, Any, Final, Literal
 import msgspec
 from msgspec import Meta
 
-from haptether.master.frame import DeviceFrame
+from haptether.master.frame import DeviceFrame, check_frame
 from haptether.options import converted, refused
 
 DEVICE: Final = "driver = inverse3"
@@ -58,11 +58,5 @@ def inverse3_options(given: Mapping[str, Any]) -> Inverse3Options:
         raise refused(DEVICE, "host", options.host, "must be an IPv4 address or a name, without a port")
     if not all(sign.isalnum() or sign in "-_" for sign in options.device_id):
         raise refused(DEVICE, "device_id", options.device_id, "must be letters and digits")
-    try:
-        frame = options.frame
-    except ValueError as error:
-        message = f"{DEVICE}: {error}"
-        raise ValueError(message) from None
-    if not all(abs(part) <= 1.0 for part in frame.origin):
-        raise refused(DEVICE, "origin", options.origin, "must be within 1 m")
+    check_frame(DEVICE, options.axes, options.origin)
     return options

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Final
 import msgspec
 from msgspec import Meta
 
-from haptether.master.frame import DeviceFrame
+from haptether.master.frame import DeviceFrame, check_frame
 from haptether.options import converted, refused
 
 DEVICE: Final = "driver = touch"
@@ -49,13 +49,7 @@ def touch_options(given: Mapping[str, Any]) -> TouchOptions:
     options = converted(TouchOptions, given, DEVICE, {})
     if "\0" in options.device_name:
         raise refused(DEVICE, "device_name", options.device_name, "must be a name")
-    try:
-        frame = options.frame
-    except ValueError as error:
-        message = f"{DEVICE}: {error}"
-        raise ValueError(message) from None
-    if not all(abs(part) <= 1.0 for part in frame.origin):
-        raise refused(DEVICE, "origin", options.origin, "must be within 1 m")
+    check_frame(DEVICE, options.axes, options.origin)
     if options.orientation and len(options.axes) != 3:
         raise refused(DEVICE, "orientation", options.orientation, "must be false with fewer than three axes")
     return options
