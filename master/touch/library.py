@@ -24,7 +24,6 @@ VENDOR: Final = Vendor(
     ),
 )
 INVALID_HANDLE: Final = 0xFFFFFFFF
-BUTTONS_ALL: Final = 0xF
 FORCE_OUTPUT: Final = 0x4000
 MAX_FORCE_CLAMPING: Final = 0x4001
 OUTPUT_AXES: Final = 0x2554

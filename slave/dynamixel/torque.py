@@ -45,11 +45,6 @@ class JointTorque:
         self._felt: Vector = np.zeros(len(models))
         self._begun = False
 
-    @property
-    def uncertainty_nm(self) -> Vector:
-        """c: friction that may hide each joint's torque while it stands."""
-        return self._coulomb
-
     def of(self, current_a: Vector, velocity: Vector, period_s: float) -> Vector:
         """Return the torque from currents in A and velocities in rad/s; 0 for a servo without current measurement."""
         motor = self._constant * current_a

@@ -17,7 +17,6 @@ from haptether.studies import check_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 OF_UR = ["slave.device=ur", "slave.options.host=192.0.2.1"]
-OF_ROBOTIQ = [*OF_UR, "slave.gripper.device=robotiq", "slave.gripper.options.host=192.0.2.1"]
 THREE = "three_axis_box"
 MASTERS: dict[str, tuple[str, list[str], str]] = {
     "no such driver": ("LEADER", ["master.driver=dynamixl"], "no such driver (haptether.masters): did you mean"),

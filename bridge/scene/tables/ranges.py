@@ -68,7 +68,6 @@ StopsPerAxis: TypeAlias = Annotated[
 _times = Annotated[tuple[Seconds, ...], Meta(min_length=2, max_length=2)]
 Vector3: TypeAlias = Annotated[tuple[Number, ...], Meta(min_length=3, max_length=3)]
 """x, y, z."""
-PositiveVector3: TypeAlias = Annotated[tuple[Positive, ...], Meta(min_length=3, max_length=3)]
 SideKind: TypeAlias = Literal["linear", "joints", "pose"]
 """Kind of a side's coordinates: a point along 1 to 3 axes, 1 to 7 joints, or a point with an orientation."""
 Quaternion: TypeAlias = Annotated[tuple[Number, ...], Meta(min_length=4, max_length=4)]
