@@ -1,9 +1,11 @@
-"""Shared parts of the benches: `--json`, output of table and JSON, requirements."""
+"""Shared parts of the benches: options, interleaved timing, tables, JSON, requirements."""
 
 import argparse
 import json
 import sys
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from math import inf
 from pathlib import Path
 from typing import TextIO
 
@@ -17,9 +19,50 @@ def bench_options(description: str | None, epilog: str) -> argparse.ArgumentPars
     return options
 
 
+def add_number(
+    options: argparse.ArgumentParser, flag: str, default: float, text: str, *, least: float = 1, most: float = inf
+) -> None:
+    """Add an option with a number from `least` to `most`, whole if its default is."""
+
+    def number(given: str) -> float:
+        value = type(default)(given)
+        if not least <= value <= most:
+            message = f"{given}: must be at least {least:g}" + ("" if most == inf else f" and at most {most:g}")
+            raise argparse.ArgumentTypeError(message)
+        return value
+
+    options.add_argument(flag, type=number, default=default, help=f"{text}; default {default}")
+
+
+def in_turns(
+    works: Mapping[str, Callable[[], object]],
+    rounds: Iterable[object],
+    clock: Callable[[], int] = time.perf_counter_ns,
+) -> dict[str, list[int]]:
+    """Return the times in ns of each work; the works take turns, so that other loads affect all of them."""
+    times: dict[str, list[int]] = {name: [] for name in works}
+    for _ in rounds:
+        for name, work in works.items():
+            begun = clock()
+            work()
+            times[name].append(clock() - begun)
+    return times
+
+
 def table_file(json_path: str | None) -> TextIO:
     """Return the file for the table: standard output, unless the JSON goes there."""
     return sys.stderr if json_path == "-" else sys.stdout
+
+
+def print_table(heads: Sequence[str], rows: Iterable[Sequence[object]], out: TextIO) -> None:
+    """Print rows below their heads; columns of words and the first are left-aligned, others right. None is a dash."""
+    cells = [heads, *([("-" if one is None else str(one)) for one in row] for row in rows)]
+    forms = []
+    for place, column in enumerate(zip(*cells, strict=True)):
+        is_text = place == 0 or all(one[:1].isalpha() or one in {"", "-"} for one in column[1:])
+        forms.append(f"{'<' if is_text else '>'}{max(map(len, column))}")
+    for row in cells:
+        print("  ".join(map(format, row, forms)).rstrip(), file=out)
 
 
 def write_json(json_path: str | None, report: object) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from _report import bench_options, table_file, write_json
+from _report import add_number, bench_options, print_table, table_file, write_json
 from haptether.bridge import LiveMaster, MasterLoop, MasterRun, load_scene, scene_json
 from haptether.master import MasterSample
 
@@ -82,8 +82,8 @@ def call_us(peer: str) -> tuple[float, float]:
 def main() -> int:
     """Measure and print the table."""
     options = bench_options(__doc__, EXAMPLE)
-    options.add_argument("--rounds", type=int, default=4, help="turns of each; default 4")
-    options.add_argument("--seconds", type=float, default=5.0, help="of each turn; default 5")
+    add_number(options, "--rounds", 4, "turns of each")
+    add_number(options, "--seconds", 5.0, "of each turn", least=0.1)
     arguments = options.parse_args()
     out = table_file(arguments.json)
     pooled: dict[str, list[npt.NDArray[np.float64]]] = {"native": [], "python": []}
@@ -96,12 +96,12 @@ def main() -> int:
                 pooled[who].append(wakes(who, peer, arguments.seconds))
         of_step, of_nothing = call_us(peer)
     report: dict[str, float] = {"turn_us": of_step, "empty_call_us": of_nothing}
-    print(f"{'wakes late, us':<16}{'p50':>10}{'p99':>10}{'p99.9':>10}", file=out)
+    shares = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
     for who, runs in pooled.items():
         late = np.concatenate(runs)
-        p50, p99, p999 = (float(np.quantile(late, share)) for share in (0.5, 0.99, 0.999))
-        report |= {f"{who}_p50_us": p50, f"{who}_p99_us": p99, f"{who}_p999_us": p999}
-        print(f"{who:<16}{p50:>10.1f}{p99:>10.1f}{p999:>10.1f}", file=out)
+        report |= {f"{who}_{name}_us": float(np.quantile(late, share)) for name, share in shares.items()}
+    rows = [(who, *(f"{report[f'{who}_{name}_us']:.1f}" for name in shares)) for who in pooled]
+    print_table(("wakes late, us", "p50", "p99", "p99.9"), rows, out)
     print(f"\na turn from Python takes {of_step:.1f} us, a call that does nothing {of_nothing:.2f} us", file=out)
     write_json(arguments.json, report)
     return 0

@@ -11,21 +11,20 @@ best round; six servos at 4 Mbit/s and 1 kHz without an overrun in at least one 
 show in the other rounds.
 """
 
-import contextlib
 import json
 import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler  # type: ignore[import-untyped]
 
-from _programs import built
-from _report import bench_options, table_file, write_json
+from _programs import built, running
+from _report import add_number, bench_options, print_table, table_file, write_json
 from haptether.dynamixel import DynamixelBus, SyncRead
 
 EXAMPLE = "example: python benches/dynamixel.py --servos 7 --rounds 5 --json -"
@@ -51,18 +50,6 @@ class Round(NamedTuple):
     """Time of each cycle."""
     overruns: int
     """Cycles that lasted until the next began."""
-
-
-@contextlib.contextmanager
-def answering(program: Path, servos: int, wire: int) -> Iterator[str]:
-    """Yield the path of a pseudo-terminal with answering servos."""
-    command = [str(program), "answer", str(servos), str(wire)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        try:
-            yield process.stdout.readline().strip()
-        finally:
-            process.terminate()
 
 
 def rust_round(program: Path, client: str, path: str, *counts: int) -> Round:
@@ -157,18 +144,16 @@ def wire_ms(servos: int, wire: int, *, fast: bool) -> float:
 def main() -> int:
     """Print p50, p99 and overruns of each client; return 1 if a requirement does not hold."""
     options = bench_options(__doc__, EXAMPLE)
-    options.add_argument("--servos", type=int, default=6, help="how many servos, 1 to 20 (6)")
-    options.add_argument("--rounds", type=int, default=5, help="rounds of each client, 1 to 50 (5)")
-    options.add_argument("--cycles", type=int, default=1000, help="cycles of a round, 100 to 20000 (1000)")
+    add_number(options, "--servos", 6, "how many servos", most=20)
+    add_number(options, "--rounds", 5, "rounds of each client", most=50)
+    add_number(options, "--cycles", 1000, "cycles of a round", least=100, most=20_000)
     chosen = options.parse_args()
-    if not (1 <= chosen.servos <= 20 and 1 <= chosen.rounds <= 50 and 100 <= chosen.cycles <= 20_000):
-        options.error("--servos must be 1 to 20, --rounds 1 to 50, --cycles 100 to 20000")
     program = built("bus_cycle")
     cases = [(0, 0), *((wire, rate) for wire in WIRES for rate in RATES)]
     seen: dict[tuple[int, int, str], list[Round]] = {}
     out = table_file(chosen.json)
     for wire, rate in cases:
-        with answering(program, chosen.servos, wire) as path:
+        with running(str(program), "answer", str(chosen.servos), str(wire)) as path:
             for _ in range(chosen.rounds):
                 for client in (*RUST, *PYTHON):
                     counts = chosen.servos, chosen.cycles, rate
@@ -180,7 +165,6 @@ def main() -> int:
         print(f"done: {wire / 1e6:g} Mbit/s, {rate} Hz", file=sys.stderr)
 
     print(f"{chosen.servos} servos, {chosen.rounds} rounds of {chosen.cycles} cycles; ms of the best round", file=out)
-    print("wire Mbit/s  rate Hz  client                      p50      p99    wire   overruns, least and most", file=out)
     rows = []
     for (wire, rate, client), rounds in seen.items():
         overruns = [one.overruns for one in rounds]
@@ -194,11 +178,14 @@ def main() -> int:
             "overruns": overruns,
         }
         rows.append(row)
-        print(
-            f"{wire / 1e6 if wire else '-':>11}  {rate or '-':>7}  {client:25} {row['p50_ms']:7.4f}"
-            f"  {row['p99_ms']:7.4f}  {row['wire_ms']:6.3f}" + (f"   {min(overruns)} {max(overruns)}" if rate else ""),
-            file=out,
-        )
+    lines = (
+        (row["client"], row["wire_bit_s"] / 1e6 or None, row["rate_hz"] or None,
+         f"{row['p50_ms']:.4f}", f"{row['p99_ms']:.4f}", f"{row['wire_ms']:.3f}",
+         f"{min(row['overruns'])} {max(row['overruns'])}" if row["rate_hz"] else None)
+        for row in rows
+    )  # fmt: skip
+    heads = ("client", "wire Mbit/s", "rate Hz", "p50", "p99", "wire", "overruns, least and most")
+    print_table(heads, lines, out)
     p50 = {(row["rate_hz"], row["client"]): row["p50_ms"] for row in rows if row["wire_bit_s"] == 0}
     ratios = {
         rate: {
@@ -207,12 +194,9 @@ def main() -> int:
         for rate in (0, *RATES)
     }
     fits = min(one.overruns for one in seen[4_000_000, 1000, "haptether, fast"]) == 0
-    print("times dynamixel2, without a wire       back to back" + "".join(f"{rate:>7} Hz" for rate in RATES), file=out)
-    for client in ratios[0]:
-        print(
-            f"{client:38} {ratios[0][client]:12.2f}" + "".join(f"{ratios[rate][client]:10.2f}" for rate in RATES),
-            file=out,
-        )
+    rates = ("back to back", *(f"{rate} Hz" for rate in RATES))
+    lines_of_ratios = ((client, *(f"{of[client]:.2f}" for of in ratios.values())) for client in ratios[0])
+    print_table(("times dynamixel2, without a wire", *rates), lines_of_ratios, out)
     overran = "no overrun in one round at least" if fits else "overruns in each round"
     print(f"{chosen.servos} servos at 4 Mbit/s and 1 kHz: {overran}", file=out)
     good = fits and all(ratios[rate][client] <= REQUIRED for rate in RATES for client in RUST if client != "dynamixel2")

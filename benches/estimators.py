@@ -10,11 +10,9 @@ Each estimator also runs against a peer in NumPy and SciPy, which must agree wit
 """
 
 import sys
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Literal, TextIO
 
 import numpy as np
@@ -25,7 +23,7 @@ import scipy.signal
 from rich.console import Console
 from rich.progress import track
 
-from _report import bench_options, table_file, write_json
+from _report import add_number, bench_options, in_turns, print_table, table_file, write_json
 from haptether.bridge import run_local
 from haptether.master import Hand, HapticDevice
 from haptether.safety import DeviceModel, Estimator, EstimatorKind, SafetyController, SafetySettings
@@ -35,7 +33,7 @@ Array = npt.NDArray[np.float64]
 Estimate = tuple[Array, Array, Array]
 Peer = Callable[[Array, Array], Estimate]
 
-EXAMPLE = "example: python benches/estimators.py --json estimators.json --plot out"
+EXAMPLE = "example: python benches/estimators.py --json estimators.json"
 RULE = """\
 The default is, of the estimators that
   1. err by less than 0.1 N RMS in F_h while the hand holds with a tremor,
@@ -454,16 +452,6 @@ def agree(case: Case, position: Array, held_force: Array) -> None:
             sys.exit(f"{case.method} {case.parameters}: the peer's {name} differs by {apart:.3g}")
 
 
-def ns_per_sample(work: Callable[[], object], samples: int, repeats: int) -> float:
-    """Return the least of `repeats` times."""
-    best = float("inf")
-    for _ in range(repeats):
-        begun = time.perf_counter_ns()
-        work()
-        best = min(best, time.perf_counter_ns() - begun)
-    return best / samples
-
-
 def measure(case: Case, runs: list[Run], fast: Run, samples: int, repeats: int) -> Score:
     """Return the whole score."""
     run = runs[-1]
@@ -471,32 +459,28 @@ def measure(case: Case, runs: list[Run], fast: Run, samples: int, repeats: int) 
     position = np.tile(quantised(run, OFFSETS[0]), tiles)[:samples]
     force = np.tile(run.held_force, tiles)[:samples]
     estimator = Estimator(case.kind, period_s=PERIOD_S)
-    return replace(
-        judge(case, runs, fast),
-        ns_per_sample=ns_per_sample(lambda: estimator.run(position, force), samples, repeats),
-        peer_ns_per_sample=ns_per_sample(lambda: case.peer(position, force), samples, repeats),
-    )
+    works = {"ours": lambda: estimator.run(position, force), "peer": lambda: case.peer(position, force)}
+    ns = {name: min(times) / samples for name, times in in_turns(works, range(repeats)).items()}
+    return replace(judge(case, runs, fast), ns_per_sample=ns["ours"], peer_ns_per_sample=ns["peer"])
 
 
 def report(scores: list[Score], chosen: Score | None, out: TextIO) -> None:
     """Print the table."""
-    titles = ["ns", "peer/x", "V", "V-ms", "A", "A-ms", "F_h", "F-ms", "hold", "gone", "trip"]
-    titles += ["late", "   hold-S", "gone-S", "false", "touch"]
-    head = "".join(f"{title:>7}" for title in titles)
-    print(f"{'estimator':<31}{head}", file=out)
-    for score in scores:
-        trip, late = (f"{'never' if ms is None else f'{ms:.0f}':>7}" for ms in (score.trip_ms, score.trip_late_ms))
-        numbers = (
-            f"{score.ns_per_sample:7.1f}{score.peer_ns_per_sample / score.ns_per_sample:7.1f}"
-            f"{score.velocity_rms:7.4f}{score.velocity_delay_ms:7.2f}"
-            f"{score.acceleration_rms:7.2f}{score.acceleration_delay_ms:7.2f}"
-            f"{score.grasp_rms_n:7.3f}{score.grasp_delay_ms:7.2f}{score.hold_rms_n:7.3f}"
-            f"{score.gone_worst_n:7.2f}{trip}{late}"
-            f"{score.hold_grasp:9.3g}{score.gone_grasp:7.2f}{score.false_trips:7d}"
-            f"{score.touch_trips:7d}"
+    heads = ("estimator", "ns", "peer/x", "V", "V-ms", "A", "A-ms", "F_h", "F-ms", "hold", "gone", "trip", "late",
+             "hold-S", "gone-S", "false", "touch")  # fmt: skip
+    rows = (
+        (
+            f"{'*' if one is chosen else '+' if one.eligible else ' '} {one.method} {one.parameters}",
+            f"{one.ns_per_sample:.1f}", f"{one.peer_ns_per_sample / one.ns_per_sample:.1f}",
+            f"{one.velocity_rms:.4f}", f"{one.velocity_delay_ms:.2f}",
+            f"{one.acceleration_rms:.2f}", f"{one.acceleration_delay_ms:.2f}",
+            f"{one.grasp_rms_n:.3f}", f"{one.grasp_delay_ms:.2f}", f"{one.hold_rms_n:.3f}", f"{one.gone_worst_n:.2f}",
+            *("never" if ms is None else f"{ms:.0f}" for ms in (one.trip_ms, one.trip_late_ms)),
+            f"{one.hold_grasp:.3g}", f"{one.gone_grasp:.2f}", one.false_trips, one.touch_trips,
         )
-        mark = "*" if score is chosen else "+" if score.eligible else " "
-        print(f"{mark} {score.method:<15}{score.parameters:<14}{numbers}", file=out)
+        for one in scores
+    )  # fmt: skip
+    print_table(heads, rows, out)
     legend = """
 ns: per sample, with alignment; peer/x: time of the NumPy/SciPy peer over ours
 V m/s, A m/s2, F_h N: RMS error; -ms: delay that explains the estimate best
@@ -510,57 +494,12 @@ false: ticks with a trip until the release; touch: most such ticks when meeting 
     print(RULE, file=out)
 
 
-def plot(scores: list[Score], chosen: Score, chosen_case: Case, run: Run, folder: Path) -> Path:
-    """Plot the choice: delay against noise of all, and F_h of three around the release."""
-    import matplotlib as mpl  # noqa: PLC0415 (only when asked for)
-
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt  # noqa: PLC0415
-
-    figure, (cloud, release) = plt.subplots(1, 2, figsize=(12, 4.8), layout="constrained")
-    families: dict[str, list[Score]] = {}
-    for score in scores:
-        # "degree 2, 9" and "end, 32" differ in kind before the comma, "30 Hz" and "q = 10" do not.
-        kind, comma, _ = score.parameters.partition(",")
-        families.setdefault(f"{score.method} {kind if comma else ''}", []).append(score)
-    for family, points in families.items():
-        x, y = [p.grasp_delay_ms for p in points], [p.hold_rms_n for p in points]
-        cloud.plot(x, y, "o-", label=family, markersize=4, linewidth=0.8)
-    cloud.plot(chosen.grasp_delay_ms, chosen.hold_rms_n, "k*", markersize=12, label="default")
-    cloud.axhline(NOISE_BOUND_N, color="0.6", linestyle="--", linewidth=0.8)
-    cloud.set(xlabel="delay of F_h in ms", ylabel="RMS error of F_h while held in N", yscale="log")
-    cloud.set_title("Noise against delay")
-    cloud.legend(fontsize=8)
-
-    ticks = np.arange(run.release - 10, run.let_go + 40)
-    milliseconds = (ticks - run.release) * PERIOD_S * 1e3
-    shown = {f"{chosen.method} {chosen.parameters}": chosen_case}
-    for case in cases():
-        if (case.method, case.parameters) in (("low-pass", "30 Hz"), ("adaptive", "end, 32")):
-            shown[f"{case.method} {case.parameters}"] = case
-    device = DeviceModel.phantom_desktop()
-    for label, case in shown.items():
-        found = device.grasp_force(*estimate(case, quantised(run, OFFSETS[0]), run.held_force))
-        release.plot(milliseconds, found[ticks], linewidth=1, label=label)
-    release.plot(milliseconds, run.hand_force[ticks], "k--", linewidth=1, label="true")
-    release.set(xlabel="ms after the grip begins to loosen", ylabel="F_h in N")
-    release.set_title(f"Release, {run.name.upper()} acting")
-    release.legend(fontsize=8)
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "estimators.png"
-    figure.savefig(path, dpi=130)
-    return path
-
-
 def main() -> int:
     """Measure, print, and check the default."""
     options = bench_options(__doc__, EXAMPLE)
-    options.add_argument("--plot", metavar="DIR", type=Path, help="writes estimators.png there")
-    options.add_argument("--samples", type=int, default=100_000, help="for timing (default 100000)")
-    options.add_argument("--repeats", type=int, default=5, help="the least time counts (default 5)")
+    add_number(options, "--samples", 100_000, "for timing")
+    add_number(options, "--repeats", 5, "the least time counts")
     arguments = options.parse_args()
-    if arguments.samples < 1 or arguments.repeats < 1:
-        options.error("--samples and --repeats must be at least 1")
 
     out = table_file(arguments.json)
     runs = [simulate([], (TOUCH_M, DEPTH_M)), simulate(["wsc"], (TOUCH_M, DEPTH_M))]
@@ -581,8 +520,6 @@ def main() -> int:
     is_default = chosen_case.kind == EstimatorKind()
     verdict = "it is the default" if is_default else f"but the default is {EstimatorKind()}"
     print(f"\nchosen: {chosen.method} {chosen.parameters}; {verdict}", file=out)
-    if arguments.plot is not None:
-        print(plot(scores, chosen, chosen_case, runs[-1], arguments.plot), file=out)
     write_json(
         arguments.json,
         {

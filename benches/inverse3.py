@@ -6,14 +6,14 @@ The emulator is a process in Python beside it, whose time is in the waits for a 
 import contextlib
 import os
 import re
-import subprocess
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
 
-from _report import bench_options, table_file, write_json
+from _programs import HAPTETHER, running
+from _report import add_number, bench_options, table_file, write_json
 from haptether.master.inverse3 import Inverse3
 
 EXAMPLE = "example: python benches/inverse3.py --ticks 10000 --json -"
@@ -24,13 +24,10 @@ WARM_UP = 100
 def main() -> int:
     """Print p50 and p99 of a tick, and the achieved rate."""
     options = bench_options(__doc__, EXAMPLE)
-    options.add_argument("--ticks", type=int, default=10_000, help="ticks at 1 kHz (10000)")
+    add_number(options, "--ticks", 10_000, "ticks at 1 kHz")
     chosen = options.parse_args()
-    command = [sys.executable, "-m", "haptether", "inverse3-emulator", "--port", "0", "--event-port", "0"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        ports = re.search(r":(\d+), events on (\d+)", process.stdout.readline())
+    with running(*HAPTETHER, "inverse3-emulator", "--port", "0", "--event-port", "0") as headline:
+        ports = re.search(r":(\d+), events on (\d+)", headline)
         assert ports is not None
         with Path(os.devnull).open("w", encoding="utf-8") as unseen, contextlib.redirect_stderr(unseen):
             driver = Inverse3(port=int(ports[1]), event_port=int(ports[2]), grip="wireless", reply_timeout_s=0.015)
@@ -52,9 +49,6 @@ def main() -> int:
                     late += time.perf_counter() > due_s + PERIOD_S
             elapsed_s = time.perf_counter() - begun_s
             driver.close()
-    finally:
-        process.terminate()
-        process.wait()
     report = {
         "ticks": chosen.ticks,
         "p50_ms": float(np.percentile(taken, 50)),

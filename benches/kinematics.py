@@ -17,17 +17,19 @@ All entries of a table are timed in turns, round by round. Required:
 import importlib
 import importlib.util
 import sys
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from functools import partial
+from itertools import groupby
+from operator import attrgetter
+from typing import Any, TextIO
 
 import casadi
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from _report import bench_options, table_file, write_json
+from _report import add_number, bench_options, in_turns, print_table, table_file, write_json
 from haptether.slave import (
     QuadraticProgram,
     SelfKeepOut,
@@ -85,14 +87,14 @@ class Row:
 
 def timed(works: dict[str, Work], rounds: int) -> dict[str, tuple[float, float]]:
     """Return least and median time of a call in us; the works take turns in every round."""
-    blocks: dict[str, list[float]] = {name: [] for name in works}
-    for _ in range(rounds):
-        for name, work in works.items():
-            begun = time.perf_counter_ns()
-            for index in range(CALLS):
-                work(index)
-            blocks[name].append((time.perf_counter_ns() - begun) / CALLS / 1e3)
-    return {name: (min(times), float(np.median(times))) for name, times in blocks.items()}
+
+    def block(work: Work) -> None:
+        for index in range(CALLS):
+            work(index)
+
+    blocks = in_turns({name: partial(block, work) for name, work in works.items()}, range(rounds))
+    scale = 1e-3 / CALLS
+    return {name: (scale * min(times), scale * float(np.median(times))) for name, times in blocks.items()}
 
 
 def over(call: Callable[..., object], *arguments: Sequence[Any] | Array) -> Work:
@@ -374,37 +376,33 @@ def missed(rows: list[Row]) -> list[str]:
     return found
 
 
-def show(rows: list[Row]) -> str:
-    """Return the tables."""
-    lines: list[str] = []
-    before = ""
-    for row in rows:
-        if row.table != before:
-            lines += ["", row.table, f"{'':<36}{'us':>8}{'median':>8}"]
-            before = row.table
-        errors = "  ".join(
-            f"{key} {value:.1e}" if value % 1 else f"{key} {value:g}" for key, value in row.errors.items()
-        )
-        lines.append(f"{row.name:<36}{row.us:>8.2f}{row.us_median:>8.2f}  {errors}")
-    return "\n".join(lines[1:])
+def show(rows: list[Row], out: TextIO) -> None:
+    """Print the tables."""
+    for table, of_table in groupby(rows, attrgetter("table")):
+        lines = (
+            (row.name, f"{row.us:.2f}", f"{row.us_median:.2f}",
+             "  ".join(f"{key} {value:.1e}" if value % 1 else f"{key} {value:g}" for key, value in row.errors.items()))
+            for row in of_table
+        )  # fmt: skip
+        print(table, file=out)
+        print_table(("", "us", "median", "errors"), lines, out)
+        print(file=out)
 
 
 def main() -> int:
     """Measure, print, and check the requirements."""
     options = bench_options(__doc__, EXAMPLE)
-    options.add_argument("--rounds", type=int, default=60, help="rounds in which all take turns (default 60)")
-    options.add_argument("--poses", type=int, default=100_000, help="of the round trip (default 100000)")
+    add_number(options, "--rounds", 60, "rounds in which all take turns")
+    add_number(options, "--poses", 100_000, "of the round trip", least=CALLS)
     arguments = options.parse_args()
-    if arguments.rounds < 1 or arguments.poses < CALLS:
-        options.error(f"--rounds must be at least 1 and --poses at least {CALLS}")
 
     rounds = arguments.rounds
     rows = forward_rows(rounds) + inverse_rows(rounds, arguments.poses) + streaming_rows(rounds) + whole_steps(rounds)
     rows += tracked(rounds)
     out = table_file(arguments.json)
-    print(show(rows), file=out)
+    show(rows, out)
     wrong = missed(rows)
-    print(f"\nrequired: {'; '.join(wrong) + ': MISSED' if wrong else 'met'}", file=out)
+    print(f"required: {'; '.join(wrong) + ': MISSED' if wrong else 'met'}", file=out)
     report = {"rounds": rounds, "poses": arguments.poses, "rows": [asdict(row) for row in rows], "missed": wrong}
     write_json(arguments.json, report)
     return 1 if wrong else 0

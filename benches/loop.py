@@ -15,13 +15,14 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from _report import bench_options, table_file, write_json
+from _report import add_number, bench_options, print_requirements, print_table, table_file, write_json
 from haptether.bridge import LiveMaster, MasterTable, OperatorTable, SafetyTable, Scene, SlaveTable, scene_json
 
 EXAMPLE = "example: python benches/loop.py --rounds 10 --json -"
@@ -102,12 +103,10 @@ def live_loop(policy: str, wakes: int) -> tuple[npt.NDArray[np.float64], int, st
 def main() -> int:
     """Measure, print the table, and print if the requirement is met."""
     options = bench_options(__doc__, EXAMPLE)
-    options.add_argument("--rounds", type=int, default=6, help="turns of each; default 6")
-    options.add_argument("--seconds", type=float, default=10.0, help="of each turn, 1 to 60; default 10")
+    add_number(options, "--rounds", 6, "turns of each", most=1000)
+    add_number(options, "--seconds", 10.0, "of each turn", most=60.0)
     options.add_argument("--policy", choices=("fifo", "other"), help="by default fifo where it is allowed")
     arguments = options.parse_args()
-    if not (1 <= arguments.seconds <= 60 and 1 <= arguments.rounds <= 1000):
-        options.error("--seconds must be 1 to 60, --rounds 1 to 1000")
     if shutil.which("cyclictest") is None:
         options.error("cyclictest is missing: apt-get install rt-tests")
     policy = arguments.policy or allowed_policy()
@@ -115,7 +114,6 @@ def main() -> int:
 
     out = table_file(arguments.json)
     print(f"overshoot in us, {wakes} wakes a turn, policy {policy}\n", file=out)
-    print(f"{'':<14}{'p50':>10}{'p99':>10}{'p99.9':>10}{'> 1 ms':>10}  load average", file=out)
     rounds: list[Round] = []
     pooled: dict[str, list[npt.NDArray[np.float64]]] = {"cyclictest": [], "haptether": []}
     realtime = ""
@@ -129,14 +127,14 @@ def main() -> int:
             overshoot_ns, beyond, realtime = live_loop(policy, wakes)
         pooled[who].append(overshoot_ns)
         rounds.append(quantiles(who, overshoot_ns, beyond, load_average))
-        show(rounds[-1])
 
-    def show(of: Round) -> None:
-        print(
-            f"{of.who:<14}{of.p50_us:>10.1f}{of.p99_us:>10.1f}{of.p999_us:>10.1f}{of.beyond:>10}"
-            f"  {of.load_average:.1f}",
-            file=out,
-        )
+    def show(of: Iterable[Round]) -> None:
+        rows = (
+            (one.who, *(f"{us:.1f}" for us in (one.p50_us, one.p99_us, one.p999_us)), one.beyond,
+             f"{one.load_average:.1f}")
+            for one in of
+        )  # fmt: skip
+        print_table(("", "p50", "p99", "p99.9", "> 1 ms", "load average"), rows, out)
 
     for number in range(arguments.rounds):
         # The order alternates, so that a rising or falling load favours neither.
@@ -144,19 +142,19 @@ def main() -> int:
         for who in order:
             measure(who)
 
+    show(rounds)
     print("\nall turns together", file=out)
     together = {}
     for who, runs in pooled.items():
         beyond = sum(of.beyond for of in rounds if of.who == who)
         together[who] = quantiles(who, np.concatenate(runs), beyond, os.getloadavg()[0])
-        show(together[who])
+    show(together.values())
     ours, theirs = together["haptether"], together["cyclictest"]
     ratios = {name: getattr(ours, f"{name}_us") / getattr(theirs, f"{name}_us") for name in SHARES}
     print(f"\nthe loop's real time: {realtime}", file=out)
     print("times cyclictest: " + ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items()), file=out)
     met = {f"{name} at most {REQUIRED} times cyclictest": ratios[name] <= REQUIRED for name in ("p50", "p99")}
-    for what, is_met in met.items():
-        print(f"required {what}: {'met' if is_met else 'MISSED'}", file=out)
+    status = print_requirements(met, out)
     write_json(
         arguments.json,
         {
@@ -168,7 +166,7 @@ def main() -> int:
             "met": met,
         },
     )
-    return 0 if all(met.values()) else 1
+    return status
 
 
 def allowed_policy() -> str:

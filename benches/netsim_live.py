@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import cast
 
 from _programs import built
-from _report import bench_options, table_file, write_json
+from _report import add_number, bench_options, print_requirements, print_table, table_file, write_json
 from haptether.netsim import LinkSettings, Proxy, ProxyStatistics
 
 EXAMPLE = "example: python benches/netsim_live.py --json -"
@@ -232,15 +232,13 @@ def ramp(load: Path, name: str, seconds: float) -> list[Run]:
 def main() -> int:
     """Measure, print the table, and print if the requirement is met."""
     options = bench_options(__doc__, EXAMPLE)
-    options.add_argument("--seconds", type=float, default=10.0, help="of the exactness run; default 10")
-    options.add_argument("--ramp-seconds", type=float, default=3.0, help="of each rate; default 3")
+    add_number(options, "--seconds", 10.0, "of the exactness run", least=0.1, most=600.0)
+    add_number(options, "--ramp-seconds", 3.0, "of each rate", least=0.1, most=600.0)
     options.add_argument("--as-peer", nargs=3, help=argparse.SUPPRESS)
     arguments = options.parse_args()
     if arguments.as_peer:
         be_peer(*arguments.as_peer)
         return 0
-    if not (0 < arguments.seconds <= 600 and 0 < arguments.ramp_seconds <= 600):
-        options.error("--seconds and --ramp-seconds must be above 0, at most 600")
 
     out = table_file(arguments.json)
     load = built("load")
@@ -249,27 +247,23 @@ def main() -> int:
         names.append("uvloop")
 
     print(f"{EXACT_HZ} packets/s each way, {DELAY_S * 1e3:g} ms each way: error in us, worse way\n", file=out)
-    head = ("p50", "p99", "p99.9", "max", "early", "lost", "own p50", "own p99")
-    print(f"{'':<12}" + "".join(f"{text:>10}" for text in head) + "  thread, load average", file=out)
     exact = {name: measure(load, name, EXACT_HZ, arguments.seconds) for name in names}
-    for name, run in exact.items():
-        errors = "".join(f"{run.error_us(at):>10.1f}" for at in ("p50", "p99", "p999", "max"))
-        own = "".join("-".rjust(10) if us is None else f"{us:>10.1f}" for us in (run.own_p50_us, run.own_p99_us))
-        print(
-            f"{name:<12}{errors}{run.early:>10}{run.lost:>10}{own}  {run.scheduling or '-'}, {run.load_average:.1f}",
-            file=out,
-        )
+    errors = (
+        (name, *(f"{run.error_us(at):.1f}" for at in ("p50", "p99", "p999", "max")), run.early, run.lost,
+         *(us and f"{us:.1f}" for us in (run.own_p50_us, run.own_p99_us)), run.scheduling, f"{run.load_average:.1f}")
+        for name, run in exact.items()
+    )  # fmt: skip
+    heads = ("", "p50", "p99", "p99.9", "max", "early", "lost", "own p50", "own p99", "thread", "load average")
+    print_table(heads, errors, out)
 
     print("\npackets/s each way, until one is lost or the load falls behind\n", file=out)
-    print(f"{'':<12}{'asked':>10}{'offered':>10}{'lost':>10}{'p99 us':>10}  load average", file=out)
     ramps = {name: ramp(load, name, arguments.ramp_seconds) for name in names}
-    for name, runs in ramps.items():
-        for run in runs:
-            print(
-                f"{name:<12}{run.rate_hz:>10}{run.offered_hz:>10.0f}{run.lost:>10}{run.error_us('p99'):>10.0f}"
-                f"  {run.load_average:.1f}",
-                file=out,
-            )
+    offered = (
+        (name, run.rate_hz, f"{run.offered_hz:.0f}", run.lost, f"{run.error_us('p99'):.0f}", f"{run.load_average:.1f}")
+        for name, runs in ramps.items()
+        for run in runs
+    )
+    print_table(("", "asked", "offered", "lost", "p99 us", "load average"), offered, out)
     carried = {name: max((run.rate_hz for run in runs if run.carried), default=0) for name, runs in ramps.items()}
 
     ours = exact["haptether"]
@@ -279,8 +273,7 @@ def main() -> int:
         f"{REQUIRED_HZ} packets/s each way": carried["haptether"] >= REQUIRED_HZ,
     }
     print("\ncarried each way: " + ", ".join(f"{name} {rate}" for name, rate in carried.items()), file=out)
-    for what, is_met in met.items():
-        print(f"required {what}: {'met' if is_met else 'MISSED'}", file=out)
+    status = print_requirements(met, out)
     write_json(
         arguments.json,
         {
@@ -291,7 +284,7 @@ def main() -> int:
             "met": met,
         },
     )
-    return 0 if all(met.values()) else 1
+    return status
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ run, divided by the packets between them. All times are processor times.
 Ends with status 1 if a link without a rule costs more than 10 % of a run.
 """
 
-import math
 import os
 import random
 import sys
@@ -24,7 +23,7 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.progress import track
 
-from _report import bench_options, table_file, write_json
+from _report import add_number, bench_options, in_turns, print_table, table_file, write_json
 from haptether.bridge import Scene, simulate
 from haptether.netsim import LinkSettings, judge_all
 
@@ -153,34 +152,21 @@ def scenes() -> Iterator[tuple[str, tuple[Scene, Scene]]]:
         yield name, (short, long)
 
 
-def processor_ns(call: Callable[[], object]) -> float:
-    """Return the processor time of a call in ns."""
-    begun = time.process_time_ns()
-    call()
-    return float(time.process_time_ns() - begun)
-
-
 def main() -> int:
     """Measure, print, and check."""
     options = bench_options(__doc__, EXAMPLE)
-    options.add_argument("--packets", type=int, default=1_000_000, help="default 1000000")
-    options.add_argument("--repeats", type=int, default=5, help="default 5")
+    add_number(options, "--packets", 1_000_000, "of each link")
+    add_number(options, "--repeats", 5, "the least time counts")
     arguments = options.parse_args()
-    if arguments.repeats < 1 or arguments.packets < 1:
-        options.error("--repeats and --packets must be at least 1")
 
     out = table_file(arguments.json)
     judged, run = dict(work(arguments.packets)), dict(scenes())
-    min_ns = dict.fromkeys(judged, math.inf)
-    ran = {name: [math.inf, math.inf] for name in run}
-    rounds = range(arguments.repeats)
-    # All take turns, so that a temporary load of the machine affects all of them.
-    for _ in track(rounds, "packets", console=Console(stderr=True), transient=True):
-        for name, judge in judged.items():
-            min_ns[name] = min(min_ns[name], processor_ns(judge) / arguments.packets)
-        for name, pair in run.items():
-            times = [processor_ns(partial(simulate, scene)) for scene in pair]
-            ran[name] = [min(pair) for pair in zip(ran[name], times, strict=True)]
+    works = judged | {
+        f"{name}, {place}": partial(simulate, pair[place]) for name, pair in run.items() for place in (0, 1)
+    }
+    rounds = track(range(arguments.repeats), "packets", console=Console(stderr=True), transient=True)
+    least_ns = {name: min(times) for name, times in in_turns(works, rounds, time.process_time_ns).items()}
+    min_ns = {name: least_ns[name] / arguments.packets for name in judged}
 
     costs = [Cost(name=name, ns=min_ns[name]) for name in LINKS]
     for language in ("NumPy", "Python"):
@@ -188,19 +174,20 @@ def main() -> int:
             name = f"{language}: {peer}"
             costs.append(Cost(name=name, ns=min_ns[name], ratio=min_ns[name] / min_ns[link]))
     packets = (LONG_S - SHORT_S) * 1e9 / PERIOD_NS * PACKETS_PER_TICK
-    per_packet = {name: (long - short) / packets for name, (short, long) in ran.items()}
+    per_packet = {name: (least_ns[f"{name}, 1"] - least_ns[f"{name}, 0"]) / packets for name in run}
     base = per_packet["engine, no [link]"]
     engine = [Cost(name=name, ns=ns, ratio=ns / base) for name, ns in per_packet.items()]
 
     load = os.getloadavg()[0]
     print(f"{arguments.packets} packets, least of {arguments.repeats}, load {load:.1f}\n", file=out)
-    print(f"{'':<34}{'ns per packet':>15}{'1e6 per s':>11}", file=out)
-    for cost in costs:
-        compared = "" if cost.ratio is None else f"{cost.ratio:>8.2f} x the link that does the same"
-        print(f"{cost.name:<34}{cost.ns:>15.1f}{1e3 / cost.ns:>11.1f}{compared}", file=out)
-    print(f"\n{'':<34}{'ns per packet':>15}", file=out)
-    for cost in engine:
-        print(f"{cost.name:<34}{cost.ns:>15.1f}{cost.ratio:>8.2f} x without a link", file=out)
+    verdicts = (
+        (cost.name, f"{cost.ns:.1f}", f"{1e3 / cost.ns:.1f}", None if cost.ratio is None else f"{cost.ratio:.2f}")
+        for cost in costs
+    )
+    print_table(("", "ns per packet", "1e6 per s", "x the link that does the same"), verdicts, out)
+    print(file=out)
+    in_runs = ((cost.name, f"{cost.ns:.1f}", f"{cost.ratio:.2f}") for cost in engine)
+    print_table(("", "ns per packet", "x without a link"), in_runs, out)
 
     no_rule = per_packet["engine, [link] without a rule"] / base
     missed = [f"a link without a rule: {no_rule:.2f} x, must be at most {MAX_FOR_NO_RULE}"]

@@ -9,8 +9,6 @@ and transport times the speed. Joints are held to the largest speed of the model
 """
 
 import math
-import select
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -18,10 +16,9 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
-from _report import bench_options, table_file, write_json
+from _programs import HAPTETHER, running
+from _report import bench_options, print_table, table_file, write_json
 from haptether.slave import UrKinematics, UrSlave, ur_model
 from ur.figures import Path, apart, figure, turn
 
@@ -36,7 +33,7 @@ MODES = ("servoj", "servol", "speedl", "direct-torque")
 PATHS = ("figure", "singularity", "beside it")
 OPTIONS = {"max_angular_speed": 2.0, "watchdog_hz": 5.0}
 """A shared machine may stall for longer than the default watchdog's 100 ms."""
-START_S, SETTLE_S = 30.0, 1.0
+SETTLE_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,23 +66,11 @@ class Row:
 @contextmanager
 def emulated(host: str, start: tuple[float, ...]) -> Iterator[None]:
     """Run a controller in its own process."""
-    command = [
-        sys.executable, "-m", "haptether", "ur-emulator", "--host", host, "--version", VERSION,
-        "--control", "-", "--start", *map(str, start),
-    ]  # fmt: skip
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout is not None
-        if not select.select([process.stdout], [], [], START_S)[0]:
-            message = f"the emulator has said nothing for {START_S:g} s"
-            raise RuntimeError(message)
-        process.stdout.readline()
+    command = (*HAPTETHER, "ur-emulator", "--host", host, "--version", VERSION, "--control", "-")
+    with running(*command, "--start", *map(str, start)):
         # The first cycles have passed by then.
         time.sleep(SETTLE_S)
         yield
-    finally:
-        process.kill()
-        process.communicate()
 
 
 def begin_of(name: str) -> tuple[float, ...]:
@@ -162,28 +147,6 @@ def _led(arm: UrSlave, mode: str, name: str) -> Row:
     )
 
 
-def show(rows: list[Row], json: str | None) -> None:
-    """Print the table."""
-    table = Table(
-        "mode", "path", "m", "95 %", "rad", "95 %", "at the end", "fastest joint", "joint 5", "worst gap", "fault"
-    )
-    for row in rows:
-        table.add_row(
-            row.mode,
-            row.path,
-            f"{1e3 * row.worst_m:.1f} mm",
-            f"{1e3 * row.p95_m:.1f} mm",
-            f"{row.worst_rad:.3f}",
-            f"{row.p95_rad:.3f}",
-            f"{row.end_rad:.3f} rad",
-            f"{100 * row.fastest_joint:.0f} %",
-            f"{row.joint_5[0]:.2f} to {row.joint_5[1]:.2f}",
-            f"{1e3 * row.worst_gap_s:.1f} ms",
-            row.fault,
-        )
-    Console(file=table_file(json), width=160).print(table)
-
-
 def main() -> int:
     """Measure all rows."""
     line = bench_options(__doc__, EXAMPLE)
@@ -192,7 +155,14 @@ def main() -> int:
     line.add_argument("--host", default=HOST, help=f"address of the emulated controller (default {HOST})")
     arguments = line.parse_args()
     rows = [measure(mode, path, arguments.host) for mode in arguments.mode or MODES for path in arguments.path or PATHS]
-    show(rows, arguments.json)
+    heads = ("mode", "path", "m", "95 %", "rad", "95 %", "at the end", "fastest joint", "joint 5", "worst gap", "fault")
+    lines = (
+        (row.mode, row.path, f"{1e3 * row.worst_m:.1f} mm", f"{1e3 * row.p95_m:.1f} mm", f"{row.worst_rad:.3f}",
+         f"{row.p95_rad:.3f}", f"{row.end_rad:.3f} rad", f"{100 * row.fastest_joint:.0f} %",
+         f"{row.joint_5[0]:.2f} to {row.joint_5[1]:.2f}", f"{1e3 * row.worst_gap_s:.1f} ms", row.fault)
+        for row in rows
+    )  # fmt: skip
+    print_table(heads, lines, table_file(arguments.json))
     write_json(arguments.json, [asdict(row) for row in rows])
     return 0
 

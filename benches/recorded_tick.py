@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from _programs import built
-from _report import bench_options, print_requirements, table_file, write_json
+from _report import add_number, bench_options, print_requirements, print_table, table_file, write_json
 from haptether.bridge import LiveMaster, TelemetryReader, load_scene, scene_json
 
 EXAMPLE = "example: python benches/recorded_tick.py --rounds 10 --json -"
@@ -69,11 +69,9 @@ def lateness_us(seconds: float, case: str, folder: Path) -> tuple[float, float]:
 def main() -> int:
     """Measure, print both tables, and print if the requirement is met."""
     options = bench_options(__doc__, EXAMPLE)
-    options.add_argument("--rounds", type=int, default=5, help="turns of each, 1 to 100; default 5")
-    options.add_argument("--seconds", type=float, default=10.0, help="of each turn, 1 to 120; default 10")
+    add_number(options, "--rounds", 5, "turns of each", most=100)
+    add_number(options, "--seconds", 10.0, "of each turn", most=120.0)
     chosen = options.parse_args()
-    if not (1 <= chosen.rounds <= 100 and 1.0 <= chosen.seconds <= 120.0):
-        options.error("--rounds must be 1 to 100, --seconds 1 to 120")
     program = built("recorded_tick")
     rounds: list[dict[str, dict[str, float]]] = []
     late: list[dict[str, tuple[float, float]]] = []
@@ -100,19 +98,20 @@ def main() -> int:
 
     out = table_file(chosen.json)
     print(f"a tick of three axes, medians of {chosen.rounds} rounds of {chosen.seconds:g} s", file=out)
-    print(f"{'':12}{'p50 [us]':>10}{'p99 [us]':>10}{'added [ns]':>12}{'p99, times':>12}", file=out)
-    print(f"{'none':12}{median('none', 'p50_ns') / 1e3:10.2f}{median('none', 'p99_ns') / 1e3:10.2f}", file=out)
-    for case in CASES:
-        print(
-            f"{case:12}{median(case, 'p50_ns') / 1e3:10.2f}{median(case, 'p99_ns') / 1e3:10.2f}"
-            f"{median(case, 'added_ns'):12.0f}{median(case, 'p99_times'):12.3f}",
-            file=out,
-        )
+    ticks = [
+        (case, *(f"{median(case, key) / 1e3:.2f}" for key in ("p50_ns", "p99_ns")),
+         *((None, None) if case == "none" else
+           (f"{median(case, 'added_ns'):.0f}", f"{median(case, 'p99_times'):.3f}")))
+        for case in ("none", *CASES)
+    ]  # fmt: skip
+    print_table(("", "p50 [us]", "p99 [us]", "added [ns]", "p99, times"), ticks, out)
     p99_late = {case: statistics.median(one[case][1] / one["none"][1] for one in late) for case in LATE}
-    print("\nwakes late [us]     p50     p99   p99, times", file=out)
-    for case in LATE:
-        p50, p99 = (statistics.median(one[case][place] for one in late) for place in (0, 1))
-        print(f"{case:14}{p50:9.1f}{p99:8.1f}{p99_late[case]:13.3f}", file=out)
+    print(file=out)
+    wakes = [
+        (case, *(f"{statistics.median(one[case][at] for one in late):.1f}" for at in (0, 1)), f"{p99_late[case]:.3f}")
+        for case in LATE
+    ]
+    print_table(("wakes late [us]", "p50", "p99", "p99, times"), wakes, out)
     holds = {
         "telemetry adds at most 100 ns": median("telemetry", "added_ns") <= REQUIRED_NS,
         "p99 of a tick within 5 %": median("telemetry", "p99_times") <= REQUIRED,

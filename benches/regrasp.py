@@ -21,10 +21,8 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
-from _report import bench_options, table_file, write_json
+from _report import add_number, bench_options, print_table, table_file, write_json
 from haptether.bridge import Run, Scene, load_population, load_scene, simulate
 
 EXAMPLE = """example:
@@ -151,19 +149,21 @@ def cell(row: str, hands: int, controllers: list[str]) -> Cell:
 def main() -> None:
     """Run, print, and check the shares against their requirements."""
     options = bench_options(__doc__, EXAMPLE)
-    options.add_argument("--hands", type=int, default=100, help="of each cell")
+    add_number(options, "--hands", 100, "of each cell")
     options.add_argument("--row", action="append", choices=ROWS, help="by default all")
     options.add_argument("--controllers", action="append", help="such as hsc+wsc; by default every union")
     arguments = options.parse_args()
     unions = [one.split("+") for one in arguments.controllers or []] or UNIONS
     rows = arguments.row or list(ROWS)
     cells = [cell(row, arguments.hands, controllers) for controllers in unions for row in rows]
-    table = Table("controllers", *rows)
-    for controllers in unions:
-        of_union = [one for one in cells if one.controllers == "+".join(controllers)]
-        texts = (f"{100 * one.share:.0f} % of {one.tripped}, {one.held} held" for one in of_union)
-        table.add_row("+".join(controllers), *texts)
-    Console(file=table_file(arguments.json), width=140).print(table)
+    lines = (
+        (
+            name,
+            *(f"{100 * one.share:.0f} % of {one.tripped}, {one.held} held" for one in cells if one.controllers == name),
+        )
+        for name in map("+".join, unions)
+    )
+    print_table(("controllers", *rows), lines, table_file(arguments.json))
     write_json(arguments.json, {"cells": [asdict(one) for one in cells]})
     sys.exit(any(one.share < 0.95 for one in cells if one.hands not in REPORTED))
 

@@ -32,11 +32,9 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
-from _report import bench_options, table_file, write_json
-from haptether.bridge import Scene, simulate
+from _report import bench_options, print_table, table_file, write_json
+from haptether.bridge import TRIP_BITS, Scene, simulate
 
 EXAMPLE = """example:
   .venv/bin/python benches/release.py --json -
@@ -61,7 +59,7 @@ PUSHES_N = (3.0, 7.0)
 PUSHES_OF_OMNI_N = (2.0, 3.0)
 """An Omni exerts 3.3 N."""
 DIRECTION = (0.8, -0.48, 0.36)
-HELD = 16
+HELD = TRIP_BITS["held"]
 """Bit of `tripped` that marks the rest of an earlier trip."""
 
 
@@ -196,25 +194,19 @@ def main() -> None:
     options.add_argument("--kind", action="append", choices=KINDS, help="by default all")
     arguments = options.parse_args()
     found = list(rows(arguments.kind or KINDS))
-    table = Table("kind", "controllers", "push", "law", "MEV", "later", "thrown", "way", "trips/s", "> 30 Hz")
-    for row in found:
-        table.add_row(
-            row.kind,
-            row.controllers,
-            f"{row.push_n:g} N",
-            row.law,
-            f"{row.mev:.3f} m/s",
-            f"{row.later:.3f} m/s",
-            str(row.thrown),
-            f"{1e3 * row.way_m:.0f} mm",
-            f"{row.trips_per_s:.1f}",
-            f"{row.rattle_n:.3f} N",
-        )
-    console = Console(file=table_file(arguments.json), width=110)
-    console.print(table)
+    out = table_file(arguments.json)
+    print_table(
+        ("kind", "controllers", "push", "law", "MEV", "later", "thrown", "way", "trips/s", "> 30 Hz"),
+        (
+            (row.kind, row.controllers, f"{row.push_n:g} N", row.law, f"{row.mev:.3f} m/s", f"{row.later:.3f} m/s",
+             row.thrown, f"{1e3 * row.way_m:.0f} mm", f"{row.trips_per_s:.1f}", f"{row.rattle_n:.3f} N")
+            for row in found
+        ),
+        out,
+    )  # fmt: skip
     failed = list(failures(found))
     for failure in failed:
-        console.print(failure)
+        print(failure, file=out)
     write_json(arguments.json, {"rows": [asdict(row) for row in found], "failed": failed})
     sys.exit(1 if failed else 0)
 

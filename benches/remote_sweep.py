@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from _report import bench_options, print_requirements, table_file, write_json
+from _report import add_number, bench_options, print_requirements, print_table, table_file, write_json
 from haptether.bridge import sweep
 
 EXAMPLE = "example: python benches/remote_sweep.py --rows 1 64 --json -"
@@ -50,13 +50,11 @@ def main() -> int:
     """Measure, print the table, and print if the requirement is met."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--rows", type=int, nargs="+", default=[1, 8, 64, 512], help="default %(default)s")
-    options.add_argument("--repeats", type=int, default=3, help="sweeps of each, 1 to 1000; default 3")
+    add_number(options, "--repeats", 3, "sweeps of each", most=1000)
     chosen = options.parse_args()
-    if not 1 <= chosen.repeats <= 1000 or min(chosen.rows) < 1:
-        options.error("--repeats must be 1 to 1000, --rows 1 or more")
+    if min(chosen.rows) < 1:
+        options.error("--rows must be 1 or more")
     out = table_file(chosen.json)
-    names = f"{'rows':>7}{'shared':>9}{'required':>10}{'one by one':>12}{'own':>7}{'own / shared':>14}"
-    print(f"{'ns a tick':10}{names}", file=out)
     found: list[dict[str, Any]] = []
     for axes, (name, limit_ns) in SCENES.items():
         for rows in chosen.rows:
@@ -67,9 +65,16 @@ def main() -> int:
             times = {"shared_ns": shared_ns, "one_by_one_ns": single_ns, "own_ns": own_ns}
             is_same = is_same and is_single_same and is_own_same
             found.append({"name": axes, "rows": rows, **times, "required_ns": required_ns, "is_same": is_same})
-            required = "" if required_ns is None else f"{required_ns:.0f}"
-            numbers = f"{rows:7}{shared_ns:9.0f}{required:>10}{single_ns:12.0f}{own_ns:7.0f}{own_ns / shared_ns:14.2f}"
-            print(f"{axes:10}{numbers}", file=out)
+    names = ("shared_ns", "required_ns", "one_by_one_ns", "own_ns")
+    print_table(
+        ("ns a tick", "rows", "shared", "required", "one by one", "own", "own / shared"),
+        (
+            (row["name"], row["rows"], *(row[name] and f"{row[name]:.0f}" for name in names),
+             f"{row['own_ns'] / row['shared_ns']:.2f}")
+            for row in found
+        ),
+        out,
+    )  # fmt: skip
     holds = {
         "the required time": all(row["required_ns"] is None or row["shared_ns"] <= row["required_ns"] for row in found),
         "each row as by itself": all(row["is_same"] for row in found),

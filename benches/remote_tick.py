@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from _programs import built
-from _report import bench_options, print_requirements, table_file, write_json
+from _report import add_number, bench_options, print_requirements, print_table, table_file, write_json
 from haptether.bridge import load_scene, scene_json
 
 EXAMPLE = "example: python benches/remote_tick.py --repeats 20 --json -"
@@ -53,10 +53,8 @@ def cost(short: dict[str, Any], long: dict[str, Any], key: str) -> tuple[float, 
 def main() -> int:
     """Measure, print the table, and print if the requirement is met."""
     options = bench_options(__doc__, EXAMPLE)
-    options.add_argument("--repeats", type=int, default=10, help="runs of each scene, 1 to 1000; default 10")
+    add_number(options, "--repeats", 10, "runs of each scene", most=1000)
     chosen = options.parse_args()
-    if not 1 <= chosen.repeats <= 1000:
-        options.error("--repeats must be 1 to 1000")
     program = built("remote_tick")
     rows = []
     with tempfile.TemporaryDirectory() as temporary:
@@ -72,11 +70,12 @@ def main() -> int:
             row = {"name": name, "ns": ns, "encoded_ns": encoded_ns, "before_us": before_us, "required_ns": limit_ns}
             rows.append({**row, "is_same": is_same})
     out = table_file(chosen.json)
-    print(f"{'':30}{'ns a tick':>10}{'required':>10}{'as bytes':>10}{'before the first [us]':>23}", file=out)
-    for row in rows:
-        required = "" if row["required_ns"] is None else f"{row['required_ns']:.0f}"
-        numbers = f"{row['ns']:10.0f}{required:>10}{row['encoded_ns']:10.0f}{row['before_us']:23.0f}"
-        print(f"{row['name']:30}{numbers}", file=out)
+    names = ("ns", "required_ns", "encoded_ns", "before_us")
+    print_table(
+        ("", "ns a tick", "required", "as bytes", "before the first [us]"),
+        ((row["name"], *(row[name] and f"{row[name]:.0f}" for name in names)) for row in rows),
+        out,
+    )
     holds = {
         "the required times": all(row["required_ns"] is None or row["ns"] <= row["required_ns"] for row in rows),
         "the same with frames encoded": all(row["is_same"] for row in rows),

@@ -30,7 +30,7 @@ import numpy as np
 import numpy.typing as npt
 
 from _programs import built
-from _report import bench_options, table_file, write_json
+from _report import add_number, bench_options, print_table, table_file, write_json
 
 EXAMPLE = "example: python benches/round_trip.py --json -"
 BYTES = 164
@@ -224,16 +224,14 @@ def two_cpus(text: str) -> tuple[int, int]:
 def main() -> int:
     """Measure, print the table, and print if the requirement is met."""
     options = bench_options(__doc__, EXAMPLE)
-    options.add_argument("--turns", type=int, default=6, help="turns of each, 1 to 100; default 6")
-    options.add_argument("--pings", type=int, default=5000, help="round trips of each turn, 100 to 20000; default 5000")
+    add_number(options, "--turns", 6, "turns of each", most=100)
+    add_number(options, "--pings", 5000, "round trips of each turn", least=100, most=20_000)
     allowed = sorted(os.sched_getaffinity(0))
     options.add_argument(
         "--cpus", type=two_cpus, default=(allowed[0], allowed[1 % len(allowed)]), metavar="PING,ANSWER",
         help="CPUs of every pair, the same twice for one; default %(default)s",
     )  # fmt: skip
     arguments = options.parse_args()
-    if not (1 <= arguments.turns <= 100 and 100 <= arguments.pings <= 20_000):
-        options.error("--turns must be 1 to 100, --pings 100 to 20000")
     ping_pong = built("ping_pong")
 
     rounds: dict[str, list[Taken]] = {}
@@ -264,13 +262,16 @@ def main() -> int:
         f"round trip in us, {arguments.turns} turns of {arguments.pings}, {BYTES} bytes, CPU {near} to CPU {far}\n",
         file=out,
     )
-    print(f"{'':<28}{'p50':>8}{'p99':>8}{'p99.9':>9}{'p50, times fastest':>20}", file=out)
     figures = {}
     for kind, each in taken.items():
         p99, p999 = (float(np.percentile(each, share)) for share in (99, 99.9))
         ratio = p50[kind] / p50[fastest]
         figures[kind] = {"p50_us": p50[kind], "p99_us": p99, "p999_us": p999, "p50_times_fastest": ratio}
-        print(f"{names.get(kind, kind):<28}{p50[kind]:>8.1f}{p99:>8.1f}{p999:>9.1f}{ratio:>20.2f}", file=out)
+    lines = (
+        (names.get(kind, kind), *(f"{us:.1f}" for us in list(of.values())[:3]), f"{of['p50_times_fastest']:.2f}")
+        for kind, of in figures.items()
+    )
+    print_table(("", "p50", "p99", "p99.9", "p50, times fastest"), lines, out)
     is_met = figures["secure"]["p50_times_fastest"] <= REQUIRED
     what = f"p50 of a secure round trip at most {REQUIRED} times the fastest without endpoints"
     print(f"\nrequired {what} ({names.get(fastest, fastest)}): {'met' if is_met else 'MISSED'}", file=out)

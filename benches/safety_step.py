@@ -7,7 +7,6 @@ the step has no feedback, and in plain Python, tick by tick, as a script would h
 """
 
 import sys
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -19,7 +18,7 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.progress import track
 
-from _report import bench_options, table_file, write_json
+from _report import add_number, bench_options, in_turns, print_table, table_file, write_json
 from haptether.safety import (
     DeviceModel,
     Limiter,
@@ -201,16 +200,6 @@ def signals(samples: int) -> tuple[Array, Array, Array]:
     return velocity, rendered, np.where(holds, -rendered + 0.8 * np.sin(23.0 * t), 0.01)
 
 
-def times_ns(work: Callable[[], object], repeats: int) -> list[int]:
-    """Return one time per repeat."""
-    times = []
-    for _ in range(repeats):
-        begun = time.perf_counter_ns()
-        work()
-        times.append(time.perf_counter_ns() - begun)
-    return times
-
-
 def measure(case: Case, inputs: tuple[Array, Array, Array], repeats: int) -> Cost:
     """Compare on some samples, then time; the plain Python peer gets a tenth of them."""
     samples = len(inputs[0])
@@ -218,10 +207,14 @@ def measure(case: Case, inputs: tuple[Array, Array, Array], repeats: int) -> Cos
     for peer in (case.numpy, case.python):
         if peer is not None and not np.allclose(case.ours(*few), peer(*few), atol=1e-9):
             sys.exit(f"{case.name}: the peer computes something else")
-    own = times_ns(lambda: case.ours(*inputs), repeats)
+    works = {"ours": partial(case.ours, *inputs)}
+    works |= {} if case.numpy is None else {"numpy": partial(case.numpy, *inputs)}
+    works |= {} if case.python is None else {"python": partial(case.python, *few)}
+    times = in_turns(works, range(repeats))
+    own = times["ours"]
     numpy_ns, python_ns = (
-        None if peer is None else min(times_ns(partial(peer, *seen), repeats)) / len(seen[0])
-        for peer, seen in ((case.numpy, inputs), (case.python, few))
+        min(times[peer]) / len(seen[0]) if peer in times else None
+        for peer, seen in (("numpy", inputs), ("python", few))
     )
     return Cost(
         name=case.name,
@@ -235,11 +228,9 @@ def measure(case: Case, inputs: tuple[Array, Array, Array], repeats: int) -> Cos
 def main() -> int:
     """Measure, print, and check the requirement."""
     options = bench_options(__doc__, EXAMPLE)
-    options.add_argument("--samples", type=int, default=500_000, help="default 500000")
-    options.add_argument("--repeats", type=int, default=5, help="default 5")
+    add_number(options, "--samples", 500_000, "of each case")
+    add_number(options, "--repeats", 5, "the least time counts")
     arguments = options.parse_args()
-    if arguments.samples < 1 or arguments.repeats < 1:
-        options.error("--samples and --repeats must be at least 1")
 
     out = table_file(arguments.json)
     inputs = signals(arguments.samples)
@@ -249,16 +240,17 @@ def main() -> int:
     ]
 
     print("ns per sample, one axis; NumPy and Python: time of the peer over ours\n", file=out)
-    print(f"{'':<24}{'best':>8}{'median':>8}{'NumPy':>9}{'Python':>9}", file=out)
-    for cost in costs:
-        ratios = "".join(
-            f"{'-' if ns is None else f'{ns / cost.ns:.1f}x':>9}" for ns in (cost.numpy_ns, cost.python_ns)
-        )
-        print(f"{cost.name:<24}{cost.ns:>8.1f}{cost.ns_median:>8.1f}{ratios}", file=out)
+    rows = (
+        (cost.name, f"{cost.ns:.1f}", f"{cost.ns_median:.1f}",
+         *(ns and f"{ns / cost.ns:.1f}x" for ns in (cost.numpy_ns, cost.python_ns)))
+        for cost in costs
+    )  # fmt: skip
+    print_table(("", "best", "median", "NumPy", "Python"), rows, out)
 
     million = signals(REQUIRED_SAMPLES)
     both = controlled("hsc", "wsc")
-    required = [ns * 1e-9 for ns in times_ns(lambda: both(*million), REQUIRED_REPEATS)]
+    both_ns = in_turns({"both": lambda: both(*million)}, range(REQUIRED_REPEATS))["both"]
+    required = [ns * 1e-9 for ns in both_ns]
     met = min(required) < REQUIRED_S
     print(
         f"\n{REQUIRED_SAMPLES} samples through HSC and WSC: best of {REQUIRED_REPEATS} "

@@ -26,7 +26,7 @@ import msgspec
 from rich.console import Console
 from rich.progress import track
 
-from _report import bench_options, table_file, write_json
+from _report import add_number, bench_options, print_table, table_file, write_json
 from haptether.bridge import Scene, scene_json, simulate
 from haptether.cli.entry import COMMANDS
 
@@ -188,10 +188,8 @@ print(*sorted(set({UNUSED!r}) & set(sys.modules)), file=sys.stderr)
 def main() -> int:
     """Measure, print, and check."""
     options = bench_options(__doc__, EXAMPLE)
-    options.add_argument("--repeats", type=int, default=21, help="default 21")
+    add_number(options, "--repeats", 21, "runs of each scene")
     arguments = options.parse_args()
-    if arguments.repeats < 1:
-        options.error("--repeats must be at least 1")
 
     out = table_file(arguments.json)
     costs: dict[str, Cost] = {}
@@ -204,13 +202,14 @@ def main() -> int:
     begins = starts()
     needless = loaded_needlessly()
 
-    print(f"ns per tick, least of {arguments.repeats}; over its base\n", file=out)
-    for cost in costs.values():
-        compared = "" if cost.ratio is None else f"{cost.ratio:>7.2f} x {cost.base}"
-        print(f"{cost.name:<38}{cost.ns:>8.0f}{compared}", file=out)
-    print(f"\ns of a fresh process, least of {PROCESSES}\n", file=out)
-    for start in begins:
-        print(f"{start.name:<38}{start.seconds:>8.3f}", file=out)
+    ticks = (
+        (cost.name, f"{cost.ns:.0f}", *((None, None) if cost.ratio is None else (f"{cost.ratio:.2f}", cost.base)))
+        for cost in costs.values()
+    )
+    print_table((f"least of {arguments.repeats}", "ns per tick", "times", "base"), ticks, out)
+    print(file=out)
+    processes = ((start.name, f"{start.seconds:.3f}") for start in begins)
+    print_table((f"a fresh process, least of {PROCESSES}", "s"), processes, out)
 
     missed = [
         f"{cost.name}: {cost.ratio:.2f} x, must be at most {MAX_FOR_OBJECTS}"

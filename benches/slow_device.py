@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import numpy.typing as npt
 
-from _report import bench_options, table_file, write_json
+from _report import add_number, bench_options, print_table, table_file, write_json
 from haptether.safety import DeviceModel, Renewal, SafetyLayer, SafetySettings
 
 EXAMPLE = "example: python benches/slow_device.py --json -"
@@ -65,24 +65,20 @@ def measured(every_ms: float, seconds: float) -> Row:
 def main() -> int:
     """Print the table."""
     options = bench_options(__doc__, EXAMPLE)
-    options.add_argument("--seconds", type=float, default=60.0, help="of each run, 5 to 600; default 60")
+    add_number(options, "--seconds", 60.0, "of each run", least=5.0, most=600.0)
     arguments = options.parse_args()
-    if not 5.0 <= arguments.seconds <= 600.0:
-        options.error("--seconds must be 5 to 600")
     rows = [measured(every_ms, arguments.seconds) for every_ms in (1.0, 1.25, 2.0, 4.0, 8.0)]
-    out, first = table_file(arguments.json), rows[0]
-    print(
-        f"{'sample each ms':<16}{'renewal':>8}{'V error m/s':>13}{'times':>8}{'trips':>8}{'times':>8}{'on':>7}",
-        file=out,
-    )
-    for row in rows:
-        times = row.velocity_error / first.velocity_error, row.trips / max(first.trips, 1)
-        renewal = "-" if row.renewal is None else f"{row.renewal:.2f}"
-        print(
-            f"{row.every_ms:<16g}{renewal:>8}{row.velocity_error:>13.4f}{times[0]:>8.1f}{row.trips:>8}{times[1]:>8.1f}"
-            f"{row.tripped:>7.1%}",
-            file=out,
-        )
+    first = rows[0]
+    print_table(
+        ("sample each ms", "renewal", "V error m/s", "times", "trips", "times", "on"),
+        (
+            (f"{row.every_ms:g}", row.renewal and f"{row.renewal:.2f}", f"{row.velocity_error:.4f}",
+             f"{row.velocity_error / first.velocity_error:.1f}", row.trips,
+             f"{row.trips / max(first.trips, 1):.1f}", f"{row.tripped:.1%}")
+            for row in rows
+        ),
+        table_file(arguments.json),
+    )  # fmt: skip
     write_json(arguments.json, {"rows": [asdict(row) for row in rows]})
     return 0
 

@@ -22,7 +22,7 @@ import scipy.optimize
 from rich.console import Console
 from rich.progress import track
 
-from _report import bench_options, table_file, write_json
+from _report import bench_options, print_table, table_file, write_json
 from haptether.bridge import Scene, simulate
 
 Array: TypeAlias = npt.NDArray[np.float64]
@@ -473,15 +473,13 @@ def main() -> int:
 
     print("critical gain: stiffness in N/m, force scale of position-force", file=out)
     print("sampled: closed form of the loop as it is sampled; error: simulated against closed form\n", file=out)
-    print(f"{'':<48}{'printed':>10}{'closed':>11}{'sampled':>11}{'simulated':>11}{'error':>9}", file=out)
-    for row in rows:
-        printed = "-" if row.printed is None else f"{row.printed:.4g}"
-        mark = "" if abs(row.error) <= TOLERANCE else "  OFF"
-        print(
-            f"{row.name:<48}{printed:>10}{row.closed:>11.5g}{row.sampled:>11.5g}{row.simulated:>11.5g}"
-            f"{row.error:>+9.2%}{mark}",
-            file=out,
-        )
+    lines = (
+        (row.name, row.printed and f"{row.printed:.4g}",
+         *(f"{gain:.5g}" for gain in (row.closed, row.sampled, row.simulated)), f"{row.error:+.2%}",
+         "" if abs(row.error) <= TOLERANCE else "OFF")
+        for row in rows
+    )  # fmt: skip
+    print_table(("", "printed", "closed", "sampled", "simulated", "error", ""), lines, out)
     off = [row.name for row in rows if not abs(row.error) <= TOLERANCE]
     print(f"\n{len(rows) - len(off)} of {len(rows)} rows within {TOLERANCE:.0%}", file=out)
     write_json(

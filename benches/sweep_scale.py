@@ -18,7 +18,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from _report import bench_options, print_requirements, table_file, write_json
+from _report import bench_options, print_requirements, print_table, table_file, write_json
 
 EXAMPLE = "example: python benches/sweep_scale.py --rows 1000 100000 --json -"
 MOST_IN_MEMORY = 20_000
@@ -125,13 +125,10 @@ def main() -> int:
         options.error("--rows must be tens, 10 or more")
     found = [measured(rows, chosen.threads) for rows in ([None] if chosen.study else chosen.rows)]
     out = table_file(chosen.json)
-    print(f"{'rows':>10}{'s':>9}{'rows/s':>10}{'engine':>10}{'share':>8}{'MiB':>8}{'file [MiB]':>12}", file=out)
-    for row in found:
-        print(
-            f"{row['rows']:10}{row['stored_s']:9.2f}{row['rows_per_s']:10.0f}{row['engine_rows_per_s']:10.0f}"
-            f"{row['share']:8.2f}{row['peak_mib']:8.0f}{row['file_mib']:12.1f}",
-            file=out,
-        )
+    columns = {"rows": "", "stored_s": ".2f", "rows_per_s": ".0f", "engine_rows_per_s": ".0f", "share": ".2f",
+               "peak_mib": ".0f", "file_mib": ".1f"}  # fmt: skip
+    lines = ([format(row[key], form) for key, form in columns.items()] for row in found)
+    print_table(("rows", "s", "rows/s", "engine", "share", "MiB", "file [MiB]"), lines, out)
     rates = [row["rows_per_s"] for row in found if row["stored_s"] > 1.0]
     holds = {"flat memory": found[-1]["peak_mib"] <= 1.5 * found[0]["peak_mib"]}
     if chosen.study:

@@ -23,10 +23,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from rich.console import Console
-from rich.table import Table
 
-from _report import bench_options, table_file, write_json
+from _report import bench_options, print_table, table_file, write_json
 from haptether.bridge import Scene, override_scene, simulate, sweep
 from haptether.studies.intervals import binomial_interval
 from haptether.studies.task import HandBounds, Task
@@ -37,12 +35,11 @@ from haptether.studies.tuning import (
     NormalOperation,
     read_normal_operation,
 )
-from haptether.view.style.figure import new_figure, styled, write_figure
 
 Array = npt.NDArray[np.float64]
 
 EXAMPLE = """example:
-  .venv/bin/python benches/tuned_thresholds.py --task remote_push sliding_mass --plot out
+  .venv/bin/python benches/tuned_thresholds.py --task remote_push sliding_mass
 """
 FIELDS = ("energy_threshold_j", "grasp_threshold", "velocity_threshold")
 SETTINGS = (
@@ -79,7 +76,6 @@ def main() -> int:
     options.add_argument("--round-trip-s", type=float, default=0.1)
     options.add_argument("--set", nargs="*", default=SETTINGS, metavar="KEY=VALUE", help="fields of the scenes")
     options.add_argument("--seed", type=int, default=1)
-    options.add_argument("--plot", metavar="DIR", help="draw predicted intervals and counts into this folder")
     chosen = options.parse_args()
     rows: list[dict[str, Any]] = []
     pairs: list[Pair] = []
@@ -90,16 +86,16 @@ def main() -> int:
         rows += [
             _row(name, field, [pair for pair in found if pair.field == field], all_sets, chosen) for field in FIELDS
         ]
-    table = Table("task", "threshold", "pairs", "order k", "D", "held out", "all", "closed loop")
-    for row in rows:
-        shares = [f"{row[of]}/{row['pairs']}" for of in ("held_out", "all", "closed_loop")]
-        table.add_row(
-            row["task"], row["field"], str(row["pairs"]), f"{row['order']:.1f}", f"{row['grouping']:.2f}", *shares
-        )
-    Console(file=table_file(chosen.json), width=110).print(table)
+    print_table(
+        ("task", "threshold", "pairs", "order k", "D", "held out", "all", "closed loop"),
+        (
+            (row["task"], row["field"], row["pairs"], f"{row['order']:.1f}", f"{row['grouping']:.2f}",
+             *(f"{row[of]}/{row['pairs']}" for of in ("held_out", "all", "closed_loop")))
+            for row in rows
+        ),
+        table_file(chosen.json),
+    )  # fmt: skip
     write_json(chosen.json, {"options": vars(chosen), "rows": rows, "pairs": [_plain(pair) for pair in pairs]})
-    if chosen.plot:
-        _draw(pairs, chosen, Path(chosen.plot))
     return int(any(row["pairs"] and row["held_out_interval"][1] < chosen.confidence for row in rows))
 
 
@@ -217,26 +213,6 @@ def _row(
 def _plain(pair: Pair) -> dict[str, Any]:
     boundary = pair.boundary
     return {**pair._asdict(), "boundary": {name: getattr(boundary, name) for name in boundary.__struct_fields__}}
-
-
-def _draw(pairs: list[Pair], chosen: argparse.Namespace, folder: Path) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    with styled():
-        figure = new_figure(2, 2.2 * len(chosen.task) + 0.4, "held-out exceedances against their predicted intervals")
-        panels = figure.subplots(len(chosen.task), len(FIELDS), squeeze=False)
-        for row, task in zip(panels, chosen.task, strict=True):
-            for panel, field in zip(row, FIELDS, strict=True):
-                of = [pair for pair in pairs if (pair.task, pair.field) == (task, field)]
-                panel.set_title(f"{task}, {field}")
-                panel.set_xlabel("pair")
-                panel.set_ylabel("exceedances")
-                if not of:
-                    continue
-                number = np.arange(len(of))
-                low, high = np.array([pair.predicted for pair in of]).T
-                panel.vlines(number, low, high, color="#999999", lw=2.0)
-                panel.plot(number, [pair.held_out for pair in of], ".", color="#0072b2", ms=4.0)
-        write_figure(figure, folder / "tuned_thresholds.png")
 
 
 if __name__ == "__main__":

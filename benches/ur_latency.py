@@ -8,16 +8,13 @@ and servol: the lookahead and 4 to 12 ms of transport. The overshoot of a step i
 """
 
 import math
-import subprocess
 import sys
 import time
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
-from _report import bench_options, table_file, write_json
+from _programs import HAPTETHER, running
+from _report import bench_options, print_table, table_file, write_json
 from haptether.slave import UrSlave
 
 EXAMPLE = "example: python benches/ur_latency.py --seconds 2 --json -"
@@ -53,11 +50,7 @@ def overshoot(lookahead_s: float, gain: float) -> float:
 
 def measure(mode: str, version: str, options: dict[str, float], seconds: float) -> Row:
     """Lead an emulated arm for a time in s."""
-    command = [sys.executable, "-m", "haptether", "ur-emulator", "--host", HOST, "--version", version, "--control", "-"]
-    emulator = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    try:
-        assert emulator.stdout is not None
-        emulator.stdout.readline()
+    with running(*HAPTETHER, "ur-emulator", "--host", HOST, "--version", version, "--control", "-"):
         # The first cycles have passed by then.
         time.sleep(1.0)
         # A shared machine may stall for longer than the default's 100 ms.
@@ -69,9 +62,6 @@ def measure(mode: str, version: str, options: dict[str, float], seconds: float) 
             )
         finally:
             arm.close()
-    finally:
-        emulator.kill()
-        emulator.communicate()
 
 
 def _model(mode: str, options: dict[str, float]) -> float | None:
@@ -129,17 +119,15 @@ def main() -> int:
                 print(f"{mode} {options}: {error}", file=sys.stderr)
                 if not left:
                     raise
-    table = Table("mode", "options", "latency", "overshoot of a step", "period p50", "p99")
-    for row in rows:
-        table.add_row(
-            row.mode,
-            ", ".join(f"{key} {value:g}" for key, value in row.options.items()),
-            "-" if row.latency_s is None else f"{1e3 * row.latency_s:.0f} ms",
-            "-" if row.overshoot is None else f"{100 * row.overshoot:.0f} %",
-            f"{1e3 * row.period_p50_s:.2f} ms",
-            f"{1e3 * row.period_p99_s:.2f} ms",
-        )
-    Console(file=table_file(arguments.json)).print(table)
+    lines = (
+        (row.mode, ", ".join(f"{key} {value:g}" for key, value in row.options.items()),
+         None if row.latency_s is None else f"{1e3 * row.latency_s:.0f} ms",
+         None if row.overshoot is None else f"{100 * row.overshoot:.0f} %",
+         f"{1e3 * row.period_p50_s:.2f} ms", f"{1e3 * row.period_p99_s:.2f} ms")
+        for row in rows
+    )  # fmt: skip
+    heads = ("mode", "options", "latency", "overshoot of a step", "period p50", "p99")
+    print_table(heads, lines, table_file(arguments.json))
     write_json(arguments.json, [asdict(row) for row in rows])
     return 0
 

@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.progress import track
 
 from _piecewise import Motion, integrate, recursion, tick_by_tick, ticks_of
-from _report import bench_options, table_file, write_json
+from _report import add_number, bench_options, print_table, table_file, write_json
 from _stepped import METHODS, Method, step
 from haptether.bridge import (
     ContactTable,
@@ -364,18 +364,15 @@ def report(panels: Iterable[Panel], out: TextIO) -> None:
         print(f"{panel.scenario}: {panel.stresses}", file=out)
         if panel.note:
             print(panel.note, file=out)
-        heads = ("step s", "us/s", "SciPy/x", "x m", "peak V m/s", "contact s", "energy")
-        print(f"  {'':<20}" + "".join(f"{head:>11}" for head in heads), file=out)
-        for one in panel.scores:
-            numbers = (
-                f"{figures(one.step_s, 'g'):>11}{one.us_per_s:>11.0f}{one.scipy_ratio:>11.0f}{one.position_m:>11.1e}"
-                f"{one.peak_velocity:>11.1e}{figures(one.contact_s):>11}{figures(one.energy):>11}"
-            )
-            print(f"  {one.method:<20}{numbers}", file=out)
-        print(
-            f"  {'SciPy DOP853':<20}{'-':>11}{panel.scipy_us_per_s:>11.0f}{1:>11}{panel.scipy_error_m:>11.1e}\n",
-            file=out,
-        )
+        lines: list[tuple[object, ...]] = [
+            (one.method, figures(one.step_s, "g"), f"{one.us_per_s:.0f}", f"{one.scipy_ratio:.0f}",
+             f"{one.position_m:.1e}", f"{one.peak_velocity:.1e}", figures(one.contact_s), figures(one.energy))
+            for one in panel.scores
+        ]  # fmt: skip
+        dop853 = (f"{panel.scipy_us_per_s:.0f}", 1, f"{panel.scipy_error_m:.1e}")
+        lines.append(("SciPy DOP853", None, *dop853, None, None, None))
+        print_table(("", "step s", "us/s", "SciPy/x", "x m", "peak V m/s", "contact s", "energy"), lines, out)
+        print(file=out)
     legend = """us/s: us per simulated second, the least of the repeats; of the engine its call without records, less
 that of a scene of one tick (building, JSON, the call itself); SciPy/x: time of DOP853 over it
 x: largest error at any tick; peak V: of the largest speed; contact: of the last break of a contact, which is located
@@ -421,11 +418,9 @@ def main() -> int:
     """Measure, print, and check the engine."""
     options = bench_options(__doc__, EXAMPLE)
     options.add_argument("--plot", metavar="DIR", type=Path, help="writes work_precision.png there")
-    options.add_argument("--repeats", type=int, default=20, help="the least time counts (default 20)")
-    options.add_argument("--scipy-repeats", type=int, default=3, help="of DOP853 (default 3)")
+    add_number(options, "--repeats", 20, "the least time counts")
+    add_number(options, "--scipy-repeats", 3, "of DOP853")
     arguments = options.parse_args()
-    if min(arguments.repeats, arguments.scipy_repeats) < 1:
-        options.error("--repeats and --scipy-repeats must be at least 1")
     if find_spec("numba") is None:
         options.error("the methods with steps need Numba: pip install 'haptether[bench]'")
 
