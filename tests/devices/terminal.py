@@ -6,6 +6,7 @@ import select
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 COMMAND = [sys.executable, "-m", "haptether"]
 QUESTION = "Type yes and press Enter"
@@ -56,3 +57,16 @@ class Terminal:
             self.process.kill()
             self.process.wait()
             os.close(self.master)
+
+
+def run(environment: dict[str, str], *arguments: str, timeout: float = 100.0) -> subprocess.CompletedProcess[str]:
+    """Run a command without a terminal to its end."""
+    return subprocess.run(
+        [*COMMAND, *arguments], env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True,
+        timeout=timeout, check=False,
+    )  # fmt: skip
+
+
+def forces(path: Path) -> list[float]:
+    """Return the forces on the first axis that the driver was given."""
+    return [float(line.split()[1]) for line in path.read_text().splitlines() if line.startswith("write")]

@@ -10,21 +10,9 @@ from pathlib import Path
 
 import pytest
 from tests.devices.drivers import WRITTEN, declared
-from tests.devices.terminal import COMMAND, QUESTION, Terminal
+from tests.devices.terminal import QUESTION, Terminal, forces, run
 
 pytestmark = pytest.mark.live
-
-
-def run(environment: dict[str, str], *arguments: str, timeout: float = 60.0) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *arguments], env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True,
-        timeout=timeout, check=False,
-    )  # fmt: skip
-
-
-def forces(path: Path) -> list[float]:
-    """Return the forces on the first axis that the driver was given."""
-    return [float(line.split()[1]) for line in path.read_text().splitlines() if line.startswith("write")]
 
 
 def test_a_driver_that_is_right_is_status_0_and_one_that_is_not_is_status_1_with_its_line(tmp_path: Path) -> None:

@@ -2,30 +2,18 @@
 
 import json
 import signal
-import subprocess
 import tomllib
 from pathlib import Path
 
 import pytest
 from tests.devices.drivers import WRITTEN, declared
-from tests.devices.terminal import COMMAND, QUESTION, Terminal
+from tests.devices.terminal import QUESTION, Terminal, forces, run
 from tests.ur.stalls import anew_after_stalls
-
-
-def forces(path: Path) -> list[float]:
-    return [float(line.split()[1]) for line in path.read_text().splitlines() if line.startswith("write")]
 
 
 def free(folder: Path) -> dict[str, str]:
     folder.mkdir(exist_ok=True)
     return declared(folder, free="Free", made="RaisesWhenMade", arm="Arm") | {WRITTEN: str(folder / "written")}
-
-
-def run(environment: dict[str, str], *arguments: str, timeout: float = 100.0) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *arguments], env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True,
-        timeout=timeout, check=False,
-    )  # fmt: skip
 
 
 @pytest.mark.live

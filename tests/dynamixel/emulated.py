@@ -1,13 +1,12 @@
 """An emulated bus as a process, its control line, and the vendor's client on its port."""
 
-import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from dynamixel_sdk import PacketHandler, PortHandler, port_handler  # type: ignore[import-untyped]
-from tests.ur.emulated import START_S, Emulated
+from tests.ur.emulated import START_S, Emulated, process_of
 
 BAUD = 4_000_000
 # The client waits this long for an answer beyond its bytes. Its default is 2 n + 2 ms; a loaded test machine may need
@@ -40,23 +39,12 @@ class EmulatedBus(Emulated):
 def emulated_bus(*arguments: str) -> Iterator[EmulatedBus]:
     """Run `haptether dynamixel-emulator` with its control line on standard input, and end it in any case."""
     command = [sys.executable, "-m", "haptether", "dynamixel-emulator", "--control", "-", *arguments]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    emulated = EmulatedBus(process, "")
-    try:
+    with process_of(command) as process:
+        emulated = EmulatedBus(process, "")
         headline = emulated.line(START_S)
         emulated.host = headline.partition(" on ")[2].partition(" at ")[0]
         assert emulated.host.startswith("/"), headline
         yield emulated
-    finally:
-        process.terminate()
-        try:
-            process.wait(5.0)
-        finally:
-            process.kill()
-            process.wait()
-            for stream in (process.stdin, process.stdout):
-                if stream is not None:
-                    stream.close()
 
 
 class VendorClient:

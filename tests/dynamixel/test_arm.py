@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ import pytest
 from tests.dynamixel.emulated import EmulatedBus, emulated_bus
 
 from haptether.checklist import Checklist
-from haptether.dynamixel import SERVO_MODELS, DynamixelBus, OperatingMode
+from haptether.dynamixel import DynamixelBus, OperatingMode
 from haptether.dynamixel.arm import ArmRefusedError, ArmSettings, FaultKind, ServoArm, ServoSettings, checks
 from haptether.dynamixel.arm.arm import HELD_S
 from haptether.dynamixel.arm.checks import check_port, check_present, check_servo
@@ -29,7 +29,6 @@ PATIENCE_S = 10.0
 TIMEOUT_S = 0.1
 """Longest time of an answer on a loaded test machine."""
 SERVOS = ("1=XM430-W350", "2=XL330-M288", "3=XL330-M288")
-CURRENT_UNIT = SERVO_MODELS["XM430-W350"].current_unit_a or 0.0
 
 
 def arm_of(port: str, **changes: Any) -> ServoArm:  # noqa: ANN401  # fields of the settings
@@ -47,25 +46,16 @@ def arm_of(port: str, **changes: Any) -> ServoArm:  # noqa: ANN401  # fields of 
     return ServoArm(ArmSettings(port=port, **{**settings, **changes}), report=lambda _line: None)
 
 
-@contextmanager
-def opened(emulated: EmulatedBus, **changes: Any) -> Iterator[ServoArm]:  # noqa: ANN401  # fields of the settings
+def opened(emulated: EmulatedBus, **changes: Any) -> closing[ServoArm]:  # noqa: ANN401  # fields of the settings
     arm = arm_of(emulated.port, **changes)
     arm.open()
-    try:
-        yield arm
-    finally:
-        arm.close()
+    return closing(arm)
 
 
 @pytest.fixture(scope="module")
 def shared() -> Iterator[EmulatedBus]:
     with emulated_bus("--servos", *SERVOS, "--start", "0.3", "0.5", "0.2") as running:
         yield running
-
-
-@pytest.fixture
-def emulated(shared: EmulatedBus) -> EmulatedBus:
-    return shared.as_new()
 
 
 def until(condition: Callable[[], bool], patience_s: float = PATIENCE_S) -> float:

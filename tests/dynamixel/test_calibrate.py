@@ -34,11 +34,6 @@ def shared() -> Iterator[EmulatedBus]:
         yield running
 
 
-@pytest.fixture
-def emulated(shared: EmulatedBus) -> EmulatedBus:
-    return shared.as_new()
-
-
 class Calibration:
     """The command, and the emulated person who answers it."""
 

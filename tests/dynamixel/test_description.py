@@ -60,13 +60,6 @@ source = "made up"
 """
 
 
-@pytest.fixture
-def two(tmp_path: Path) -> ArmDescription:
-    path = tmp_path / "two.toml"
-    path.write_text(TWO_LINKS)
-    return load_arm(path)
-
-
 def pinocchio_of(arm: ArmDescription) -> pin.Model:
     """Build the same arm in Pinocchio."""
     model = pin.Model()

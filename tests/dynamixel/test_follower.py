@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -38,26 +38,17 @@ def shared() -> Iterator[EmulatedBus]:
         yield running
 
 
-@pytest.fixture
-def emulated(shared: EmulatedBus) -> EmulatedBus:
-    return shared.as_new()
-
-
-@contextmanager
 def opened(
     emulated: EmulatedBus,
     tmp_path: Path,
     **options: Any,  # noqa: ANN401  # options of the driver
-) -> Iterator[DynamixelSlave]:
+) -> closing[DynamixelSlave]:
     arm = tmp_path / "arm.toml"
     arm.write_text(ARM)
     patient = {"timeout_s": 0.1, "watchdog_s": 0.5, "ramp_s": 0.2, "release_s": 0.0, "verify_watchdog": False}
     driver = DynamixelSlave(port=emulated.port, arm=str(arm), **{**patient, **options})
     driver.open()
-    try:
-        yield driver
-    finally:
-        driver.close()
+    return closing(driver)
 
 
 def led(driver: DynamixelSlave, goal: tuple[float, ...], holds: Callable[[SlaveSample], bool]) -> SlaveSample:

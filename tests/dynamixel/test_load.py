@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.dynamixel.test_description import TWO_LINKS
 
 from haptether.cli import main
-from haptether.dynamixel.description import ArmDescription, ArmKinematics, load_arm
+from haptether.dynamixel.description import ArmDescription, ArmKinematics
 from haptether.dynamixel.emulator import ArmLoad, Bus, ControlLine, HeldBy, Joint, JointSettings, servos_of
 from haptether.dynamixel.models import SERVO_MODELS
 
@@ -40,13 +39,6 @@ class World:
         return [
             j.sign * (s.joint.position_rad - j.offset_rad) for j, s in zip(self.arm.joints, self.servos, strict=False)
         ]
-
-
-@pytest.fixture
-def two(tmp_path: Path) -> ArmDescription:
-    path = tmp_path / "two.toml"
-    path.write_text(TWO_LINKS)
-    return load_arm(path)
 
 
 def test_it_starts_where_it_is_said(two: ArmDescription) -> None:

@@ -32,11 +32,6 @@ def shared() -> Iterator[EmulatedBus]:
         yield running
 
 
-@pytest.fixture
-def two(shared: EmulatedBus) -> EmulatedBus:
-    return shared.as_new()
-
-
 def set_register(emulated: EmulatedBus, servo_id: int, address: int, value: int) -> None:
     bus = DynamixelBus(emulated.port, baud=4_000_000, timeout_s=TIMEOUT_S)
     bus.write(servo_id, address, bytes((value,)))
@@ -46,14 +41,14 @@ def set_register(emulated: EmulatedBus, servo_id: int, address: int, value: int)
 # ------------------------------------------------------------------------------------------------------- watchdogs
 
 
-def test_a_watchdog_that_somebody_has_switched_off_is_a_fault(two: EmulatedBus) -> None:
-    with opened(two, servos=ONE) as arm:
+def test_a_watchdog_that_somebody_has_switched_off_is_a_fault(emulated: EmulatedBus) -> None:
+    with opened(emulated, servos=ONE) as arm:
         assert arm.read()
         arm._opened.write(1, WATCHDOG, b"\0")
         until(lambda: not arm.read())
         assert arm.fault_kind == FaultKind.WATCHDOG
         assert "its watchdog is 0 ms: was 500" in str(arm.fault)
-        until(lambda: not torques(two)[0])
+        until(lambda: not torques(emulated)[0])
 
 
 @pytest.mark.parametrize(("seconds", "units"), [(0.02, 1), (0.03, 1), (0.059, 2), (0.1, 5), (0.54, 27), (2.54, 127)])
@@ -61,9 +56,9 @@ def test_a_watchdog_is_never_longer_than_is_set(seconds: float, units: int) -> N
     assert ArmSettings(port="/dev/null", servos=ONE, watchdog_s=seconds).watchdog_units == units
 
 
-def test_torque_that_cannot_be_looked_at_is_a_fault(two: EmulatedBus, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_torque_that_cannot_be_looked_at_is_a_fault(emulated: EmulatedBus, monkeypatch: pytest.MonkeyPatch) -> None:
     """Measured values alone do not prove that the servos have torque."""
-    with opened(two, servos=ONE) as arm:
+    with opened(emulated, servos=ONE) as arm:
         assert arm.read()
         real = type(arm._opened).sync_read
         looks = arm._watchdogs, arm._status
@@ -84,7 +79,7 @@ def test_torque_that_cannot_be_looked_at_is_a_fault(two: EmulatedBus, monkeypatc
         monkeypatch.setattr(arm, "_bus", Deaf())
         until(lambda: not arm.read())
         assert arm.fault_kind == FaultKind.SILENT
-        until(lambda: not torques(two)[0])
+        until(lambda: not torques(emulated)[0])
 
 
 # -------------------------------------------------------------------------------------------------------- registers
@@ -111,18 +106,18 @@ def test_forbidden_register_value_is_refused(address: int, value: int, said: str
 PAIR = (ServoSettings(servo_id=1, model="XM430-W350", shadows=(2,)),)
 
 
-def test_a_shadow_is_checked_driven_watched_and_let_go(two: EmulatedBus) -> None:
+def test_a_shadow_is_checked_driven_watched_and_let_go(emulated: EmulatedBus) -> None:
     assert "servo 2: secondary id 255: it turns the joint of servo 1: set address 12 to 1" in refused(
-        arm_of(two.port, servos=PAIR)
+        arm_of(emulated.port, servos=PAIR)
     )
-    set_register(two, 2, SECONDARY_ID, 1)
-    with opened(two, servos=PAIR, verify_watchdog=True) as arm:
-        assert torques(two) == [True] * 2
-        assert [servo["bus_watchdog"] for servo in two.status()["servos"]] == [25] * 2
+    set_register(emulated, 2, SECONDARY_ID, 1)
+    with opened(emulated, servos=PAIR, verify_watchdog=True) as arm:
+        assert torques(emulated) == [True] * 2
+        assert [servo["bus_watchdog"] for servo in emulated.status()["servos"]] == [25] * 2
         assert arm.read()
         arm.write_currents([0.1])
-        until(lambda: all(servo["current_a"] > 0.05 for servo in two.status()["servos"]))
-    assert torques(two) == [False] * 2
+        until(lambda: all(servo["current_a"] > 0.05 for servo in emulated.status()["servos"]))
+    assert torques(emulated) == [False] * 2
     assert arm.kept == ()
 
 
@@ -136,18 +131,18 @@ def test_a_shadow_is_checked_driven_watched_and_let_go(two: EmulatedBus) -> None
 )
 @anew_after_stalls
 def test_what_is_wrong_with_a_shadow_ends_the_torque_of_both(
-    two: EmulatedBus, fault: str, kinds: set[FaultKind]
+    emulated: EmulatedBus, fault: str, kinds: set[FaultKind]
 ) -> None:
-    set_register(two, 2, SECONDARY_ID, 1)
-    with opened(two, servos=PAIR, timeout_s=0.02) as arm:
+    set_register(emulated, 2, SECONDARY_ID, 1)
+    with opened(emulated, servos=PAIR, timeout_s=0.02) as arm:
         assert arm.read()
         arm.write_currents([0.1])
-        two.do(fault)
+        emulated.do(fault)
         until(lambda: arm.fault is not None or not arm.read())
         # Silent servos are searched for with the following reads.
         until(lambda: arm.read() or "servo 2" in str(arm.fault))
         assert arm.fault_kind in kinds
-        until(lambda: torques(two) == [False] * 2)
+        until(lambda: torques(emulated) == [False] * 2)
 
 
 def test_shadows_are_ids_of_their_own_and_in_the_file_of_an_arm(tmp_path: Path) -> None:
@@ -184,45 +179,45 @@ def test_a_described_arm_with_shadows_is_opened_with_them() -> None:
 # ------------------------------------------------------------------------------------------------ open and recover
 
 
-def test_an_arm_that_waits_has_no_torque_until_it_begins(two: EmulatedBus) -> None:
+def test_an_arm_that_waits_has_no_torque_until_it_begins(emulated: EmulatedBus) -> None:
     said: list[str] = []
-    arm = ServoArm(ArmSettings(port=two.port, servos=ONE, watchdog_s=0.1, timeout_s=0.1), said.append)
+    arm = ServoArm(ArmSettings(port=emulated.port, servos=ONE, watchdog_s=0.1, timeout_s=0.1), said.append)
     arm.open(give_torque=False)
-    assert torques(two)[0] is False
+    assert torques(emulated)[0] is False
     # The wait is longer than the watchdog, which is not armed.
     time.sleep(0.3)
     arm.begin()
     assert arm.read()
-    assert (arm.fault, torques(two)[0]) == (None, True)
+    assert (arm.fault, torques(emulated)[0]) == (None, True)
     assert [line for line in said if "torque" in line][-2:] == [
-        f"dynamixel {two.port}: ok       arm: took torque, and moved 0.000 rad meanwhile",
-        f"dynamixel {two.port}: has torque",
+        f"dynamixel {emulated.port}: ok       arm: took torque, and moved 0.000 rad meanwhile",
+        f"dynamixel {emulated.port}: has torque",
     ]
     # A second `begin` has no effect, even if the torque has ended meanwhile.
     arm.stop(FaultKind.JUMP, "of a test")
-    until(lambda: torques(two)[0] is False)
+    until(lambda: torques(emulated)[0] is False)
     arm.begin()
     time.sleep(0.05)
-    assert torques(two)[0] is False
+    assert torques(emulated)[0] is False
     arm.close()
 
 
 def test_an_arm_that_nobody_reads_for_long_is_given_no_torque(
-    two: EmulatedBus, monkeypatch: pytest.MonkeyPatch
+    emulated: EmulatedBus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    arm = arm_of(two.port, servos=ONE, watchdog_s=0.1)
+    arm = arm_of(emulated.port, servos=ONE, watchdog_s=0.1)
     arm.open(give_torque=False)
     # The machine seems to have slept.
     later_s = time.clock_gettime(time.CLOCK_BOOTTIME) + 3600.0
     monkeypatch.setattr("haptether.dynamixel.arm.arm._awake_s", lambda: later_s)
     with pytest.raises(ArmRefusedError, match="not read since: start anew"):
         arm.begin()
-    assert torques(two)[0] is False
+    assert torques(emulated)[0] is False
     arm.close()
 
 
 def test_a_process_that_was_halted_in_its_open_or_its_recovery_gives_no_torque(
-    two: EmulatedBus, monkeypatch: pytest.MonkeyPatch
+    emulated: EmulatedBus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     awake = [0.0]
     monkeypatch.setattr("haptether.dynamixel.arm.arm._awake_s", lambda: awake[0])
@@ -232,11 +227,11 @@ def test_a_process_that_was_halted_in_its_open_or_its_recovery_gives_no_torque(
         placed(arm, checklist)
         awake[0] += 60.0
 
-    arm = arm_of(two.port, servos=ONE, watchdog_s=0.1)
+    arm = arm_of(emulated.port, servos=ONE, watchdog_s=0.1)
     monkeypatch.setattr(ServoArm, "_place", halted)
     with pytest.raises(ArmRefusedError, match="stood still for 60 s: whoever began it may be gone"):
         arm.open()
-    assert torques(two)[0] is False
+    assert torques(emulated)[0] is False
     monkeypatch.setattr(ServoArm, "_place", placed)
     arm.open()
     assert arm.read()
@@ -244,19 +239,19 @@ def test_a_process_that_was_halted_in_its_open_or_its_recovery_gives_no_torque(
     monkeypatch.setattr(ServoArm, "_place", halted)
     arm.acknowledge(arm.fault)
     until(lambda: not arm.read() and arm.fault_kind == FaultKind.NOT_READY)
-    until(lambda: torques(two)[0] is False)
+    until(lambda: torques(emulated)[0] is False)
     arm.close()
 
 
-def test_a_process_that_was_halted_before_its_first_read_gets_no_torque_back(two: EmulatedBus) -> None:
-    arm = arm_of(two.port, servos=ONE, watchdog_s=0.1)
+def test_a_process_that_was_halted_before_its_first_read_gets_no_torque_back(emulated: EmulatedBus) -> None:
+    arm = arm_of(emulated.port, servos=ONE, watchdog_s=0.1)
     arm.open()
     # Like a SIGSTOP: the watchdogs end the torque, and nobody looks.
     time.sleep(0.3)
     arm.begin()
     until(lambda: not arm.read() and arm.fault is not None)
     assert arm.fault_kind == FaultKind.WATCHDOG
-    until(lambda: torques(two)[0] is False)
+    until(lambda: torques(emulated)[0] is False)
     arm.close()
 
 
@@ -280,9 +275,9 @@ def test_an_adapter_that_is_pulled_while_it_recovers_recovers_at_the_next_acknow
 
 
 def test_a_recovery_that_has_not_begun_does_not_begin_in_the_next_life(
-    two: EmulatedBus, monkeypatch: pytest.MonkeyPatch
+    emulated: EmulatedBus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    arm = arm_of(two.port, servos=ONE)
+    arm = arm_of(emulated.port, servos=ONE)
     arm.open()
     arm.stop(FaultKind.JUMP, "of a test")
     begun = threading.Event()
@@ -298,14 +293,14 @@ def test_a_recovery_that_has_not_begun_does_not_begin_in_the_next_life(
     arm.open()
     time.sleep(0.4)
     assert arm.read(), arm.fault
-    assert torques(two)[0] is True
+    assert torques(emulated)[0] is True
     arm.close()
 
 
-def test_other_than_one_number_for_each_servo_is_refused(two: EmulatedBus) -> None:
+def test_other_than_one_number_for_each_servo_is_refused(emulated: EmulatedBus) -> None:
     """One number does not stand for all servos."""
     both = (*ONE, dataclasses.replace(ONE[0], servo_id=2))
-    with opened(two, servos=both) as arm:
+    with opened(emulated, servos=both) as arm:
         with pytest.raises(ValueError, match="1 currents: must be 2"):
             arm.write_currents([0.1])
         with pytest.raises(ValueError, match="1 angles: must be 0"):
@@ -315,11 +310,11 @@ def test_other_than_one_number_for_each_servo_is_refused(two: EmulatedBus) -> No
 # ---------------------------------------------------------------------------------------------------- another program
 
 
-def test_another_program_on_the_bus_ends_in_a_fault_and_no_torque(two: EmulatedBus) -> None:
+def test_another_program_on_the_bus_ends_in_a_fault_and_no_torque(emulated: EmulatedBus) -> None:
     """The program does not lock the port: the answers to it mix with our reads."""
-    with opened(two, servos=ONE, timeout_s=0.02) as arm:
+    with opened(emulated, servos=ONE, timeout_s=0.02) as arm:
         assert arm.read()
-        other = os.open(two.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        other = os.open(emulated.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             # A write of 0 to Torque Enable of all servos, as another program's stop.
             packet = bytes.fromhex("fffffd00fe060003400000")
@@ -330,19 +325,19 @@ def test_another_program_on_the_bus_ends_in_a_fault_and_no_torque(two: EmulatedB
             assert arm.fault_kind in {FaultKind.TORQUE_OFF, FaultKind.UNREADABLE, FaultKind.SILENT}
         finally:
             os.close(other)
-    assert torques(two)[0] is False
+    assert torques(emulated)[0] is False
 
 
-def test_an_arm_is_closed_as_often_as_one_likes_and_opened_once(two: EmulatedBus) -> None:
-    arm = ServoArm(dataclasses.replace(arm_of(two.port, servos=ONE).settings), report=lambda _line: None)
+def test_an_arm_is_closed_as_often_as_one_likes_and_opened_once(emulated: EmulatedBus) -> None:
+    arm = ServoArm(dataclasses.replace(arm_of(emulated.port, servos=ONE).settings), report=lambda _line: None)
     arm.close()
     arm.open()
     with pytest.raises(ValueError, match="is open"):
         arm.open()
-    second = arm_of(two.port, servos=ONE)
+    second = arm_of(emulated.port, servos=ONE)
     assert "another process has the port" in refused(second)
-    assert torques(two)[0] is True
+    assert torques(emulated)[0] is True
     assert arm.read()
     arm.close()
     arm.close()
-    assert torques(two)[0] is False
+    assert torques(emulated)[0] is False

@@ -30,11 +30,6 @@ def shared() -> Iterator[EmulatedBus]:
         yield running
 
 
-@pytest.fixture
-def emulated(shared: EmulatedBus) -> EmulatedBus:
-    return shared.as_new()
-
-
 class Call:
     """A call on another thread."""
 

@@ -62,30 +62,44 @@ def late_slave() -> Row:
         master = stage.master(address, "master", "--patience-s", "60")
         time.sleep(EXPIRED_S)
         slave = stage.slave(listen=address)
-        back_s = time.monotonic()
-        time.sleep(WATCHED_S)
-        master.send(signal.SIGUSR1)
-        pressed_s = time.monotonic()
-        time.sleep(AGAIN_S)
-        end_s = time.monotonic()
-        stage.end_together(master, slave)
-        return _judge(LATE_SLAVE, stage.ticks("master"), stage.ticks("slave"), (back_s - end_s, pressed_s - end_s))
+        return _watched(stage, master, slave, LATE_SLAVE, delay_s=0.0)
+
+
+def _pressed(stage: Stage, slave: Process, *options: str) -> tuple[Process, Process]:
+    """Start a link and a master, hold them once with the link, and press; return both."""
+    link = Process(
+        "netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", slave.address, "--delay-s", f"{DELAY_S}",
+        "--max-error-s", "1", *options,
+    )  # fmt: skip
+    stage.processes.append(link)
+    master = stage.master(link.headline.split()[3].rstrip(","))
+    time.sleep(PRESSED_S + 4.0 * DELAY_S)
+    link.frozen(0.3)
+    time.sleep(1.0)
+    master.send(signal.SIGUSR1)
+    return link, master
+
+
+def _watched(stage: Stage, master: Process, slave: Process, name: str, delay_s: float = 4.0 * DELAY_S) -> Row:
+    """Watch both sides without a press, then with one; return the row."""
+    begun_s = time.monotonic()
+    time.sleep(WATCHED_S)
+    master.send(signal.SIGUSR1)
+    pressed_s = time.monotonic()
+    time.sleep(AGAIN_S + delay_s)
+    end_s = time.monotonic()
+    stage.end_together(master, slave)
+    at_master = stage.ticks("master")
+    if delay_s:
+        undisturbed(at_master)
+    return _judge(name, at_master, stage.ticks("slave"), (begun_s - end_s, pressed_s - end_s))
 
 
 def cut(after_s: float, restarted: bool) -> Row:
     """Measure a link that is cut while a press waits for its answer, and comes back once the press has expired."""
     with Stage.set() as stage:
         slave = stage.slave("before" if restarted else "slave")
-        link = Process(
-            "netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", slave.address, "--delay-s", f"{DELAY_S}",
-            "--max-error-s", "1",
-        )  # fmt: skip
-        stage.processes.append(link)
-        master = stage.master(link.headline.split()[3].rstrip(","))
-        time.sleep(PRESSED_S + 4.0 * DELAY_S)
-        link.frozen(0.3)
-        time.sleep(1.0)
-        master.send(signal.SIGUSR1)
+        link, master = _pressed(stage, slave)
         time.sleep(after_s)
         # Datagrams in transit are kept, and arrive when the link is back.
         link.send(signal.SIGSTOP)
@@ -96,16 +110,7 @@ def cut(after_s: float, restarted: bool) -> Row:
             slave = stage.slave(listen=address)
         time.sleep(EXPIRED_S)
         link.send(signal.SIGCONT)
-        back_s = time.monotonic()
-        time.sleep(WATCHED_S)
-        master.send(signal.SIGUSR1)
-        pressed_s = time.monotonic()
-        time.sleep(AGAIN_S + 4.0 * DELAY_S)
-        end_s = time.monotonic()
-        stage.end_together(master, slave)
-        at_master, at_slave = stage.ticks("master"), stage.ticks("slave")
-    undisturbed(at_master)
-    return _judge(cut_name(after_s, restarted), at_master, at_slave, (back_s - end_s, pressed_s - end_s))
+        return _watched(stage, master, slave, cut_name(after_s, restarted))
 
 
 def deaf_name(back_s: float) -> str:
@@ -118,31 +123,13 @@ def deaf(back_s: float) -> Row:
     with Stage.set() as stage:
         slave = stage.slave()
         control = str(stage.path("netsim.ctl"))
-        link = Process(
-            "netsim", "proxy", "--listen", "127.0.0.1:0", "--forward", slave.address, "--delay-s", f"{DELAY_S}",
-            "--max-error-s", "1", "--control", control,
-        )  # fmt: skip
-        stage.processes.append(link)
-        master = stage.master(link.headline.split()[3].rstrip(","))
-        time.sleep(PRESSED_S + 4.0 * DELAY_S)
-        link.frozen(0.3)
-        time.sleep(1.0)
-        master.send(signal.SIGUSR1)
+        _, master = _pressed(stage, slave, "--control", control)
         # The signal opens the clutch for 0.1 s and then presses.
         time.sleep(0.07)
         ask_control(control, {"forward": {"loss": 1.0}})
         time.sleep(back_s + 0.03)
         ask_control(control, {"forward": {"loss": 0.0}})
-        watched_s = time.monotonic()
-        time.sleep(WATCHED_S)
-        master.send(signal.SIGUSR1)
-        pressed_s = time.monotonic()
-        time.sleep(AGAIN_S + 4.0 * DELAY_S)
-        end_s = time.monotonic()
-        stage.end_together(master, slave)
-        at_master, at_slave = stage.ticks("master"), stage.ticks("slave")
-    undisturbed(at_master)
-    return _judge(deaf_name(back_s), at_master, at_slave, (watched_s - end_s, pressed_s - end_s))
+        return _watched(stage, master, slave, deaf_name(back_s))
 
 
 def rows() -> dict[str, Callable[[], Row]]:

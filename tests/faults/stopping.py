@@ -5,7 +5,6 @@ import os
 import pty
 import resource
 import signal
-import socket
 import subprocess
 import textwrap
 import time
@@ -19,6 +18,7 @@ from tests.faults.processes import DisturbedError, Judged, Limits, again
 from tests.faults.rows import Row
 from tests.faults.running import Process, Recorded, Stage
 from tests.faults.signals import ENGAGED, STALE
+from tests.live.sides import free_port
 
 from haptether.bridge import read_recording
 
@@ -47,14 +47,6 @@ def blocked_sink(kind: str) -> Iterator[int]:
     finally:
         os.close(reader)
         os.close(writer)
-
-
-def free_port() -> int:
-    """Return a free port."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port: int = free.getsockname()[1]
-        return port
 
 
 def until_coupled(path: Path) -> None:

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
+from haptether.slave import GripperSample, RobotiqGripper
 from haptether.slave.ur_emulator import EmulatedGripper
 from haptether.slave.ur_emulator.gripper.port import answered
 
@@ -173,3 +174,12 @@ MISBEHAVIOURS: tuple[tuple[Misbehaviour, str], ...] = (
     (volunteering, "malformed reply: "),
 )
 """Each misbehaviour with the fault that it must cause."""
+
+
+def until(of: RobotiqGripper, holds: Callable[[GripperSample], bool]) -> GripperSample:
+    """Return the first sample that meets a condition."""
+    end_s = time.monotonic() + 10.0
+    while not holds(sample := of.read()):
+        assert time.monotonic() < end_s, sample
+        time.sleep(0.005)
+    return sample

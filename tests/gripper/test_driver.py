@@ -3,11 +3,11 @@
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from tests.gripper.serving import MISBEHAVIOURS, Misbehaviour, Served, served, silent
+from tests.gripper.serving import MISBEHAVIOURS, Misbehaviour, Served, served, silent, until
 from tests.gripper.virtual import gripper, move
 
 from haptether.checklist import RefusedError
@@ -44,15 +44,6 @@ def led(server: Served) -> Iterator[RobotiqGripper]:
 
 def running_threads() -> list[str]:
     return [thread.name for thread in threading.enumerate() if thread.name == "robotiq"]
-
-
-def until(of: RobotiqGripper, holds: Callable[[GripperSample], bool]) -> GripperSample:
-    """Return the first sample that meets a condition."""
-    end_s = time.monotonic() + PATIENCE_S
-    while not holds(sample := of.read()):
-        assert time.monotonic() < end_s, sample
-        time.sleep(0.005)
-    return sample
 
 
 def faulty(sample: GripperSample) -> bool:

@@ -3,14 +3,15 @@
 import re
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 from tests.gripper.gello import GelloClient
+from tests.gripper.serving import until
 from tests.gripper.virtual import move
 from tests.ur.emulated import Emulated, emulator
 
-from haptether.slave import GripperSample, RobotiqGripper
+from haptether.slave import RobotiqGripper
 
 pytestmark = pytest.mark.live
 
@@ -38,14 +39,6 @@ def led(arm: Emulated) -> Iterator[RobotiqGripper]:
     of.open()
     yield of
     of.close()
-
-
-def until(of: RobotiqGripper, holds: Callable[[GripperSample], bool]) -> GripperSample:
-    end_s = time.monotonic() + PATIENCE_S
-    while not holds(sample := of.read()):
-        assert time.monotonic() < end_s, sample
-        time.sleep(0.005)
-    return sample
 
 
 def registers(arm: Emulated) -> dict[str, int]:

@@ -1,12 +1,11 @@
 """An emulated Inverse Service as a process, and its control line."""
 
 import re
-import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tests.ur.emulated import START_S, Emulated
+from tests.ur.emulated import START_S, Emulated, process_of
 
 
 class EmulatedInverse(Emulated):
@@ -25,21 +24,10 @@ class EmulatedInverse(Emulated):
 def emulated_service(*arguments: str) -> Iterator[EmulatedInverse]:
     """Run `haptether inverse3-emulator` with its control line on standard input, and end it in any case."""
     command = [sys.executable, "-m", "haptether", "inverse3-emulator", "--port", "0", "--event-port", "0"]
-    process = subprocess.Popen([*command, "--control", "-", *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    emulated = EmulatedInverse(process, "127.0.0.1")
-    try:
+    with process_of([*command, "--control", "-", *arguments]) as process:
+        emulated = EmulatedInverse(process, "127.0.0.1")
         headline = emulated.line(START_S)
         ports = re.fullmatch(r"an Inverse3 on 127\.0\.0\.1:(\d+), events on (\d+), controlled by -", headline)
         assert ports is not None, headline
         emulated.port, emulated.event_port = int(ports[1]), int(ports[2])
         yield emulated
-    finally:
-        process.terminate()
-        try:
-            process.wait(5.0)
-        finally:
-            process.kill()
-            process.wait()
-            for stream in (process.stdin, process.stdout):
-                if stream is not None:
-                    stream.close()

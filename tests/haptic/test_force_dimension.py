@@ -3,8 +3,7 @@
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -12,21 +11,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.haptic.standins import RIGHT_HANDED, Failing, Standin, axes_matrix, built, rotation_matrix
+from tests.haptic.ticks import HALF, REST, STIFFNESS, at_rest, begun, step, until
 
 from haptether.bridge import load_master
 from haptether.bridge.devices.standalone import StandaloneRun, wait_until
 from haptether.checklist import Checklist, RefusedError
-from haptether.master import MasterSample
 from haptether.master.force_dimension import ForceDimension
 from haptether.master.force_dimension.driver import Session
 
 pytestmark = pytest.mark.live
 
-REST = (0.0, 0.0, 0.0)
-HALF = 0.5**0.5
 OMEGA_3, OMEGA_7, SIGMA_7 = 33, 35, 104
-STIFFNESS = 200.0
-"""Stiffness of the hand that holds the stand-in, in N/m."""
 SLOW: dict[str, Any] = {"watchdog_s": 0.0318}
 SLACK = 50.0
 """Factor on the watchdog's time: test machines may pause a process for longer. Only the watchdog test uses 1."""
@@ -45,38 +40,8 @@ def dhd(shared: Standin) -> Standin:
     return shared
 
 
-@contextmanager
-def opened(dhd: Standin, **options: Any) -> Iterator[ForceDimension]:  # noqa: ANN401  # options of the driver
-    driver = ForceDimension(**{"library": str(dhd.path), **SLOW, **options})
-    driver.open()
-    try:
-        yield driver
-    finally:
-        driver.close()
-
-
-def step(
-    driver: ForceDimension, force: tuple[float, ...] = REST, ticks: int = 1, torque: tuple[float, ...] | None = None
-) -> MasterSample:
-    """Run that many ticks with a force; return the last sample."""
-    for _ in range(ticks):
-        sample = driver.read()
-        driver.write(force, torque)
-        time.sleep(0.001)
-    return sample
-
-
-def until(
-    driver: ForceDimension, done: Callable[[MasterSample], bool], force: tuple[float, ...] = REST
-) -> MasterSample:
-    end_s = time.monotonic() + 10.0
-    while not done(sample := step(driver, force)):
-        assert time.monotonic() < end_s, sample
-    return sample
-
-
-def at_rest(sample: MasterSample) -> bool:
-    return sample.fault is None and sample.velocity is not None and bool(np.allclose(sample.velocity, 0.0, atol=1e-3))
+def opened(dhd: Standin, **options: Any) -> closing[ForceDimension]:  # noqa: ANN401  # options of the driver
+    return begun(ForceDimension(**{"library": str(dhd.path), **SLOW, **options}))
 
 
 # ------------------------------------------------------------------------------------------------------ order of calls

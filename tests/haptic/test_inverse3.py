@@ -3,17 +3,17 @@
 import itertools
 import json
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import closing
 from typing import Any
 
 import numpy as np
 import pytest
 from tests.haptic.emulated import EmulatedInverse, emulated_service
+from tests.haptic.ticks import begun, step, until
 from tests.ur.stalls import anew_after_stalls
 
 from haptether.checklist import RefusedError
-from haptether.master import MasterSample
 from haptether.master.inverse3 import Inverse3
 from haptether.master.inverse3.driver import MAX_LATE
 from haptether.master.inverse3.emulator import EmulatedInverse3, EmulatedSettings, Service
@@ -25,32 +25,8 @@ pytestmark = pytest.mark.live
 HOME = (0.0, -0.12, 0.15)
 
 
-@contextmanager
-def opened(service: EmulatedInverse, **options: Any) -> Iterator[Inverse3]:  # noqa: ANN401  # of the driver
-    driver = Inverse3(**{**service.options, **options})
-    driver.open()
-    try:
-        yield driver
-    finally:
-        driver.close()
-
-
-def step(driver: Inverse3, force: tuple[float, ...] = (0.0, 0.0, 0.0), ticks: int = 1) -> MasterSample:
-    """Run some ticks with a force; return the last sample."""
-    for _ in range(ticks):
-        sample = driver.read()
-        driver.write(force)
-        time.sleep(0.001)
-    return sample
-
-
-def until(
-    driver: Inverse3, done: Callable[[MasterSample], bool], force: tuple[float, ...] = (0.0, 0.0, 0.0)
-) -> MasterSample:
-    end_s = time.monotonic() + 10.0
-    while not done(sample := step(driver, force)):
-        assert time.monotonic() < end_s, sample
-    return sample
+def opened(service: EmulatedInverse, **options: Any) -> closing[Inverse3]:  # noqa: ANN401  # options of the driver
+    return begun(Inverse3(**{**service.options, **options}))
 
 
 @pytest.fixture(scope="module")

@@ -2,8 +2,8 @@
 
 import ctypes
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -11,20 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.haptic.standins import RIGHT_HANDED, Failing, Standin, axes_matrix, built, rotation_matrix
+from tests.haptic.ticks import REST, STIFFNESS, at_rest, begun, step, until
 
 from haptether._core import HdCallback
 from haptether.bridge import load_master
 from haptether.bridge.devices.standalone import StandaloneRun, wait_until
 from haptether.checklist import RefusedError
-from haptether.master import MasterSample
 from haptether.master.touch import Touch
 
 pytestmark = pytest.mark.live
 
-REST = (0.0, 0.0, 0.0)
-HALF = 0.5**0.5
-STIFFNESS = 200.0
-"""Stiffness in N/m of the hand that holds the stand-in."""
 SLOW: dict[str, Any] = {"watchdog_s": 0.05, "sample_timeout_s": 0.018}
 NEEDS_UPDATE, NEEDS_HAND = 0x5001, 0x5002
 
@@ -41,36 +37,8 @@ def hd(shared: Standin) -> Standin:
     return shared
 
 
-@contextmanager
-def opened(hd: Standin, **options: Any) -> Iterator[Touch]:  # noqa: ANN401  # of the driver
-    driver = Touch(**{"library": str(hd.path), **SLOW, **options})
-    driver.open()
-    try:
-        yield driver
-    finally:
-        driver.close()
-
-
-def step(driver: Touch, force: tuple[float, ...] = REST, ticks: int = 1) -> MasterSample:
-    """Run some ticks with a force, paced by the device; return the last sample."""
-    for _ in range(ticks):
-        sample = driver.read()
-        driver.write(force)
-    return sample
-
-
-def until(driver: Touch, done: Callable[[MasterSample], bool], force: tuple[float, ...] = REST) -> MasterSample:
-    """Step until the condition holds; a frame that is late on a busy machine is acknowledged."""
-    end_s = time.monotonic() + 10.0
-    while not done(sample := step(driver, force)):
-        assert time.monotonic() < end_s, sample
-        if sample.fault is not None and "no frame of the vendor" in sample.fault:
-            driver.acknowledge()
-    return sample
-
-
-def at_rest(sample: MasterSample) -> bool:
-    return sample.fault is None and sample.velocity is not None and bool(np.allclose(sample.velocity, 0.0, atol=1e-3))
+def opened(hd: Standin, **options: Any) -> closing[Touch]:  # noqa: ANN401  # options of the driver
+    return begun(Touch(**{"library": str(hd.path), **SLOW, **options}))
 
 
 def exerted(hd: Standin, driver: Touch, force: tuple[float, ...], wanted: tuple[float, float, float]) -> None:

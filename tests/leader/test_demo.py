@@ -1,31 +1,18 @@
 """Demonstrations with an emulated leader arm, as processes: a pick; a push and a released hand."""
 
-import contextlib
-import time
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import pytest
-from tests.ur.stalls import STALL_S, Stalls
+from tests.live.sides import Never
+from tests.ur.stalls import unheld
 
 from haptether.cli import main
 from haptether.dynamixel.description import ArmKinematics, load_arm
 from haptether.studies import FollowScene, PickScene, run_follow, run_pick
 from haptether.studies.leader import LEADER, Emulated, Leader, hand_path
-
-ATTEMPTS = 3
-STALLED = f"this machine stalled a loop in each of {ATTEMPTS} runs"
-
-
-class Never:
-    """A stop that never comes."""
-
-    def __bool__(self) -> bool:
-        return False
-
-    def sleep(self, seconds: float) -> None:
-        time.sleep(seconds)
 
 
 # The same task with a simulated hand: tests/ur/driver/test_demo.py; the leader arm: tests/leader/test_driver.py.
@@ -37,14 +24,7 @@ def test_a_led_arm_picks_something_up(slave: Literal["simulated", "ur"], tmp_pat
     if slave == "ur":
         pytest.importorskip("rtde_control", reason="the extra ur is not installed")
     scene = PickScene(slave=slave, master="dynamixel")
-    for _ in range(ATTEMPTS):
-        with Stalls() as stalls, contextlib.suppress(RuntimeError):
-            result = run_pick(scene, tmp_path, lambda *_: None, Never())
-            if result.holds == 0:
-                break
-        assert stalls.worst_s > STALL_S, "it held or failed though the machine did not stand still"
-    else:
-        pytest.fail(STALLED)
+    result = unheld(lambda: run_pick(scene, tmp_path, lambda *_: None, Never()), pytest.fail)
     assert result.is_done, result
     assert result.lifted_m == pytest.approx(0.06, abs=3e-3)
 
@@ -55,15 +35,10 @@ def test_a_led_arm_picks_something_up(slave: Literal["simulated", "ur"], tmp_pat
 def test_a_follower_grips_and_carries_and_a_push_reaches_the_hand_damped(tmp_path: Path) -> None:
     scene = FollowScene(jitter_s=0.0, loss=0.0)
     thrown = {}
-    for controller in ("none", "wsc"):
-        for _ in range(ATTEMPTS):
-            with Stalls() as stalls, contextlib.suppress(RuntimeError):
-                result = run_follow(scene, controller, tmp_path, lambda *_: None, Never())
-                if result.holds == 0:
-                    break
-            assert stalls.worst_s > STALL_S, "it held or failed though the machine did not stand still"
-        else:
-            pytest.fail(STALLED)
+    controllers: tuple[Literal["none", "wsc"], ...] = ("none", "wsc")
+    for controller in controllers:
+        run = partial(run_follow, scene, controller, tmp_path, lambda *_: None, Never())
+        result = unheld(run, pytest.fail)
         assert result.is_carried, result
         assert result.led_rad == pytest.approx(scene.led_rad, abs=0.02)
         # The grip is the gripper's setting, measured by current; the trigger gets 0.3 of it.

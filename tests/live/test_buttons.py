@@ -1,11 +1,9 @@
 """Buttons of a device and their actions in a scene, over sockets."""
 
-import secrets
 import time
-from collections.abc import Callable
-from typing import Any
 
 import pytest
+from tests.live.sides import Arm, Hand, how, until
 from tests.ur.stalls import anew_after_stalls
 
 from haptether.bridge import (
@@ -19,8 +17,6 @@ from haptether.bridge import (
     override_scene,
     scene_json,
 )
-from haptether.master import MasterSample
-from haptether.slave import SlaveSample
 
 pytestmark = pytest.mark.live
 
@@ -33,36 +29,11 @@ SPEC = scene_json(
 )
 
 
-def how(**others: object) -> dict[str, Any]:
-    return {"run_id": secrets.randbits(64), "insecure": True, **others}
-
-
-def until(done: Callable[[], bool], seconds: float = 10.0) -> None:
-    end_s = time.monotonic() + seconds
-    while not done() and time.monotonic() < end_s:
-        time.sleep(0.002)
-    assert done()
-
-
-class Hand:
+class Buttons(Hand):
     """Device at rest, with buttons."""
 
-    paces = False
-
     def __init__(self) -> None:
-        self.buttons: int | None = 0
-
-    def open(self) -> None:
-        pass
-
-    def read(self) -> MasterSample:
-        return MasterSample(0.02, buttons=self.buttons)
-
-    def write(self, force: tuple[float, ...]) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
+        super().__init__(buttons=0)
 
     def press(self, button: int, seconds: float = 0.06) -> None:
         # A contact that was open for less than 20 ms counts as a bounce.
@@ -73,30 +44,9 @@ class Hand:
         time.sleep(seconds)
 
 
-class Arm:
-    """Arm that stays in place."""
-
-    paces = False
-
-    def open(self) -> None:
-        pass
-
-    def read(self) -> SlaveSample:
-        return SlaveSample(0.02, 0.0, 0.0)
-
-    def write(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:
-        pass
-
-    def stop(self) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
-
 @anew_after_stalls
 def test_a_button_engages_and_another_works_the_gripper() -> None:
-    hand = Hand()
+    hand = Buttons()
     slave = LiveSlave(SPEC, listen="127.0.0.1:0", **how())
     master = MasterRun(hand, MasterLoop(SPEC, peer=slave.address, duration_s=30.0, patience_s=10.0, **how()))
     until(lambda: master.is_answered)
@@ -126,7 +76,7 @@ def test_a_button_engages_and_another_works_the_gripper() -> None:
 
 @anew_after_stalls
 def test_a_switch_of_the_clutch_is_open_after_the_sides_have_parted() -> None:
-    hand = Hand()
+    hand = Buttons()
     slave = LiveSlave(SPEC, listen="127.0.0.1:0", **how())
     address = slave.address
     master = MasterRun(hand, MasterLoop(SPEC, peer=address, duration_s=30.0, patience_s=10.0, **how()))
@@ -154,7 +104,7 @@ def test_a_clutch_that_is_closed_or_not_known_must_be_seen_open_first() -> None:
     spec = scene_json(
         override_scene(load_scene("remote_push", ["environment.pushers=[]"]), ["master.buttons={clutch = 4}"])
     )
-    hand = Hand()
+    hand = Buttons()
     hand.buttons = ENGAGE
     slave = LiveSlave(spec, listen="127.0.0.1:0", **how())
     master = MasterRun(hand, MasterLoop(spec, peer=slave.address, duration_s=30.0, patience_s=10.0, **how()))
@@ -181,7 +131,7 @@ def test_a_clutch_that_is_closed_or_not_known_must_be_seen_open_first() -> None:
 
 
 def test_a_driver_of_the_slave_sees_the_buttons() -> None:
-    hand = Hand()
+    hand = Buttons()
     hand.buttons = 1 << 31 | 1 << 7
     loop = SlaveLoop(SPEC, listen="127.0.0.1:0", **how())
     slave = SlaveRun(Arm(), loop)

@@ -6,14 +6,11 @@ import json
 import math
 import os
 import re
-import secrets
 import signal
 import subprocess
 import sys
-import textwrap
 import threading
 import time
-from collections.abc import Callable
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from typing import Any
@@ -21,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.left_runs import end_left_runs
+from tests.live.sides import how, packaged, until
 from tests.ur.stalls import STALL_S, anew_after_stalls
 
 from haptether.bridge import (
@@ -46,10 +44,6 @@ pytestmark = pytest.mark.live
 
 THREE = scene_json(load_scene("three_axis_box", ["link.forward={}", "link.backward={}", "safety.controllers=[]"]))
 ONE = scene_json(load_scene("remote_push", ["environment.pushers=[]"]))
-
-
-def how(**others: object) -> dict[str, Any]:
-    return {"run_id": secrets.randbits(64), "insecure": True, **others}
 
 
 class Hand:
@@ -107,13 +101,6 @@ class Arm:
 
     def close(self) -> None:
         pass
-
-
-def until(done: Callable[[], bool], seconds: float = 10.0) -> None:
-    end_s = time.monotonic() + seconds
-    while not done() and time.monotonic() < end_s:
-        time.sleep(0.002)
-    assert done()
 
 
 @pytest.mark.alone
@@ -681,17 +668,6 @@ class Arm:
 """
 
 
-def packaged(folder: Path, driver: str) -> dict[str, str]:
-    """Return the environment of a process that finds a driver `bench` of another package."""
-    (folder / "bench_arm.py").write_text(textwrap.dedent(driver))
-    package = folder / "bench_arm-1.0.dist-info"
-    package.mkdir(exist_ok=True)
-    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: bench-arm\nVersion: 1.0\n")
-    (package / "entry_points.txt").write_text("[haptether.slaves]\nbench = bench_arm:Arm\n")
-    before = os.environ.get("PYTHONPATH")
-    return {"PYTHONPATH": os.pathsep.join([str(folder), *([before] if before else [])]), "PATH": "/usr/bin:/bin"}
-
-
 @anew_after_stalls
 def test_a_driver_of_another_package_is_driven_by_the_command_and_its_exception_reported(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "haptether"]
@@ -724,8 +700,12 @@ def test_a_driver_of_another_package_is_driven_by_the_command_and_its_exception_
     assert json.loads((tmp_path / "slave.json").read_text())["final_state"] == "fault"
 
 
-BLOCKING = """
-import time
+BENCH_SLAVE = (
+    sys.executable, "-m", "haptether", "slave", "--listen", "127.0.0.1:0", "--insecure", "--scene", "remote_push",
+    "--set", "slave.device=bench",
+)  # fmt: skip
+HANGING = """
+import sys, time
 from haptether.slave import SlaveSample
 
 class Arm:
@@ -735,19 +715,18 @@ class Arm:
     def read(self):
         self.reads += 1
         if self.reads == 100:
-            time.sleep(2.0)
+            time.sleep(SECONDS)
         return SlaveSample(0.02, 0.0, 0.0)
     def write(self, position, velocity): pass
-    def stop(self): pass
-    def close(self): pass
+    def stop(self): print("stopped", file=sys.stderr, flush=True)
+    def close(self): print("closed", file=sys.stderr, flush=True)
 """
 
 
 def test_a_driver_that_blocks_is_reported_while_it_does(tmp_path: Path) -> None:
     ended = subprocess.run(
-        [sys.executable, "-m", "haptether", "slave", "--listen", "127.0.0.1:0", "--insecure", "--scene", "remote_push",
-         "--set", "slave.device=bench", "--patience-s", "4"],
-        env=packaged(tmp_path, BLOCKING), capture_output=True, text=True, timeout=60, check=False,
+        [*BENCH_SLAVE, "--patience-s", "4"], env=packaged(tmp_path, HANGING.replace("SECONDS", "2.0")),
+        capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     said = (
         "\nfault: the slave has a fault: Arm: KEEPS ITS LAST COMMAND, switch it off: read has not returned for 0.5 s\n"
@@ -844,30 +823,10 @@ def test_a_driver_that_returns_after_all_goes_on_once_its_fault_is_acknowledged(
     assert run.error is None
 
 
-HANGING = """
-import sys, time
-from haptether.slave import SlaveSample
-
-class Arm:
-    paces = False
-    reads = 0
-    def open(self): pass
-    def read(self):
-        self.reads += 1
-        if self.reads == 100:
-            time.sleep(120.0)
-        return SlaveSample(0.02, 0.0, 0.0)
-    def write(self, position, velocity): pass
-    def stop(self): print("stopped", file=sys.stderr, flush=True)
-    def close(self): print("closed", file=sys.stderr, flush=True)
-"""
-
-
 def test_ctrl_c_says_that_a_second_one_ends_at_once_and_leaves_a_driver_that_hangs(tmp_path: Path) -> None:
     slave = subprocess.Popen(
-        [sys.executable, "-m", "haptether", "slave", "--listen", "127.0.0.1:0", "--insecure", "--scene", "remote_push",
-         "--set", "slave.device=bench"],
-        env=packaged(tmp_path, HANGING), stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        BENCH_SLAVE, env=packaged(tmp_path, HANGING.replace("SECONDS", "120.0")), stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
         assert slave.stderr is not None
@@ -907,9 +866,7 @@ class Arm:
 @pytest.mark.parametrize("opens_s", [0.6, 120.0])
 def test_ctrl_c_ends_a_command_whose_device_opens(tmp_path: Path, opens_s: float, number: signal.Signals) -> None:
     slave = subprocess.Popen(
-        [sys.executable, "-m", "haptether", "slave", "--listen", "127.0.0.1:0", "--insecure", "--scene", "remote_push",
-         "--set", "slave.device=bench"],
-        env=packaged(tmp_path, SLOW.replace("SECONDS", str(opens_s))), stdin=subprocess.DEVNULL,
+        BENCH_SLAVE, env=packaged(tmp_path, SLOW.replace("SECONDS", str(opens_s))), stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:

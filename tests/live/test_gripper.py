@@ -1,16 +1,13 @@
 """A gripper beside an arm: both loops move it over sockets, by the trigger of a scene or of a device."""
 
 import math
-import secrets
-import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from tests.gripper.serving import served
 from tests.gripper.virtual import gripper as emulated
 from tests.live.control_client import Control
+from tests.live.sides import Arm, Hand, how, until
 from tests.ur.stalls import anew_after_stalls
 
 from haptether.bridge import (
@@ -24,8 +21,7 @@ from haptether.bridge import (
     override_scene,
     scene_json,
 )
-from haptether.master import MasterSample
-from haptether.slave import Gripper, GripperCommand, GripperSample, RobotiqGripper, SlaveSample
+from haptether.slave import Gripper, GripperCommand, GripperSample, RobotiqGripper
 
 pytestmark = pytest.mark.live
 
@@ -34,64 +30,6 @@ GRIPPING = override_scene(
     ["slave.gripper={speed = 2.0, force_n = 30.0}", "operator.trigger=[[0.1, 0.0], [0.5, 1.0]]"],
 )
 SPEC = scene_json(GRIPPING)
-
-
-def how(**others: object) -> dict[str, Any]:
-    return {"run_id": secrets.randbits(64), "insecure": True, **others}
-
-
-def until(done: Callable[[], bool], seconds: float = 10.0) -> None:
-    end_s = time.monotonic() + seconds
-    while not done() and time.monotonic() < end_s:
-        time.sleep(0.002)
-    assert done()
-
-
-class Arm:
-    """Arm that is always at its commanded position."""
-
-    paces = False
-
-    def __init__(self) -> None:
-        self.position: tuple[float, ...] = (0.02,)
-        self.stops = 0
-
-    def open(self) -> None:
-        pass
-
-    def read(self) -> SlaveSample:
-        return SlaveSample(self.position, 0.0, 0.0)
-
-    def write(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:
-        assert len(velocity) == 1
-        self.position = position
-
-    def stop(self) -> None:
-        self.stops += 1
-
-    def close(self) -> None:
-        pass
-
-
-class Hand:
-    """Device at rest, with a trigger."""
-
-    paces = False
-
-    def __init__(self, trigger: float | None) -> None:
-        self.trigger = trigger
-
-    def open(self) -> None:
-        pass
-
-    def read(self) -> MasterSample:
-        return MasterSample(0.02, trigger=self.trigger)
-
-    def write(self, force: tuple[float, ...]) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
 
 
 class Jaws:
@@ -235,7 +173,7 @@ def test_a_trigger_that_is_not_there_or_cannot_be_leads_nothing(trigger: float |
     slave, _ = slave_of(jaws)
     spec = scene_json(override_scene(GRIPPING, ["operator.trigger=[]"]))
     loop = MasterLoop(spec, peer=slave.address, duration_s=0.4, patience_s=10.0, **how())
-    master = MasterRun(Hand(trigger), loop)
+    master = MasterRun(Hand(trigger=trigger), loop)
     until(lambda: master.finished, 20.0)
     ticks, report = master.finish()
     slave.finish()

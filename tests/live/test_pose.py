@@ -2,13 +2,11 @@
 
 import json
 import math
-import secrets
 import time
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
+from tests.live.sides import how, until
 from tests.ur.stalls import anew_after_stalls
 
 from haptether.bridge import (
@@ -49,17 +47,6 @@ def turning() -> Scene:
 
 
 SPEC = scene_json(turning())
-
-
-def how(**others: object) -> dict[str, Any]:
-    return {"run_id": secrets.randbits(64), "insecure": True, **others}
-
-
-def until(done: Callable[[], bool], seconds: float = 10.0) -> None:
-    end_s = time.monotonic() + seconds
-    while not done() and time.monotonic() < end_s:
-        time.sleep(0.002)
-    assert done()
 
 
 def angle(one: np.ndarray, other: np.ndarray) -> float:

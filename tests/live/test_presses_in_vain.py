@@ -12,12 +12,12 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from tests.live.sides import Hand
 
 from haptether.bridge import LiveMaster, LiveSlave, MasterLoop, MasterRun, load_scene, scene_json
 from haptether.cli.live.run import FlightFile, SideWatch
 from haptether.cli.live.sides import started_s
 from haptether.cli.shared.stop import Stopped
-from haptether.master import MasterSample
 
 pytestmark = pytest.mark.live
 
@@ -37,29 +37,8 @@ def until(done: Callable[[], bool], seconds: float = 10.0) -> bool:
     return done()
 
 
-class Button:
-    """A device at rest, with or without a button."""
-
-    paces = False
-
-    def __init__(self, pressed: bool | None) -> None:
-        self.pressed = pressed
-
-    def open(self) -> None:
-        pass
-
-    def read(self) -> MasterSample:
-        return MasterSample([0.02], clutch=self.pressed)
-
-    def write(self, force: tuple[float, ...]) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
-
 def run_of(pressed: bool | None, slave: LiveSlave, **others: object) -> MasterRun:
-    return MasterRun(Button(pressed), MasterLoop(SCENE, peer=slave.address, **how(**others)))
+    return MasterRun(Hand(clutch=pressed), MasterLoop(SCENE, peer=slave.address, **how(**others)))
 
 
 @pytest.mark.parametrize("pressed", [None, True])

@@ -14,7 +14,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
-from tests.live.test_device_loop import BLOCKING, packaged
+from tests.live.sides import packaged
+from tests.live.test_device_loop import HANGING
 
 pytestmark = pytest.mark.live
 
@@ -116,7 +117,7 @@ def test_a_terminal_that_takes_nothing_holds_no_end_up(folder: Path) -> None:
 
 def test_a_driver_that_blocks_is_said_above_the_panel_while_it_does(folder: Path) -> None:
     arguments = slave("--scene", "remote_push", "--set", "slave.device=bench")
-    environment = packaged(folder, BLOCKING.replace("2.0", "5.0"))
+    environment = packaged(folder, HANGING.replace("SECONDS", "5.0"))
     side = Terminal(folder, *arguments, environment=environment)
     side.until("loop late")
     # No sample comes while the driver blocks.

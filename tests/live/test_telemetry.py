@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.live.sides import free_port
 from tests.scene.two_sides import two_sides
 
 from haptether.bridge import (
@@ -28,12 +29,6 @@ from haptether.bridge import (
 )
 
 pytestmark = pytest.mark.live
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
 
 
 def read_all(path: Path, into: list[TelemetryMessage]) -> None:

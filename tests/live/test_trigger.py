@@ -1,14 +1,12 @@
 """A trigger with force feedback, live: against virtual time, through a driver, and with drivers without a motor."""
 
 import math
-import secrets
 import time
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from tests.live.sides import Hand, how, until
 from tests.ur.stalls import anew_after_stalls
 
 from haptether.bridge import (
@@ -22,7 +20,6 @@ from haptether.bridge import (
     scene_json,
     simulate,
 )
-from haptether.master import MasterSample
 
 pytestmark = pytest.mark.live
 
@@ -39,43 +36,11 @@ FELT = override_scene(GRIPPING, ["master.gripper={travel_m = 0.03, mass_kg = 0.0
 FINGER_N = 0.05 * 40.0
 
 
-def how(**others: object) -> dict[str, Any]:
-    return {"run_id": secrets.randbits(64), "insecure": True, **others}
-
-
-def until(done: Callable[[], bool], seconds: float = 10.0) -> None:
-    end_s = time.monotonic() + seconds
-    while not done() and time.monotonic() < end_s:
-        time.sleep(0.002)
-    assert done()
-
-
-class Hand:
-    """Device at rest, without a motor at its trigger."""
-
-    paces = False
-
-    def __init__(self) -> None:
-        self.trigger: float | None = 0.0
-
-    def open(self) -> None:
-        pass
-
-    def read(self) -> MasterSample:
-        return MasterSample(0.02, trigger=self.trigger)
-
-    def write(self, force: tuple[float, ...]) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
-
 class FeelingHand(Hand):
     """The same with a motor; it records its forces."""
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__(trigger=0.0)
         self.felt: list[float] = []
         self.error: Exception | None = None
 

@@ -11,11 +11,12 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.live.sides import Arm, Hand, how, packaged, until
 
 from haptether.bridge import (
     DeviceError,
@@ -30,7 +31,6 @@ from haptether.bridge import (
     scene_json,
     write_key,
 )
-from haptether.master import MasterSample
 from haptether.slave import SlaveSample
 
 pytestmark = pytest.mark.live
@@ -121,24 +121,13 @@ def screens() -> Iterator[list[Screen]]:
         screen.join()
 
 
-def packaged(folder: Path) -> dict[str, str]:
-    """Return the environment of a process that finds the driver `bench` of another package."""
-    (folder / "bench_arm.py").write_text(textwrap.dedent(DRIVER))
-    package = folder / "bench_arm-1.0.dist-info"
-    package.mkdir()
-    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: bench-arm\nVersion: 1.0\n")
-    (package / "entry_points.txt").write_text("[haptether.slaves]\nbench = bench_arm:Arm\n")
-    path = [str(folder), *filter(None, [os.environ.get("PYTHONPATH")])]
-    return {"PYTHONPATH": os.pathsep.join(path), "PATH": "/usr/bin:/bin"}
-
-
 def begun(tmp_path: Path, screens: list[Screen], *flags: str, secure: bool, **options: str) -> tuple[Screen, Screen]:
     """Start a slave with the driver, and a master, both recorded."""
     key = ["--insecure"]
     if secure:
         write_key(tmp_path / "key")
         key = ["--key", str(tmp_path / "key")]
-    environment = packaged(tmp_path)
+    environment = packaged(tmp_path, DRIVER)
 
     def files(side: str) -> list[str]:
         kinds = {"json": "json", "flight": "flight", "record": "mcap"}
@@ -258,41 +247,6 @@ def test_a_drivers_exception_shows_file_and_line_at_both_screens_and_its_traceba
     master.end()
 
 
-def until(done: Callable[[], bool], seconds: float = 10.0) -> None:
-    end_s = time.monotonic() + seconds
-    while not done() and time.monotonic() < end_s:
-        time.sleep(0.002)
-    assert done()
-
-
-def how(**others: object) -> dict[str, Any]:
-    return {"run_id": secrets.randbits(64), "insecure": True, **others}
-
-
-class Hand:
-    """A device at one place that reports a fault on request."""
-
-    paces = False
-
-    def __init__(self) -> None:
-        self.fault: str | None = None
-        self.raises: Exception | None = None
-
-    def open(self) -> None:
-        pass
-
-    def read(self) -> MasterSample:
-        if self.raises is not None:
-            raise self.raises
-        return MasterSample(0.0, fault=self.fault)
-
-    def write(self, force: tuple[float, ...]) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
-
 def cause(side: Any) -> dict[str, Any]:  # noqa: ANN401  # any of the four
     said = side.cause()
     return json.loads(said) if said is not None else {}
@@ -404,17 +358,6 @@ def test_an_orderly_end_is_no_hold(secure: bool, first: str) -> None:
 @pytest.mark.parametrize("first", ["master", "slave"])
 def test_the_end_of_a_driven_side_comes_before_its_silence(first: str) -> None:
     """Even if the report of a run is fetched late, the other side learns of the end before."""
-
-    class Arm(Hand):
-        def read(self) -> SlaveSample:  # type: ignore[override]
-            return SlaveSample(0.0, 0.0, 0.0)
-
-        def write(self, position: tuple[float, ...], velocity: tuple[float, ...]) -> None:  # type: ignore[override]
-            pass
-
-        def stop(self) -> None:
-            pass
-
     driven: Any
     stays: Any
     if first == "slave":

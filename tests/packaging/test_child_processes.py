@@ -7,12 +7,12 @@ import runpy
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from tests.live.sides import Never
 
 from haptether.bridge.scene.sweeps import cluster
 from haptether.child import child_environment
@@ -44,19 +44,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-class NeverStopped:
-    """A flag that is never set."""
-
-    def __bool__(self) -> bool:
-        return False
-
-    def sleep(self, seconds: float) -> None:
-        time.sleep(seconds)
-
-
 def a_command() -> None:
     with child_process("inverse3-emulator", "--port", "0", "--event-port", "0", says="an Inverse3") as child:
-        child.headline(NeverStopped())
+        child.headline(Never())
 
 
 def the_panel() -> None:

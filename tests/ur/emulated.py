@@ -77,15 +77,11 @@ class Emulated:
 
 
 @contextmanager
-def emulator(*arguments: str, host: str | None = None) -> Iterator[Emulated]:
-    """Run `haptether ur-emulator` with its control line on standard input, and end it in any case."""
-    host = host or free_host()
-    command = [sys.executable, "-m", "haptether", "ur-emulator", "--host", host, "--control", "-", *arguments]
+def process_of(command: Sequence[str]) -> "Iterator[subprocess.Popen[bytes]]":
+    """Run an emulator with pipes for input and output; end it in any case."""
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    emulated = Emulated(process, host)
     try:
-        assert emulated.line(START_S).startswith(f"listening on {host} ")
-        yield emulated
+        yield process
     finally:
         process.terminate()
         try:
@@ -96,6 +92,17 @@ def emulator(*arguments: str, host: str | None = None) -> Iterator[Emulated]:
             for stream in (process.stdin, process.stdout):
                 if stream is not None:
                     stream.close()
+
+
+@contextmanager
+def emulator(*arguments: str, host: str | None = None) -> Iterator[Emulated]:
+    """Run `haptether ur-emulator` with its control line on standard input, and end it in any case."""
+    host = host or free_host()
+    command = [sys.executable, "-m", "haptether", "ur-emulator", "--host", host, "--control", "-", *arguments]
+    with process_of(command) as process:
+        emulated = Emulated(process, host)
+        assert emulated.line(START_S).startswith(f"listening on {host} ")
+        yield emulated
 
 
 def client(scenario: str, host: str, arguments: Sequence[object] = (), patience_s: float = 30.0) -> dict[str, Any]:

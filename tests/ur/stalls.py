@@ -1,12 +1,13 @@
 """Tests of several processes on a shared machine: repeated after a stall of the machine."""
 
+import contextlib
 import functools
 import os
 import subprocess
 import threading
 import time
 from collections.abc import Callable
-from typing import ParamSpec, Self
+from typing import NoReturn, ParamSpec, Protocol, Self, TypeVar
 
 from tests.left_runs import end_left_runs
 from tests.retry import REPEATED
@@ -16,6 +17,17 @@ SLEEP_S = 0.002
 STALL_S = 0.015
 """Shortest stall that counts, in s: below the 20 ms hold time, as a sleeper may be delayed less than the loop."""
 MAX_TRIES = 3
+
+
+class Run(Protocol):
+    """Result of a run of two sides."""
+
+    @property
+    def holds(self) -> int:
+        """Number of holds of the master."""
+
+
+R = TypeVar("R", bound=Run)
 
 
 class Stalls:
@@ -44,6 +56,17 @@ class Stalls:
             before_s = time.monotonic()
             time.sleep(SLEEP_S)
             self.worst_s = max(self.worst_s, time.monotonic() - before_s - SLEEP_S)
+
+
+def unheld(run: Callable[[], R], otherwise: Callable[[str], NoReturn]) -> R:
+    """Return the first run without a hold; a stall of the machine must explain each hold or failure."""
+    for _ in range(MAX_TRIES):
+        with Stalls() as stalls, contextlib.suppress(RuntimeError):
+            result = run()
+            if result.holds == 0:
+                return result
+        assert stalls.worst_s > STALL_S, "it held or failed though the machine did not stand still"
+    return otherwise(f"this machine stalled a loop in each of {MAX_TRIES} runs")
 
 
 def anew_after_stalls(test: Callable[P, None]) -> Callable[P, None]:

@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -14,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image, ImageGrab
+from tests.view.unanswered import master
 
 from haptether.view.window.playback import KEYS
 
@@ -22,21 +22,6 @@ pytestmark = pytest.mark.alone
 
 TIMEOUT_S = 60.0
 SMALL = ("--size", "420x300")
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def master(path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
-    """Start a master without a slave."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "haptether", "master", "--peer", f"127.0.0.1:{free_port()}", "--insecure",
-         "--telemetry", str(path), *arguments],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
 
 
 def view(path: Path, *arguments: str) -> list[str]:

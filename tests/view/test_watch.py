@@ -11,27 +11,13 @@ import time
 from pathlib import Path
 
 import pytest
+from tests.view.unanswered import master
 
 from haptether.cli.entry import main
 
 pytestmark = pytest.mark.live
 
 TIMEOUT_S = 60.0
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def master(path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
-    """Start a master without a slave."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "haptether", "master", "--peer", f"127.0.0.1:{free_port()}", "--insecure",
-         "--telemetry", str(path), *arguments],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
 
 
 def watch(path: Path, *arguments: str) -> list[str]:

@@ -44,11 +44,6 @@ def shared() -> Iterator[EmulatedBus]:
         yield running
 
 
-@pytest.fixture
-def emulated(shared: EmulatedBus) -> EmulatedBus:
-    return shared.as_new()
-
-
 class Pair:
     """An arm and its gripper, led as by the loop of a slave."""
 

@@ -1,6 +1,5 @@
 """The demonstration with a UR arm in the loop, as processes: emulated controller, ur-rtde, slave, network, master."""
 
-import contextlib
 import json
 import os
 import re
@@ -8,7 +7,6 @@ import secrets
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
@@ -16,7 +14,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 import pytest
-from tests.ur.stalls import STALL_S, Stalls
+from tests.live.sides import Never
+from tests.ur.stalls import STALL_S, Stalls, unheld
 
 from haptether.bridge import load_scene
 from haptether.studies import DemoScene, PickScene, run_demo, run_pick
@@ -32,30 +31,13 @@ ATTEMPTS = 3
 STALLED = f"this machine stalled a loop in each of {ATTEMPTS} runs"
 
 
-class Never:
-    """A flag that is never set."""
-
-    def __bool__(self) -> bool:
-        return False
-
-    def sleep(self, seconds: float) -> None:
-        time.sleep(seconds)
-
-
 @pytest.mark.sampled(1)
 @pytest.mark.timeout(200)
 @pytest.mark.parametrize("slave", ["simulated", "ur"])
 def test_something_is_picked_up_turned_and_put_down(slave: Literal["simulated", "ur"], tmp_path: Path) -> None:
     """The hand carries the object 100 mm aside and turns it by 60 degrees; so do arm, wrist and gripper."""
     scene = PickScene(slave=slave)
-    for _ in range(ATTEMPTS):
-        with Stalls() as stalls, contextlib.suppress(RuntimeError):
-            result = run_pick(scene, tmp_path, lambda *_: None, Never())
-            if result.holds == 0:
-                break
-        assert stalls.worst_s > STALL_S, "it held or failed though the machine did not stand still"
-    else:
-        pytest.skip(STALLED)
+    result = unheld(lambda: run_pick(scene, tmp_path, lambda *_: None, Never()), pytest.skip)
     assert result.is_done, result
     assert result.lifted_m == pytest.approx(0.06, abs=2e-3)
 
@@ -63,16 +45,9 @@ def test_something_is_picked_up_turned_and_put_down(slave: Literal["simulated", 
 @pytest.mark.timeout(200)
 def test_a_push_of_an_emulated_tool_reaches_the_hand_damped(tmp_path: Path) -> None:
     scene = DemoScene(slave="ur", delay_s=0.02, jitter_s=0.0, loss=0.0)
-    for _ in range(ATTEMPTS):
-        # A run that receives nothing from the controller for 0.1 s ends in a fault, as required.
-        with Stalls() as stalls, contextlib.suppress(RuntimeError):
-            result = run_demo(scene, "hsc", tmp_path, lambda *_: None, Never())
-            if result.holds == 0:
-                break
-        assert stalls.worst_s > STALL_S, "it held or failed though the machine did not stand still"
-    else:
-        # After a hold both sides engage at their current places, which changes the press on the wall.
-        pytest.skip(STALLED)
+    # A run that receives nothing from the controller for 0.1 s ends in a fault, as required. After a hold both sides
+    # engage at their current places, which changes the press on the wall.
+    result = unheld(lambda: run_demo(scene, "hsc", tmp_path, lambda *_: None, Never()), pytest.skip)
     assert result.final_state in {"engaged", "stale"}
     # 65 mm of target behind 300 and 100 N/m in series, plus the share of the push that does not bend the hand.
     assert result.force_at_release_n == pytest.approx(6.0, abs=0.3)

@@ -1,12 +1,10 @@
 """Both ends in three dimensions on the page: drawn, moving, of one side alone, and not while the page is hidden."""
 
 import json
-from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.view.console.served import Served, served, wait_for
+from tests.view.console.served import Served, wait_for
 
 from haptether.bridge import TelemetryHello, TelemetryReader
 from haptether.view.console.bodies import WAITING, Bodies
@@ -25,12 +23,6 @@ SHADES = """station => {
     return shades.size;
 }"""
 """Returns the number of colours of a picture."""
-
-
-@pytest.fixture
-def runs(tmp_path: Path) -> Iterator[Served]:
-    with served(tmp_path) as found:
-        yield found
 
 
 def test_page_draws_both_ends_and_nothing_while_it_is_hidden(browser: "Browser", runs: Served) -> None:

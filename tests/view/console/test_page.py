@@ -4,7 +4,6 @@ import contextlib
 import os
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,16 +12,12 @@ from tests.view.console.browser import change, hold, press, said
 from tests.view.console.served import Served, served, wait_for
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from playwright.sync_api import Browser, Page
 
 # The browser draws on all processors and would delay real-time loops beside it.
 pytestmark = pytest.mark.alone
-
-
-@pytest.fixture
-def runs(tmp_path: Path) -> Iterator[Served]:
-    with served(tmp_path) as found:
-        yield found
 
 
 @pytest.fixture

@@ -1,0 +1,22 @@
+"""Shared fixtures: an emulated bus and the description of an arm."""
+
+from pathlib import Path
+
+import pytest
+from tests.dynamixel.emulated import EmulatedBus
+from tests.dynamixel.test_description import TWO_LINKS
+
+from haptether.dynamixel.description import ArmDescription, load_arm
+
+
+@pytest.fixture
+def emulated(shared: EmulatedBus) -> EmulatedBus:
+    """Reset the bus of a module to its state after the start."""
+    return shared.as_new()
+
+
+@pytest.fixture
+def two(tmp_path: Path) -> ArmDescription:
+    path = tmp_path / "two.toml"
+    path.write_text(TWO_LINKS)
+    return load_arm(path)
