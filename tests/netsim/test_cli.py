@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from haptether.cli.entry import main
-from haptether.cli.netsim.link_options import LinkOptions
-from haptether.netsim import PRESETS, judge_all, link_spec
+from haptether.cli.netsim.link_options import LINK_FLAGS, LinkOptions
+from haptether.netsim import PRESETS, LinkSettings, judge_all, link_spec
 
 
 def sample(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -24,6 +24,10 @@ def rows(text: str) -> list[dict[str, str]]:
 
 
 ROUGH = ("--delay-s", "0.02", "--jitter-s", "0.002", "--loss", "0.1", "--packets", "2000")
+
+
+def test_flags_are_settings_of_a_link() -> None:
+    assert {"preset", "delay_s", "loss", "trace"} < set(LINK_FLAGS) < set(LinkSettings.__struct_fields__)
 
 
 def test_the_same_seed_gives_the_same_bytes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """Flags of a link, the same for every command that has one."""
 
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,11 +11,6 @@ from haptether.cli.shared.assignments import refuse_twice
 
 if TYPE_CHECKING:
     from haptether.netsim import LinkSettings
-
-FLAGS = (
-    "preset", "loss", "mean_burst", "rate_bps", "queue_ms", "delay_s", "jitter_s", "distribution",
-    "jitter_correlation_s", "reorder", "duplicate", "corrupt",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +62,7 @@ class LinkOptions:
         from haptether.cli.shared.numbers import check_seed
 
         raw, seed, folder = _read(scene)
-        flags = {name: value for name in FLAGS if (value := getattr(self, name)) is not None}
+        flags = {name: value for name in LINK_FLAGS if (value := getattr(self, name)) is not None}
         self._refuse_twice()
         if self.trace is not None:
             flags["trace"] = {"file": str(self.trace)}
@@ -88,13 +83,17 @@ class LinkOptions:
         Raises:
             ValueError: A setting is given twice; the message names both.
         """
-        flags = (name for name in (*FLAGS, "trace") if getattr(self, name) is not None)
+        flags = (name for name in LINK_FLAGS if getattr(self, name) is not None)
         given = {name: f"--{name.replace('_', '-')}" for name in flags}
         for setting in self.set:
             key = setting.partition("=")[0].strip().replace("-", "_")
             # The flag of a table also gives the keys of that table.
             table = key.partition(".")[0]
             refuse_twice(given, table if table in given else key, f"--set {key[:80]}")
+
+
+LINK_FLAGS = tuple(field.name for field in fields(LinkOptions) if field.name not in {"set", "backward_set", "seed"})
+"""Flags that are settings of a link, for both directions."""
 
 
 @dataclass(frozen=True)
