@@ -3,15 +3,9 @@
 HAPTETHER_HYPOTHESIS_PROFILE chooses. `fast` tries the same examples each time, so that it judges the change and not the
 luck of a draw. `slow` draws new ones.
 
-<<<<<<< HEAD
-`make test` runs modules with the marker `live` five at a time, for they mostly wait, those with `alone` one after the
-other, and all others two at a time. It leaves out what is `thorough`, which `make thorough` runs as well: what takes
-long and whose subject other tests have, too, and of a test with `sampled(n)` all but n of its cases.
-=======
-`make test` runs modules with the marker `live` four at a time, because they mostly wait. It runs modules with `alone`
+`make test` runs modules with the marker `live` five at a time, because they mostly wait. It runs modules with `alone`
 one after the other, and all others two at a time. It leaves out `thorough` tests, which `make thorough` also runs: slow
 tests whose subject other tests cover. Of a test with `sampled(n)`, all but n cases are `thorough`.
->>>>>>> 9727f8fffd60a81b8a1ab07193075dd349fd5fdf
 """
 
 import os
