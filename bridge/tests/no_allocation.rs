@@ -36,9 +36,14 @@ use haptether_safety::{
     estimator::{EstimatorKind, Fit},
 };
 use haptether_slave::{
-    ArmParameters, ArmSettings, ControlKind, GripperSettings, HandleSettings, Pusher, RigidBodySettings,
-    SimulatedSlave, SimulatedTool, ToolSettings, ToolWorldSettings, Wall,
+    ArmSettings, ControlKind, GripperSettings, HandleSettings, PushShape, Pusher, RigidBodySettings,
+    SimulatedTool, ToolSettings, ToolWorldSettings,
 };
+
+#[path = "all/arms.rs"]
+mod arms;
+
+use arms::arm_before_wall;
 
 thread_local! {
     /// Allocations of this thread only, because the harness allocates in another.
@@ -109,9 +114,8 @@ fn a_tick_of_both_sides_allocates_nothing() {
             bounds: CommandBounds::default(),
             ladder: LadderSettings::default(),
         };
-        let pusher = Pusher::new(0.8, 0.1, 1.0, 3.0).unwrap();
-        let wall = Wall::new(0.0, 100.0).unwrap();
-        let plant = SimulatedSlave::new(ArmParameters::default(), wall, Some(pusher), 0.02, 0).unwrap();
+        let pusher = Pusher::shaped(PushShape::Ramp { rise_s: 0.1 }, 0.8, 1.0, Axes::<1>::new(3.0)).unwrap();
+        let plant = arm_before_wall(0.0, Some(pusher), 0.02);
         let jaws = GripperSettings { position: 0.0, speed: 2.0, force_n: 40.0, object: Some(0.6) };
         let gripper = LedGripper::simulated(jaws).unwrap();
         let mut slave =
@@ -180,8 +184,7 @@ fn a_tick_of_a_trigger_that_is_felt_allocates_nothing() {
         bounds: CommandBounds::default(),
         ladder: LadderSettings::default(),
     };
-    let wall = Wall::new(1.0, 100.0).unwrap();
-    let plant = SimulatedSlave::new(ArmParameters::default(), wall, None, 2.0, 0).unwrap();
+    let plant = arm_before_wall(1.0, None, 2.0);
     let jaws = GripperSettings { position: 0.0, speed: 2.0, force_n: 40.0, object: Some(0.6) };
     let mut slave = SlaveSide::new(plant, SlaveEndpoint::new(&settings).unwrap())
         .with_gripper(Some(LedGripper::simulated(jaws).unwrap()));
