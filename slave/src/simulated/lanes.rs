@@ -45,8 +45,8 @@ pub struct SlaveLanes<const N: usize, S: Real> {
 
 /// Arms in lanes.
 ///
-/// Tool, command and set position of a [loaded](Occupancy::loaded) lane are stored here, those of the other lanes in their
-/// slaves. The environments always stay in the slaves.
+/// Tool, command and set position of a [loaded](Occupancy::loaded) lane are stored here, those of the other lanes in
+/// their slaves. The environments always stay in the slaves.
 #[derive(Clone, Debug)]
 struct Fast<const N: usize, S: Real> {
     lines: [Line<S>; N],

@@ -449,8 +449,8 @@ impl<S: Real> Line<S> {
 }
 
 impl Line {
-    /// Advance (x, V) by `step` in s under an arm with M, K, B and an input per kg that is quadratic in time, or linear with
-    /// a bend. Returns true if every contact was located.
+    /// Advance (x, V) by `step` in s under an arm with M, K, B and an input per kg that is quadratic in time, or linear
+    /// with a bend. Returns true if every contact was located.
     #[inline(always)] // has one caller
     fn advance(
         &mut self,
