@@ -1,12 +1,7 @@
 //! A tick allocates nothing. A custom allocator counts, with every observer and controller on.
-#![allow(clippy::unwrap_used, unsafe_code)] // a test may; an allocator needs unsafe code
+#![allow(clippy::unwrap_used)] // a test may
 
-use std::{
-    alloc::{GlobalAlloc, Layout, System},
-    cell::Cell,
-    io::Read,
-    os::unix::net::UnixStream,
-};
+use std::{io::Read, os::unix::net::UnixStream};
 
 use haptether_bridge::{
     Clutch, DrivenMaster, HeldTrigger, LadderSettings, LadderState, LedGripper, LinkTime, MasterEndpoint,
@@ -40,39 +35,13 @@ use haptether_slave::{
     SimulatedTool, ToolSettings, ToolWorldSettings,
 };
 
+#[path = "../../numeric/tests/allocations/mod.rs"]
+mod allocations;
 #[path = "all/arms.rs"]
 mod arms;
 
+use allocations::allocations;
 use arms::arm_before_wall;
-
-thread_local! {
-    /// Allocations of this thread only, because the harness allocates in another.
-    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
-}
-
-fn allocations() -> u64 {
-    ALLOCATIONS.with(Cell::get)
-}
-
-struct Counting;
-
-// SAFETY: every call goes unchanged to the system's allocator.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        // A thread that is ending no longer has a counter.
-        let _ = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
-        // SAFETY: the caller's contract is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's contract is passed on.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static COUNTING: Counting = Counting;
 
 const MS: u64 = 1_000_000;
 
