@@ -163,7 +163,7 @@ mod tests {
         occupancy.load(1);
         let mut ticks = |before| {
             assert_eq!((occupancy.due(0b010), occupancy.leave(0b111, before)), (0, 0b010));
-            let ticks = (1..).find(|_| occupancy.due(0b010) == 0b010).unwrap();
+            let ticks = (1..100).find(|_| occupancy.due(0b010) == 0b010).unwrap();
             occupancy.load(1);
             ticks
         };

@@ -7,8 +7,7 @@ use haptether_safety::controller::{ControllerKind, Intervention, SafetySettings}
 use haptether_safety::estimator::{EstimatorKind, Fit};
 use haptether_safety::observer::VelocityForceForm;
 use haptether_safety::{
-    Axes, DeviceModel, LayerSettings, Limiter, LimiterSettings, Observation, Real, SafetyLayer, SafetyTick,
-    SampleBounds,
+    Axes, DeviceModel, LayerSettings, Limiter, LimiterSettings, Real, SafetyLayer, SafetyTick, SampleBounds,
 };
 use nalgebra::{SimdBool as _, SimdValue};
 use proptest::prelude::*;
@@ -17,8 +16,8 @@ const PERIOD_S: f64 = 1e-3;
 const QUANTUM_M: f64 = 2.3e-5;
 const LANES: usize = Lanes::LANES;
 
-/// x, V, `F_v` and `F_h` of one scenario.
-type Sample = [[f64; 3]; 4];
+/// x, V and `F_v` of one scenario.
+type Sample = [[f64; 3]; 3];
 type Tick = [Sample; LANES];
 
 /// Input of the pipeline at a tick.
@@ -27,12 +26,11 @@ struct Input<const N: usize, S: Real = f64> {
     position: Axes<N, S>,
     velocity: Axes<N, S>,
     force: Axes<N, S>,
-    seen: Observation<N, S>,
 }
 
 fn input<const N: usize>(sample: &Sample) -> Input<N> {
-    let [position, velocity, force, grasp] = sample.map(|values| Axes::from_column_slice(&values[..N]));
-    Input { position, velocity, force, seen: Observation::exact(velocity, force, grasp) }
+    let [position, velocity, force] = sample.map(|values| Axes::from_column_slice(&values[..N]));
+    Input { position, velocity, force }
 }
 
 fn spread(of: impl Fn(usize) -> f64) -> Lanes {
@@ -44,9 +42,9 @@ fn spread(of: impl Fn(usize) -> f64) -> Lanes {
 }
 
 fn inputs<const N: usize>(tick: &Tick) -> Input<N, Lanes> {
-    let [position, velocity, force, grasp] =
-        [0, 1, 2, 3].map(|signal| Axes::from_fn(|axis, _| spread(|lane| tick[lane][signal][axis])));
-    Input { position, velocity, force, seen: Observation::exact(velocity, force, grasp) }
+    let [position, velocity, force] =
+        [0, 1, 2].map(|signal| Axes::from_fn(|axis, _| spread(|lane| tick[lane][signal][axis])));
+    Input { position, velocity, force }
 }
 
 /// Draw three values; exact zeros occur among them, to cover their selections.
@@ -56,7 +54,7 @@ fn triple(bound: f64) -> impl Strategy<Value = [f64; 3]> {
 
 fn ticks() -> impl Strategy<Value = Vec<Tick>> {
     let step = prop_oneof![9 => triple(5e-4), 1 => triple(5e-3)];
-    let sample = (step, triple(2.0), triple(12.0), triple(12.0)).prop_map(|(x, v, f, h)| [x, v, f, h]);
+    let sample = (step, triple(2.0), triple(12.0)).prop_map(|(x, v, f)| [x, v, f]);
     prop::collection::vec(prop::array::uniform8(sample), 1..80).prop_map(|mut ticks| {
         let mut at = [[0.02; 3]; LANES];
         for (position, sample) in ticks.iter_mut().flat_map(|tick| (0..LANES).zip(tick)) {
