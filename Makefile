@@ -22,7 +22,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export VIRTUAL_ENV := $(CURDIR)/.venv
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 
-CRATES := safety netsim dynamixel master slave bridge python
+CRATES := numeric safety netsim dynamixel master slave bridge python
 RUST_SOURCES := Cargo.toml Cargo.lock $(wildcard $(CRATES:%=%/Cargo.toml)) \
     $(shell find $(CRATES:%=%/src) -type f)
 PYTHON_CODE := python/haptether \

@@ -12,7 +12,6 @@ mod fault_text;
 mod gripper;
 mod kind;
 pub mod ladder;
-mod lanes;
 mod link;
 pub mod live;
 mod live_socket;

@@ -1,12 +1,7 @@
 //! A tick allocates nothing. A custom allocator counts, with every observer and controller on.
-#![allow(clippy::unwrap_used, unsafe_code)] // a test may; an allocator needs unsafe code
+#![allow(clippy::unwrap_used)] // a test may
 
-use std::{
-    alloc::{GlobalAlloc, Layout, System},
-    cell::Cell,
-    io::Read,
-    os::unix::net::UnixStream,
-};
+use std::{io::Read, os::unix::net::UnixStream};
 
 use haptether_bridge::{
     Clutch, DrivenMaster, HeldTrigger, LadderSettings, LadderState, LedGripper, LinkTime, MasterEndpoint,
@@ -36,38 +31,17 @@ use haptether_safety::{
     estimator::{EstimatorKind, Fit},
 };
 use haptether_slave::{
-    ArmParameters, ArmSettings, ControlKind, GripperSettings, HandleSettings, Pusher, RigidBodySettings,
-    SimulatedSlave, SimulatedTool, ToolSettings, ToolWorldSettings, Wall,
+    ArmSettings, ControlKind, GripperSettings, HandleSettings, PushShape, Pusher, RigidBodySettings,
+    SimulatedTool, ToolSettings, ToolWorldSettings,
 };
 
-thread_local! {
-    /// Allocations of this thread only, because the harness allocates in another.
-    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
-}
+#[path = "../../numeric/tests/allocations/mod.rs"]
+mod allocations;
+#[path = "all/arms.rs"]
+mod arms;
 
-fn allocations() -> u64 {
-    ALLOCATIONS.with(Cell::get)
-}
-
-struct Counting;
-
-// SAFETY: every call goes unchanged to the system's allocator.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        // A thread that is ending no longer has a counter.
-        let _ = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
-        // SAFETY: the caller's contract is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's contract is passed on.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static COUNTING: Counting = Counting;
+use allocations::allocations;
+use arms::arm_before_wall;
 
 const MS: u64 = 1_000_000;
 
@@ -109,9 +83,8 @@ fn a_tick_of_both_sides_allocates_nothing() {
             bounds: CommandBounds::default(),
             ladder: LadderSettings::default(),
         };
-        let pusher = Pusher::new(0.8, 0.1, 1.0, 3.0).unwrap();
-        let wall = Wall::new(0.0, 100.0).unwrap();
-        let plant = SimulatedSlave::new(ArmParameters::default(), wall, Some(pusher), 0.02, 0).unwrap();
+        let pusher = Pusher::shaped(PushShape::Ramp { rise_s: 0.1 }, 0.8, 1.0, Axes::<1>::new(3.0)).unwrap();
+        let plant = arm_before_wall(0.0, Some(pusher), 0.02);
         let jaws = GripperSettings { position: 0.0, speed: 2.0, force_n: 40.0, object: Some(0.6) };
         let gripper = LedGripper::simulated(jaws).unwrap();
         let mut slave =
@@ -180,8 +153,7 @@ fn a_tick_of_a_trigger_that_is_felt_allocates_nothing() {
         bounds: CommandBounds::default(),
         ladder: LadderSettings::default(),
     };
-    let wall = Wall::new(1.0, 100.0).unwrap();
-    let plant = SimulatedSlave::new(ArmParameters::default(), wall, None, 2.0, 0).unwrap();
+    let plant = arm_before_wall(1.0, None, 2.0);
     let jaws = GripperSettings { position: 0.0, speed: 2.0, force_n: 40.0, object: Some(0.6) };
     let mut slave = SlaveSide::new(plant, SlaveEndpoint::new(&settings).unwrap())
         .with_gripper(Some(LedGripper::simulated(jaws).unwrap()));

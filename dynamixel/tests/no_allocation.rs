@@ -1,9 +1,7 @@
 //! Encoding, parsing and reads of several servos do not allocate, as counted by a test allocator.
-#![allow(clippy::unwrap_used, unsafe_code)] // permitted in a test; an allocator needs unsafe code
+#![allow(clippy::unwrap_used)] // a test may
 
 use std::{
-    alloc::{GlobalAlloc, Layout, System},
-    cell::Cell,
     env, fs,
     io::{Read, Write},
     os::unix::net::UnixListener,
@@ -12,40 +10,16 @@ use std::{
 
 use haptether_dynamixel::{Bus, Instruction, Packet, Progress, SharedBus, SyncRead};
 
+#[path = "../../numeric/tests/allocations/mod.rs"]
+mod allocations;
+
+use allocations::allocations;
+
 /// Source: ROBOTIS e-Manual, "Fast Sync Read", example.
 const ANSWER: [u8; 32] = [
     0xFF, 0xFF, 0xFD, 0x00, 0xFE, 0x19, 0x00, 0x55, 0x00, 0x03, 0xA6, 0x00, 0x00, 0x00, 0x84, 0x08, 0x00,
     0x07, 0x1F, 0x08, 0x00, 0x00, 0x16, 0xCA, 0x00, 0x04, 0xFF, 0x03, 0x00, 0x00, 0xD1, 0x9E,
 ];
-
-thread_local! {
-    /// Per thread: the harness allocates in another.
-    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
-}
-
-fn allocations() -> u64 {
-    ALLOCATIONS.with(Cell::get)
-}
-
-struct Counting;
-
-// SAFETY: every call goes unchanged to the system's allocator.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        // A thread at its end has no counter.
-        let _ = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
-        // SAFETY: the caller's contract is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's contract is passed on.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static COUNTING: Counting = Counting;
 
 #[test]
 fn a_cycle_allocates_nothing() {

@@ -1,5 +1,6 @@
 //! A haptic device: mechanics, encoder and motors.
 
+use haptether_numeric::{is_finite, norm, selected};
 use nalgebra::SimdBool as _;
 
 use crate::{Axes, ModelError, Real, require};
@@ -168,28 +169,40 @@ fn nearest_whole(number: f64) -> f64 {
     (shifted as i64 as f64).copysign(number)
 }
 
-/// Force that the motors exert for a command: bounded as a vector, then rounded per axis.
+/// Rounds each axis, as [`quantised`].
+#[inline(always)]
+pub(crate) fn quantised_axes<const N: usize, S: Real>(
+    value: &Axes<N, S>,
+    quantum: S,
+    is_exact: bool,
+) -> Axes<N, S> {
+    // A copy instead of a closure: a closure takes addresses, and the caller's values would then stay in
+    // memory.
+    let mut rounded = *value;
+    for axis in 0..N {
+        rounded[axis] = quantised(value[axis], quantum, is_exact);
+    }
+    rounded
+}
+
+/// Force that the motors exert for a command: zero unless it is finite, bounded as a vector, then rounded per
+/// axis.
 #[inline(always)]
 pub(crate) fn exerted<const N: usize, S: Real>(
-    commanded: &Axes<N, S>,
+    command: &Axes<N, S>,
     max_force_n: S,
     quantum: S,
     is_exact: bool,
 ) -> Axes<N, S> {
-    let norm = if N == 1 { commanded[0].magnitude() } else { commanded.dot(commanded).root() };
-    let is_within = norm.simd_le(max_force_n);
+    let commanded = selected(is_finite(command), *command, &Axes::zeros());
+    let length = norm(&commanded);
+    let is_within = length.simd_le(max_force_n);
     if is_exact && is_within.all() {
-        return *commanded;
+        return commanded;
     }
     // Avoid infinity / 0 for an infinite bound.
-    let share = S::splat(1.0).select(is_within, max_force_n / norm);
-    // A copy instead of a closure: a closure takes addresses, and the caller's values would then stay in
-    // memory.
-    let mut force = *commanded;
-    for axis in 0..N {
-        force[axis] = quantised(force[axis] * share, quantum, is_exact);
-    }
-    force
+    let share = S::splat(1.0).select(is_within, max_force_n / length);
+    quantised_axes(&(commanded * share), quantum, is_exact)
 }
 
 #[cfg(test)]

@@ -2,9 +2,11 @@
 
 use std::f64::consts::TAU;
 
+use haptether_numeric::{Real, norm};
+use nalgebra::SimdBool as _;
+
 use crate::{
     Axes, ModelError, Path,
-    axes::norm,
     path::{DEGREE, MIN_LEG_S},
     polynomial::{Series, TERMS},
     require,
@@ -301,25 +303,18 @@ pub(crate) fn line([value, rate]: [f64; 2]) -> Series {
 }
 
 /// Clip the hand's force `wish` in N to the grip `strength` in N.
-#[inline]
-pub(crate) fn gripped<const N: usize>(wish: &Axes<N>, strength: f64) -> Axes<N> {
+#[inline(always)] // once per tick
+pub(crate) fn gripped<const N: usize, S: Real>(wish: &Axes<N, S>, strength: S) -> Axes<N, S> {
     // The common case, well below the strength, needs no root.
-    if wish.norm_squared() < 0.99 * strength * strength {
-        *wish
-    } else if strength == 0.0 {
-        // The hand has released.
-        wish * 0.0
-    } else {
-        gripped_at_most(wish, strength)
+    let holds = wish.dot(wish).simd_lt(S::splat(0.99) * strength * strength);
+    if holds.all() {
+        return *wish;
     }
-}
-
-/// The same near and beyond the strength; a separate function, so that a holding hand computes no root and no
-/// division.
-#[inline(never)]
-fn gripped_at_most<const N: usize>(wish: &Axes<N>, strength: f64) -> Axes<N> {
     let wished = norm(wish);
-    if wished <= strength { *wish } else { wish * (strength / wished) }
+    let share = S::one().select(holds | wished.simd_le(strength), strength / wished);
+    // A released hand exerts no force, whatever its wish.
+    let share = S::zero().select(strength.simd_eq(S::zero()), share);
+    wish.map(|x| x * share)
 }
 
 #[cfg(test)]

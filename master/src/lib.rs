@@ -1,6 +1,5 @@
 //! The master side: models of haptic device and hand, advanced exactly in time.
 
-mod axes;
 mod device;
 mod direction;
 mod hand;
@@ -13,9 +12,9 @@ mod simulated;
 mod stretch;
 mod wall;
 
-pub use axes::{Axes, Real};
 pub use device::{DeviceParameters, Friction};
 pub use hand::{Hand, Regrasp, Release, ReleaseKind, Tremor};
+pub use haptether_numeric::{Axes, Real};
 pub use live::{HdCallback, HdErrorInfo, HdFunctions, HdSample};
 pub use path::{Leg, LegShape, Path};
 pub use rotation::{

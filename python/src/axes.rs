@@ -14,37 +14,7 @@ pub(crate) fn refuse(error: impl std::fmt::Display) -> PyErr {
 /// Evaluates an expression for a number of axes; `$n` is that number as a constant.
 macro_rules! of_axes {
     ($axes:expr, $n:ident => $body:expr) => {
-        match $axes {
-            1 => {
-                const $n: usize = 1;
-                $body
-            }
-            2 => {
-                const $n: usize = 2;
-                $body
-            }
-            3 => {
-                const $n: usize = 3;
-                $body
-            }
-            4 => {
-                const $n: usize = 4;
-                $body
-            }
-            5 => {
-                const $n: usize = 5;
-                $body
-            }
-            6 => {
-                const $n: usize = 6;
-                $body
-            }
-            7 => {
-                const $n: usize = 7;
-                $body
-            }
-            axes => return Err(crate::axes::refuse_axes(axes)),
-        }
+        haptether_numeric::of_axes!($axes, $n => $body, axes => return Err(crate::axes::refuse_axes(axes)))
     };
 }
 pub(crate) use of_axes;

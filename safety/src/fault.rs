@@ -1,6 +1,6 @@
 //! Named faults of the checks at the entry of the safety layer.
 
-use crate::lanes::{Axes, is_within};
+use haptether_numeric::{Axes, is_within};
 
 /// Signal that enters the safety layer, with the largest valid magnitude.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -3,9 +3,9 @@
 use crate::{
     Axes, ParameterError, Real,
     estimator::Motion,
-    lanes::{choose_axes, norm, pack},
     parameter::{finite, non_negative, positive},
 };
+use haptether_numeric::{choose_axes, norm, pack};
 
 /// Dynamics of the haptic device as a point mass, per axis.
 ///
@@ -56,7 +56,7 @@ impl<const N: usize> DeviceModel<N> {
 }
 
 impl<const N: usize, S: Real> DeviceModel<N, S> {
-    /// Gather one device per lane; return None if their number is not that of the lanes.
+    /// Gather one device per lane; return None if there are more than lanes.
     pub fn gather(of: &[&DeviceModel<N>]) -> Option<Self> {
         Some(Self {
             mass: pack(of, |device| device.mass)?,

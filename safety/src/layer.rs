@@ -9,10 +9,10 @@ use crate::{
         SafetySettings,
     },
     estimator::{AnyEstimator, Estimator, EstimatorKind, MeasuredVelocity, Motion},
-    lanes::{option, pack, part, shared},
     limiter::{Acted, Limiter, LimiterSettings, SaturatedForce},
     plausible::{Between, Excess, Guard, Judged, MAX_HELD, Parts, Sample, SampleBounds},
 };
+use haptether_numeric::{option, pack, part, shared};
 
 #[cfg(test)]
 mod tests;

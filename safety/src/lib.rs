@@ -10,7 +10,6 @@ pub mod controller;
 pub mod estimator;
 mod fault;
 mod grasp;
-mod lanes;
 mod layer;
 mod limiter;
 pub mod observer;
@@ -22,7 +21,7 @@ mod wrench;
 
 pub use fault::{Fault, Signal};
 pub use grasp::DeviceModel;
-pub use lanes::{Axes, Real, is_within, norm};
+pub use haptether_numeric::{Axes, Real, is_within, norm};
 pub use layer::{Advance, LayerSettings, SafetyLayer, SafetyTick};
 pub use limiter::{Acted, Limited, Limiter, LimiterSettings, SaturatedForce};
 pub use observer::Observation;

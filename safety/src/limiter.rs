@@ -4,9 +4,9 @@ use nalgebra::SimdBool as _;
 
 use crate::{
     Axes, ParameterError, Real,
-    lanes::{choose, choose_axes, norm, nowhere, pack},
     parameter::{in_range, positive},
 };
+use haptether_numeric::{choose, choose_axes, norm, nowhere, pack};
 
 /// Limits of the force that a device is commanded to exert.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -178,7 +178,7 @@ macro_rules! change {
 }
 
 impl<const N: usize, S: Real> Limiter<N, S> {
-    /// Gather one limiter per lane; return None if their number is not that of the lanes.
+    /// Gather one limiter per lane; return None if there are more than lanes.
     pub fn gather(of: &[&Limiter<N>]) -> Option<Self> {
         Some(Self {
             max_force_n: pack(of, |one| one.max_force_n)?,

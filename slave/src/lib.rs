@@ -7,8 +7,6 @@
 mod arm;
 mod contact;
 mod gripper;
-mod one_axis;
-mod real;
 mod settings;
 mod simulated;
 mod solver;
@@ -16,15 +14,15 @@ mod tool;
 mod ur;
 
 pub use arm::force_sensor::ForceSensor;
-pub use arm::model::{ArmControl, ArmModel, ArmParameters};
+pub use arm::model::{ArmControl, ArmModel};
 pub use contact::environment::Environment;
 pub use contact::law::{Contact, ContactLaw, FULL_SLIP};
 pub use contact::object::{FreeBody, Object, ObjectMotion, Shape};
 pub use contact::pusher::{PushShape, Pusher, Series};
 pub use contact::rendered::{RenderedPush, RenderedWall, RenderedWalls};
+pub use contact::wall::Wall;
 pub use gripper::{GripperCommand, GripperSample, GripperSettings, SimulatedGripper};
-pub use one_axis::Wall;
-pub use real::Real;
+pub use haptether_numeric::{Axes, Real};
 pub use settings::{
     ArmSettings, BodySettings, ContactLawKind, ContactSettings, ControlKind, ForceSensorSettings,
     ObjectMotionSettings, ObjectSettings, PushKind, PusherSettings, SeriesSettings, ShapeSettings,
@@ -37,9 +35,6 @@ pub use tool::{
 pub use ur::chain::{UrPose, UrRows};
 pub use ur::inverse::{UrBranches, UrUnreached};
 pub use ur::nearest::UrInverse;
-
-/// One value along each of N axes: m, m/s or N.
-pub type Axes<const N: usize> = nalgebra::SVector<f64, N>;
 
 /// An invalid parameter of a model.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -72,22 +67,10 @@ pub(crate) fn require_axes<const N: usize>(
     seen.iter().try_for_each(|&value| require(name, value, holds(value), allowed))
 }
 
-/// Euclidean norm. Along one axis it needs no root and is bit-identical unless the square overflows or underflows.
-#[inline]
-pub(crate) fn norm<const N: usize>(values: &Axes<N>) -> f64 {
-    if N == 1 { values[0].abs() } else { values.norm() }
-}
-
 /// Largest absolute value, with one instruction per axis; NaN is ignored.
 #[inline]
 pub(crate) fn amax<const N: usize>(values: &Axes<N>) -> f64 {
-    values.iter().fold(0.0, |largest, value| larger(value.abs(), largest))
-}
-
-/// The larger of two numbers; `other` if `one` is NaN.
-#[inline]
-pub(crate) fn larger(one: f64, other: f64) -> f64 {
-    if one > other { one } else { other }
+    values.iter().fold(0.0, |largest, value| value.abs().larger(largest))
 }
 
 pub(crate) fn all_finite<const N: usize>(values: &Axes<N>) -> bool {
@@ -101,14 +84,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn norm_and_largest_value_are_those_of_nalgebra(
+        fn the_largest_value_is_that_of_nalgebra(
             values in [-1e3..1e3_f64, -1e3..1e3_f64, -1e3..1e3_f64],
             exponent in -500..500_i32,
         ) {
             let values = Axes::<3>::from(values) * 2_f64.powi(exponent);
-            let along = Axes::<1>::new(values[0]);
-            prop_assert_eq!(norm(&values).to_bits(), values.norm().to_bits());
-            prop_assert_eq!(norm(&along).to_bits(), along.norm().to_bits());
             prop_assert_eq!(amax(&values), values.amax());
         }
     }
@@ -118,6 +98,5 @@ mod tests {
         let found = [[f64::NAN, -2.0, 1.0], [1.0, f64::NAN, -2.0], [-2.0, 1.0, f64::NAN]]
             .map(|v| amax(&Axes::<3>::from(v)));
         assert_eq!(found, [2.0; 3]);
-        assert_eq!([larger(f64::NAN, 1.0), larger(2.0, 1.0), larger(-2.0, 1.0)], [1.0, 2.0, 1.0]);
     }
 }

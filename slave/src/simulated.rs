@@ -5,9 +5,8 @@ mod lanes;
 pub use lanes::{SlaveLanes, SlaveLanesSample};
 
 use crate::{
-    ArmModel, ArmParameters, Axes, Environment, ForceSensor, ModelError, Pusher, Wall, all_finite,
+    ArmModel, Axes, Environment, ForceSensor, ModelError, all_finite,
     arm::drive::{ArmDrive, Tool},
-    one_axis::HeldArm,
     require_axes,
     solver::{adaptive::Drive, linear::LinearArm},
 };
@@ -49,14 +48,7 @@ pub struct SimulatedSlave<const N: usize = 1> {
 }
 
 #[derive(Clone, Debug, PartialEq)]
-enum Plant<const N: usize> {
-    /// One axis, set position and push held over each millisecond.
-    Held(Box<HeldArm>),
-    Continuous(Box<Continuous<N>>),
-}
-
-#[derive(Clone, Debug, PartialEq)]
-struct Continuous<const N: usize> {
+struct Plant<const N: usize> {
     drive: ArmDrive<N>,
     environment: Environment<N>,
     tool: Tool<N>,
@@ -64,7 +56,7 @@ struct Continuous<const N: usize> {
     linear: Option<LinearArm<N>>,
 }
 
-impl<const N: usize> Continuous<N> {
+impl<const N: usize> Plant<N> {
     fn advance(&mut self, from: f64, span: f64) {
         let Self { drive, environment, tool, linear } = self;
         let solved = match linear {
@@ -85,23 +77,6 @@ impl<const N: usize> Continuous<N> {
     }
 }
 
-impl SimulatedSlave<1> {
-    /// A position-controlled arm along one axis at rest at `position` in m, at time `now_ns`, before a wall.
-    ///
-    /// Set position and push are held over each millisecond, like those of a controller and a recording at 1 kHz. The
-    /// motion between is exact.
-    pub fn new(
-        arm: ArmParameters,
-        wall: Wall,
-        pusher: Option<Pusher>,
-        position: f64,
-        now_ns: u64,
-    ) -> Result<Self, ModelError> {
-        let held = HeldArm::new(arm, wall, pusher, position, now_ns)?;
-        Ok(Self::of(Plant::Held(Box::new(held)), None, now_ns))
-    }
-}
-
 impl<const N: usize> SimulatedSlave<N> {
     /// An arm at rest at `position` in m, at time `now_ns`, in an environment whose time starts there. Without a force
     /// sensor the measured force is exact.
@@ -117,22 +92,15 @@ impl<const N: usize> SimulatedSlave<N> {
         let drive = ArmDrive::new(arm, &position);
         let linear = LinearArm::new(&drive, &environment);
         let tool = Tool { position, velocity: Axes::zeros(), set_velocity: Axes::zeros() };
-        let plant = Plant::Continuous(Box::new(Continuous { drive, environment, tool, linear }));
-        Ok(Self::of(plant, sensor, now_ns))
-    }
-
-    fn of(plant: Plant<N>, sensor: Option<ForceSensor<N>>, now_ns: u64) -> Self {
-        Self { plant, sensor, begun_ns: now_ns, now_ns, started_ns: None, reads: 0 }
+        let plant = Plant { drive, environment, tool, linear };
+        Ok(Self { plant, sensor, begun_ns: now_ns, now_ns, started_ns: None, reads: 0 })
     }
 
     /// Set the clock to `now_ns` without advancing: arm and objects rest until then.
     pub fn begin(&mut self, now_ns: u64) {
         self.begun_ns = now_ns;
         self.now_ns = now_ns;
-        match &mut self.plant {
-            Plant::Held(held) => held.begin(now_ns),
-            Plant::Continuous(_) => self.place_pushers(),
-        }
+        self.place_pushers();
     }
 
     /// Start the time of the pushers; later calls have no effect.
@@ -141,52 +109,29 @@ impl<const N: usize> SimulatedSlave<N> {
             return;
         }
         self.started_ns = Some(now_ns);
-        match &mut self.plant {
-            Plant::Held(held) => held.start(now_ns),
-            Plant::Continuous(_) => self.place_pushers(),
-        }
+        self.place_pushers();
     }
 
     fn place_pushers(&mut self) {
-        let begun_ns = self.begun_ns;
-        if let (Plant::Continuous(plant), Some(started_ns)) = (&mut self.plant, self.started_ns) {
-            let after = started_ns.saturating_sub(begun_ns) as f64 * 1e-9;
-            let before = begun_ns.saturating_sub(started_ns) as f64 * 1e-9;
-            plant.environment.push_from(after - before);
+        if let Some(started_ns) = self.started_ns {
+            let after = started_ns.saturating_sub(self.begun_ns) as f64 * 1e-9;
+            let before = self.begun_ns.saturating_sub(started_ns) as f64 * 1e-9;
+            self.plant.environment.push_from(after - before);
         }
     }
 
     /// Command a position in m and the velocity there in m/s, which position control ignores. Values that are not
     /// finite are ignored.
     pub fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>) {
-        if !all_finite(position) {
-            return;
-        }
-        match &mut self.plant {
-            Plant::Held(held) => held.write(position[0]),
-            Plant::Continuous(plant) => {
-                let velocity = if all_finite(velocity) { *velocity } else { Axes::zeros() };
-                plant.drive.command(Some(*position), velocity);
-            }
-        }
-    }
-
-    /// Command a velocity in m/s without a position; only velocity control obeys. Values that are not finite are
-    /// ignored.
-    pub fn write_velocity(&mut self, velocity: &Axes<N>) {
-        if let (Plant::Continuous(plant), true) = (&mut self.plant, all_finite(velocity))
-            && plant.drive.is_velocity_control()
-        {
-            plant.drive.command(None, *velocity);
+        if all_finite(position) {
+            let velocity = if all_finite(velocity) { *velocity } else { Axes::zeros() };
+            self.plant.drive.command(*position, velocity);
         }
     }
 
     /// Brake within the limits and stay. Returns the rest position in m.
     pub fn stop(&mut self) -> Axes<N> {
-        match &mut self.plant {
-            Plant::Held(held) => Axes::from_element(held.stop()),
-            Plant::Continuous(plant) => plant.drive.stop(&plant.tool),
-        }
+        self.plant.drive.stop(&self.plant.tool)
     }
 
     /// Advance to `now_ns` (monotonic) and return the measurement there.
@@ -195,19 +140,7 @@ impl<const N: usize> SimulatedSlave<N> {
         let from = self.now_ns.saturating_sub(self.begun_ns) as f64 * 1e-9;
         let span = now_ns.saturating_sub(self.now_ns) as f64 * 1e-9;
         self.now_ns = self.now_ns.max(now_ns);
-        let plant = match &mut self.plant {
-            Plant::Held(held) => {
-                // One axis; the type parameter does not express it.
-                let [position, velocity, force] = held.read(now_ns).map(Axes::<N>::from_element);
-                return SlaveSample {
-                    position,
-                    velocity,
-                    environment_force: force,
-                    true_environment_force: force,
-                };
-            }
-            Plant::Continuous(plant) => plant,
-        };
+        let plant = &mut self.plant;
         let mut done = 0.0;
         if let Some(sensor) = &mut self.sensor
             && let Some((index, at)) = sensor.newest(from + span)
@@ -236,35 +169,24 @@ impl<const N: usize> SimulatedSlave<N> {
         }
     }
 
-    /// Environment of the arm; none if the slave was made from a wall and a pusher.
-    pub fn environment(&self) -> Option<&Environment<N>> {
-        if let Plant::Continuous(plant) = &self.plant { Some(&plant.environment) } else { None }
+    /// Environment of the arm.
+    pub fn environment(&self) -> &Environment<N> {
+        &self.plant.environment
     }
 
     /// True if the tool was inside an object at the last read; pushers do not count.
     pub fn touches(&self) -> bool {
-        match &self.plant {
-            Plant::Held(held) => held.touches(),
-            Plant::Continuous(plant) => plant.environment.touches(),
-        }
+        self.plant.environment.touches()
     }
 
     /// True if the motion is exact between located contacts.
     pub fn is_exact(&self) -> bool {
-        match &self.plant {
-            Plant::Held(_) => true,
-            Plant::Continuous(plant) => plant.linear.as_ref().is_some_and(|linear| linear.is_complete),
-        }
+        self.plant.linear.as_ref().is_some_and(|linear| linear.is_complete)
     }
 
     /// Number of steps so far that were too stiff for full accuracy and used a stable method of order 1.
     pub fn coarse_steps(&self) -> u64 {
-        match &self.plant {
-            Plant::Held(_) => 0,
-            Plant::Continuous(plant) => {
-                let solved = plant.linear.as_ref().map_or(0, |linear| linear.coarse_steps);
-                solved + plant.environment.coarse_steps()
-            }
-        }
+        let solved = self.plant.linear.as_ref().map_or(0, |linear| linear.coarse_steps);
+        solved + self.plant.environment.coarse_steps()
     }
 }

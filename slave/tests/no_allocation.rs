@@ -1,44 +1,15 @@
 //! Advancing, reading and writing do not allocate, for any number of axes; a counting allocator checks this.
-#![allow(clippy::unwrap_used, unsafe_code)] // a test may; a global allocator needs unsafe code
-
-use std::{
-    alloc::{GlobalAlloc, Layout, System},
-    cell::Cell,
-};
+#![allow(clippy::unwrap_used)] // a test may
 
 use haptether_slave::{
     ArmControl, ArmModel, Axes, Contact, ContactLaw, Environment, ForceSensor, FreeBody, Object,
     ObjectMotion, PushShape, Pusher, Series, Shape, SimulatedSlave, UrInverse, UrPose, UrRows,
 };
 
-thread_local! {
-    /// Per thread: the harness allocates in another thread.
-    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
-}
+#[path = "../../numeric/tests/allocations/mod.rs"]
+mod allocations;
 
-fn allocations() -> u64 {
-    ALLOCATIONS.with(Cell::get)
-}
-
-struct Counting;
-
-// SAFETY: every call goes unchanged to the system allocator.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        // A terminating thread has no counter.
-        let _ = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
-        // SAFETY: the contract of the caller is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the contract of the caller is passed on.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static COUNTING: Counting = Counting;
+use allocations::allocations;
 
 fn contact(damping: f64, friction: f64) -> Contact {
     Contact::new(ContactLaw::KelvinVoigt { stiffness: 500.0, damping }, friction).unwrap()

@@ -23,7 +23,7 @@ from packaging.utils import canonicalize_name
 ROOT = Path(__file__).resolve().parents[2]
 LOCK = ROOT / "tools" / "requirements.txt"
 TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
-CRATES = ("safety", "netsim", "dynamixel", "master", "slave", "bridge", "python")
+CRATES = ("numeric", "safety", "netsim", "dynamixel", "master", "slave", "bridge", "python")
 
 building = pytest.mark.timeout(400)
 

@@ -59,7 +59,7 @@ def test_a_room_that_offers_names_lists_them(room: str) -> None:
     assert empty or hasattr(importlib.import_module(f"haptether.{room}"), "__all__")
 
 
-@pytest.mark.parametrize("room", CRATES)
+@pytest.mark.parametrize("room", ["numeric", *CRATES])
 def test_no_clock_is_read_outside_the_live_runner(room: str) -> None:
     readers = [
         f"{path.relative_to(ROOT)}:{number}: {line.strip()}"

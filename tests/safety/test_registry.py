@@ -207,10 +207,11 @@ def test_a_controller_is_a_file_and_its_line(tmp_path: Path) -> None:
         assert step in guide
     for name in ("Cargo.toml", "Cargo.lock", "rustfmt.toml", "clippy.toml"):
         shutil.copy(ROOT / name, tmp_path)
-    shutil.copytree(ROOT / "safety", tmp_path / "safety", ignore=shutil.ignore_patterns("__pycache__"))
-    # Build the crate alone, without the dependencies of its other tests.
-    change(tmp_path / "Cargo.toml", r"(?m)^(default-)?members = \[.*\]$", r'\1members = ["safety"]')
-    change(tmp_path / "safety" / "Cargo.toml", r"(?s)\[dev-dependencies\].*", "")
+    # Build the crate and the one below it, without the dependencies of their other tests.
+    for room in ("numeric", "safety"):
+        shutil.copytree(ROOT / room, tmp_path / room, ignore=shutil.ignore_patterns("__pycache__"))
+        change(tmp_path / room / "Cargo.toml", r"(?s)\[dev-dependencies\].*", "")
+    change(tmp_path / "Cargo.toml", r"(?m)^(default-)?members = \[.*\]$", r'\1members = ["numeric", "safety"]')
     shutil.rmtree(tmp_path / "safety" / "tests")
 
     controllers = tmp_path / "safety" / "src" / "controller"

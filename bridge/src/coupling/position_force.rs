@@ -1,9 +1,10 @@
 //! Position-force coupling with measured force (`PFm`).
 
+use haptether_numeric::pack;
 use haptether_safety::{Axes, Real};
 
 use super::{CouplingError, FrameMap, change::Changing};
-use crate::{command::OperatorCommand, lanes::packed};
+use crate::command::OperatorCommand;
 
 /// Position-force coupling: the slave follows the master's position; the master renders the force that the
 /// slave measures.
@@ -44,7 +45,7 @@ impl<const N: usize, S: Real> PositionForce<N, S> {
         let map = of.first()?.change.map;
         let begins =
             |one: &&PositionForce<N>| one.change.map == map && !one.change.moves && one.anchor.is_none();
-        let [motion, force] = [packed(of, |one| one.change.motion), packed(of, |one| one.change.force)];
+        let [motion, force] = [pack(of, |one| one.change.motion)?, pack(of, |one| one.change.force)?];
         of.iter().all(begins).then(|| Self { change: Changing::new(motion, force, map), anchor: None })
     }
 

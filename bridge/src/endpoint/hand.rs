@@ -6,7 +6,6 @@ use haptether_safety::{
 };
 
 use super::layer::{Layer, MasterReading};
-use crate::lanes::padded;
 
 /// State that a tick takes over from the one before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -154,7 +153,7 @@ impl<const N: usize, S: Real> HandLanes<N, S> {
         if of.iter().any(|one| !one.is_new) {
             return None;
         }
-        let layers: Option<Vec<_>> = padded(of, S::LANES).map(|one| one.layer.of_point()).collect();
+        let layers: Option<Vec<_>> = of.iter().map(|one| one.layer.of_point()).collect();
         let track = Track::gather(&of.iter().map(|one| one.layer.guard().track()).collect::<Vec<_>>())?;
         Some(Self { layer: SafetyLayer::gather(&layers?)?, track, last: None })
     }
@@ -189,6 +188,7 @@ impl<const N: usize, S: Real> HandLanes<N, S> {
 
 #[cfg(test)]
 mod tests {
+    use haptether_numeric::{Lanes, WIDTH, pack};
     use haptether_safety::{
         DeviceModel, LayerSettings, LimiterSettings,
         controller::{ControllerKind, SafetySettings},
@@ -198,7 +198,6 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::lanes::{Lanes, WIDTH};
 
     fn hand() -> Hand<1> {
         let [mass, viscous, coulomb] = [0.157, -0.005, 0.038].map(Axes::<1>::new);
@@ -248,7 +247,7 @@ mod tests {
                     (*x, *v, *force)
                 }).collect::<Vec<_>>();
                 let lanes = |which: fn(&(f64, f64, f64)) -> f64| {
-                    Axes::<1, Lanes>::new(crate::lanes::packed(tick, which))
+                    pack::<_, Axes<1, Lanes>>(tick, |of| Axes::<1>::new(which(of))).unwrap()
                 };
                 let [x, v, force] = [lanes(|of| of.0), lanes(|of| of.1), lanes(|of| of.2)];
                 let (decided, passes) = beside.tick(&x, measures_velocity.then_some(&v), &force, gain);

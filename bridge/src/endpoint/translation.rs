@@ -1,6 +1,7 @@
 //! Translation of a slave's endpoint: from the master's position to the commanded position, for one arm or
 //! for several in SIMD lanes.
 
+use haptether_numeric::pack;
 use haptether_safety::{Axes, Real, Signal, Track, is_within, norm};
 use nalgebra::SimdBool as _;
 
@@ -8,7 +9,6 @@ use super::{Arm, EndpointError, SlaveSettings, check_period, period_s};
 use crate::{
     coupling::{PositionForce, bounded, decayed},
     ladder::LadderState,
-    lanes::packed,
 };
 
 /// Inputs of a tick beside the position of the arm.
@@ -98,7 +98,7 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
         }
         Some(Self {
             coupling: PositionForce::gather(&of.iter().map(|one| &one.coupling).collect::<Vec<_>>())?,
-            bounds: [0, 1].map(|which| packed(of, |one| one.bounds[which])),
+            bounds: [pack(of, |one| one.bounds[0])?, pack(of, |one| one.bounds[1])?],
             braking,
             decay_ns,
             home: None,

@@ -1,5 +1,6 @@
 //! Operator commands from `[coupling]`, and the coupling at a given time.
 
+use haptether_numeric::pack;
 use haptether_safety::{Axes, Real};
 
 use super::{
@@ -9,7 +10,6 @@ use super::{
 use crate::{
     EndpointError, OperatorCommand,
     coupling::{CouplingError, FrameMap},
-    lanes::packed,
 };
 
 /// Return rotation and locks as one command.
@@ -97,10 +97,13 @@ impl<const N: usize, S: Real> Present<N, S> {
     /// Combine initial couplings into lanes; None unless their commands are equal.
     pub(crate) fn gather(of: &[&Present<N>]) -> Option<Self> {
         let first = of.first()?;
-        of.iter().all(|one| one.done == 0 && one.commands == first.commands).then(|| Self {
+        if !of.iter().all(|one| one.done == 0 && one.commands == first.commands) {
+            return None;
+        }
+        Some(Self {
             map: first.map,
-            position_scale: packed(of, |one| one.position_scale),
-            force_scale: packed(of, |one| one.force_scale),
+            position_scale: pack(of, |one| one.position_scale)?,
+            force_scale: pack(of, |one| one.force_scale)?,
             commands: first.commands.clone(),
             done: 0,
         })

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use haptether_master::RotationSample;
+use haptether_numeric::of_axes;
 use haptether_safety::{Axes, Stamped};
 use haptether_slave::GripperSample;
 
@@ -14,7 +15,6 @@ use super::{
         LiveDevice, driven_master, driven_slave, simulated_master, simulated_pose_master,
         simulated_pose_slave, simulated_slave,
     },
-    spec::of_axes,
     timed::Timed,
 };
 use crate::{

@@ -1,6 +1,7 @@
 //! Measures of a run, for one scenario or for several lanes.
 
 use haptether_netsim::LinkSettings;
+use haptether_numeric::pack;
 use haptether_safety::{Axes, Fault, Real};
 use nalgebra::SimdBool as _;
 
@@ -271,27 +272,23 @@ impl<const N: usize> Measures<N> {
             let kinds = |one: &Self| (one.metrics, one.has_release, one.quiet_after.is_some());
             kinds(one) == kinds(first)
         };
-        if of.len() != S::LANES || !of.iter().all(shares) {
+        if !of.iter().all(shares) {
             return None;
         }
-        let number = |field: &dyn Fn(&Self) -> f64| {
-            let mut lanes = S::splat(0.0);
-            for (lane, one) in of.iter().enumerate() {
-                lanes.replace(lane, field(one));
-            }
-            lanes
-        };
         let zero = S::splat(0.0);
         Some(Measures {
             metrics: first.metrics,
-            release: number(&|one| one.release),
+            release: pack(of, |one| one.release)?,
             has_release: first.has_release,
             earliest_release: of.iter().map(|one| one.earliest_release).fold(f64::INFINITY, f64::min),
             latest_release: of.iter().map(|one| one.latest_release).fold(f64::NEG_INFINITY, f64::max),
-            bounds: [0, 1].map(|which| number(&|one| one.bounds[which])),
-            diverged_position: number(&|one| one.diverged_position),
-            diverged_speed: number(&|one| one.diverged_speed),
-            quiet_after: first.quiet_after.map(|_| number(&|one| one.quiet_after.unwrap_or(0.0))),
+            bounds: [pack(of, |one| one.bounds[0])?, pack(of, |one| one.bounds[1])?],
+            diverged_position: pack(of, |one| one.diverged_position)?,
+            diverged_speed: pack(of, |one| one.diverged_speed)?,
+            quiet_after: match first.quiet_after {
+                Some(_) => Some(pack(of, |one| one.quiet_after.unwrap_or(0.0))?),
+                None => None,
+            },
             direction: Axes::zeros(),
             all_directed: false,
             ejection: zero,
@@ -303,7 +300,7 @@ impl<const N: usize> Measures<N> {
             energy: zero,
             min_energy: zero,
             held: Axes::zeros(),
-            last_position: Axes::from_fn(|axis, _| number(&|one| one.last_position[axis])),
+            last_position: pack(of, |one| one.last_position)?,
             active: zero,
             newest_s: f64::NEG_INFINITY,
         })

@@ -21,6 +21,8 @@ mod tool_environment;
 mod tracking;
 mod watched;
 
+use haptether_numeric::of_axes;
+
 use std::sync::atomic::AtomicBool;
 
 use bilateral::Keeping;
@@ -84,7 +86,7 @@ pub fn simulate_encoded(scene: &[u8], stop: &AtomicBool) -> Result<SceneRun, Sce
 }
 
 fn simulate_keeping(scene: &[u8], stop: &AtomicBool, kept: &Keeping<'_>) -> Result<SceneRun, SceneError> {
-    spec::of_axes!(
+    of_axes!(
         scene_axes(scene)?,
         N => run_keeping::<N>(&outline::scene_spec(scene)?, stop, kept),
         axes => Err(assemble::bad_axes(axes))

@@ -28,44 +28,6 @@ use crate::{
     scene::metrics::Metrics,
 };
 
-/// Run an expression with the number of axes as the constant `$n`; for any other number, run `$refused` with `$other`.
-macro_rules! of_axes {
-    ($axes:expr, $n:ident => $body:expr, $other:ident => $refused:expr) => {
-        match $axes {
-            1 => {
-                const $n: usize = 1;
-                $body
-            }
-            2 => {
-                const $n: usize = 2;
-                $body
-            }
-            3 => {
-                const $n: usize = 3;
-                $body
-            }
-            4 => {
-                const $n: usize = 4;
-                $body
-            }
-            5 => {
-                const $n: usize = 5;
-                $body
-            }
-            6 => {
-                const $n: usize = 6;
-                $body
-            }
-            7 => {
-                const $n: usize = 7;
-                $body
-            }
-            $other => $refused,
-        }
-    };
-}
-pub(super) use of_axes;
-
 /// Scene of N axes, read from JSON: vectors are lists with one number per axis.
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]

@@ -2,6 +2,8 @@
 
 mod plan;
 
+use haptether_numeric::of_axes;
+
 use std::{
     collections::HashMap,
     sync::atomic::{AtomicBool, AtomicUsize, Ordering},
@@ -13,13 +15,8 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::{
-    assemble::SceneError,
-    measures::Outcome,
-    metrics::Metrics,
-    outcome,
-    research::ResearchFactory,
-    shared,
-    spec::{SceneSpec, of_axes},
+    assemble::SceneError, measures::Outcome, metrics::Metrics, outcome, research::ResearchFactory, shared,
+    spec::SceneSpec,
 };
 
 /// One number of a scene that differs from scenario to scenario.

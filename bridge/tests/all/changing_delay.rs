@@ -13,7 +13,8 @@ use haptether_netsim::{DelayChange, LinkSettings};
 use haptether_safety::{
     Axes, DeviceModel, LimiterSettings, controller::SafetySettings, estimator::EstimatorKind,
 };
-use haptether_slave::{ArmParameters, SimulatedSlave, Wall};
+
+use crate::arms::arm_before_wall;
 
 const MS: u64 = 1_000_000;
 
@@ -55,8 +56,7 @@ fn run_over(
         ladder: LadderSettings::default(),
     })
     .unwrap();
-    let wall = Wall::new(0.0, 100.0).unwrap();
-    let arm = SimulatedSlave::new(ArmParameters::default(), wall, None, 0.02, 0).unwrap();
+    let arm = arm_before_wall(0.0, None, 0.02);
     let mut master = MasterSide::new(device, near, clutch).unwrap();
     let mut slave = SlaveSide::new(arm, far);
     let settings = VirtualSettings {

@@ -12,7 +12,9 @@ use haptether_safety::{
     controller::{ControllerKind, SafetySettings},
     estimator::EstimatorKind,
 };
-use haptether_slave::{ArmParameters, GripperSettings, Pusher, SimulatedSlave, Wall};
+use haptether_slave::{GripperSettings, PushShape, Pusher, SimulatedSlave};
+
+use crate::arms::arm_before_wall;
 
 const MS: u64 = 1_000_000;
 const JAWS_N: f64 = 40.0;
@@ -78,9 +80,8 @@ impl Pair {
             bounds: CommandBounds::default(),
             ladder: LadderSettings::default(),
         };
-        let wall = Wall::new(1.0, 100.0).unwrap();
-        let pusher = Pusher::new(0.1, 0.1, 1e3, 2.0).unwrap();
-        let arm = SimulatedSlave::new(ArmParameters::default(), wall, Some(pusher), 2.0, 0).unwrap();
+        let pusher = Pusher::shaped(PushShape::Ramp { rise_s: 0.1 }, 0.1, 1e3, Axes::<1>::new(2.0)).unwrap();
+        let arm = arm_before_wall(1.0, Some(pusher), 2.0);
         let jaws = GripperSettings { position: jaws, speed: 2.0, force_n: JAWS_N, object: Some(0.6) };
         let slave = SlaveSide::new(arm, SlaveEndpoint::new(&settings).unwrap())
             .with_gripper(Some(LedGripper::simulated(jaws).unwrap()));

@@ -18,7 +18,9 @@ use haptether_safety::{
     controller::{ControllerKind, SafetySettings},
     estimator::EstimatorKind,
 };
-use haptether_slave::{ArmParameters, SimulatedSlave, Wall};
+use haptether_slave::SimulatedSlave;
+
+use crate::arms::arm_before_wall;
 
 const MS: u64 = 1_000_000;
 
@@ -59,8 +61,7 @@ fn sides_with(clutch: Clutch) -> (Master, Slave) {
     device.set_waiting(true);
     let master = MasterEndpoint::new(&master_settings()).unwrap();
     let slave = SlaveEndpoint::new(&slave_settings(2)).unwrap();
-    let wall = Wall::new(0.0, 100.0).unwrap();
-    let arm = SimulatedSlave::new(ArmParameters::default(), wall, None, 0.02, 0).unwrap();
+    let arm = arm_before_wall(0.0, None, 0.02);
     (MasterSide::new(device, master, clutch).unwrap(), SlaveSide::new(arm, slave))
 }
 
@@ -101,7 +102,8 @@ fn run_with(
 #[test]
 fn a_contact_settles_where_three_springs_in_series_do() {
     let history = run(3000, |_| (true, true));
-    let arm = ArmParameters::default().stiffness();
+    let pole = std::f64::consts::TAU * 15.0;
+    let arm = 4.0 * pole * pole;
     // Both start at 0.02 m, and the target is 0.03 m deep: three springs in series.
     let force = 0.03 / (1.0 / 300.0 + 1.0 / arm + 1.0 / 100.0);
     let [(state, device_force), _] = history[2999];

@@ -1,6 +1,8 @@
 //! The integration tests of the bridge, one binary; those with an allocator of their own are binaries apart.
 
 mod alignment;
+#[cfg(test)]
+mod arms;
 mod changing_delay;
 mod clock_and_age;
 mod common_beginning;

@@ -13,7 +13,9 @@ use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, SimulatedMas
 use haptether_safety::{
     Axes, DeviceModel, LimiterSettings, RotationModel, controller::SafetySettings, estimator::EstimatorKind,
 };
-use haptether_slave::{ArmParameters, SimulatedSlave, Wall};
+use haptether_slave::SimulatedSlave;
+
+use crate::arms::arm_before_wall;
 
 const MS: u64 = 1_000_000;
 /// Ticks of the fade, equal to that of an engagement.
@@ -55,8 +57,7 @@ impl Pair {
         let hand = Hand::new(300.0, 8.0, 20.0, Path::new(Axes::<1>::new(0.02), legs).unwrap(), None).unwrap();
         let mut device = SimulatedMaster::new(DeviceParameters::phantom_desktop(), hand, 0).unwrap();
         device.set_waiting(true);
-        let wall = Wall::new(0.0, 100.0).unwrap();
-        let arm = SimulatedSlave::new(ArmParameters::default(), wall, None, 0.02, 0).unwrap();
+        let arm = arm_before_wall(0.0, None, 0.02);
         let master = MasterEndpoint::new(&master_settings()).unwrap();
         let slave = SlaveEndpoint::new(&slave_settings()).unwrap();
         Self {

@@ -33,15 +33,15 @@ impl<const N: usize> SimulatedMaster<N> {
         moves: bool,
         trembles: bool,
     ) -> Option<[Axes<N>; 2]> {
-        let (map, outlook) = (&self.propagator, &self.outlook);
+        let (map, outlook) = (&self.propagator, &self.clock.outlook);
         let duration = map.duration();
         let (pull, damping) = (map.axes[0].pull, map.axes[0].damping);
         let friction = self.device.coulomb[0] * map.axes[0].inverse_mass;
         let tolerance = f64::EPSILON / 16.0 * speed;
         let mut v = [Axes::<N>::zeros(); MAX_TERMS];
-        (v[0], v[1]) = (self.velocity, acceleration * duration);
+        (v[0], v[1]) = (self.motion.velocity, acceleration * duration);
         let mut direction = Direction::new();
-        let _ = direction.coefficient(&v, &self.velocity, 0);
+        let _ = direction.coefficient(&v, &self.motion.velocity, 0);
         let (mut before, mut newest) = (v[0], v[1]);
         let (mut turns, mut last_turn, mut last) = (true, f64::INFINITY, f64::INFINITY);
         let (mut power, mut shaken) = (1.0, map.tremor[0]);

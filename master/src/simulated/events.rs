@@ -1,6 +1,6 @@
 //! Motion of device and hand from event to event; each stretch follows its Taylor series.
 
-use super::{STOPPED, SimulatedMaster, across, add};
+use super::{STOPPED, SimulatedMaster, across};
 use crate::{
     Axes, Friction,
     direction::squared,
@@ -42,8 +42,8 @@ const STRAIGHT: f64 = 1e-15;
 impl<const N: usize> SimulatedMaster<N> {
     /// Advances over `duration` in s, stretch by stretch.
     pub(super) fn advance(&mut self, duration: f64) {
-        let begun = self.time;
-        let clock = self.now_ns as f64 * 1e-9;
+        let begun = self.clock.time;
+        let clock = self.clock.now_ns as f64 * 1e-9;
         let mut done = 0.0;
         let (mut stretches, mut stalls, mut short) = (0, 0, 0);
         while done < duration {
@@ -57,21 +57,21 @@ impl<const N: usize> SimulatedMaster<N> {
             } else {
                 0.0
             };
-            let kink = if self.waits { None } else { self.hand.next_kink(self.time) };
-            let wanted = (duration - done).min(kink.map_or(f64::INFINITY, |kink| kink - self.time));
+            let kink = if self.clock.waits { None } else { self.hand.next_kink(self.clock.time) };
+            let wanted = (duration - done).min(kink.map_or(f64::INFINITY, |kink| kink - self.clock.time));
             let (taken, to_its_reach) = self.stretch(wanted, least, clock + done);
             // A fast-rotating direction takes short stretches; they count as progress.
             let moves_on = taken >= MIN_PROGRESS || (to_its_reach && taken > 0.0);
             stalls = if moves_on { 0 } else { stalls + 1 };
             short += u32::from(taken < duration * SHORT);
-            let reached_kink = taken == wanted && kink.is_some_and(|kink| kink - self.time == wanted);
+            let reached_kink = taken == wanted && kink.is_some_and(|kink| kink - self.clock.time == wanted);
             done = if taken == duration - done { duration } else { done + taken };
             // Rounding of many small additions must not shift the clock.
-            self.time = match kink {
-                _ if self.waits => begun,
+            self.clock.time = match kink {
+                _ if self.clock.waits => begun,
                 Some(kink) if reached_kink => kink,
                 // The clock must not fall back behind a past kink.
-                _ => self.time.max(begun + done),
+                _ => self.clock.time.max(begun + done),
             };
         }
     }
@@ -79,9 +79,9 @@ impl<const N: usize> SimulatedMaster<N> {
     /// Follow one stretch for `wanted` s or until the next event, but at least `least` s. Returns its
     /// length, and whether the reach of its series ended it.
     fn stretch(&mut self, wanted: f64, least: f64, clock: f64) -> (f64, bool) {
-        let mut target = self.hand.target_series(self.time);
-        let (mut gain, mut strength) = self.hand.grip_line(self.time);
-        if self.waits {
+        let mut target = self.hand.target_series(self.clock.time);
+        let (mut gain, mut strength) = self.hand.grip_line(self.clock.time);
+        if self.clock.waits {
             target[1..].fill(Axes::zeros());
             (gain[1], strength[1]) = (0.0, 0.0);
         }
@@ -96,8 +96,8 @@ impl<const N: usize> SimulatedMaster<N> {
             strength,
             wanted,
         };
-        let wish = ((target[0] - self.position) * self.hand.stiffness()
-            - self.velocity * self.hand.damping())
+        let wish = ((target[0] - self.motion.position) * self.hand.stiffness()
+            - self.motion.velocity * self.hand.damping())
             * gain[0];
         let norm = wish.norm();
         let mut grip = if norm <= strength[0] { Grip::Holds } else { Grip::Slips };
@@ -117,9 +117,9 @@ impl<const N: usize> SimulatedMaster<N> {
                 regime.straight = Some(direction);
                 setting_off = false;
             }
-            law.follow(&regime, self.position, self.velocity, &mut stretch);
+            law.follow(&regime, self.motion.position, self.motion.velocity, &mut stretch);
             if stretch.reach < STIFF_SHARE * wanted
-                && let Some(relaxed) = law.relaxed(&regime, self.position, self.velocity)
+                && let Some(relaxed) = law.relaxed(&regime, self.motion.position, self.motion.velocity)
             {
                 stretch = relaxed;
             }
@@ -146,8 +146,7 @@ impl<const N: usize> SimulatedMaster<N> {
             duration = event.map_or(duration, |event| event.at).max(least).min(wanted);
             (moved, gained) = (stretch.displacement(duration), stretch.speed_gained(duration));
         }
-        add(&mut self.position, &mut self.lost[0], &moved);
-        add(&mut self.velocity, &mut self.lost[1], &gained);
+        self.motion.add(&moved, &gained);
         for axis in 0..N {
             if regime.stuck[axis] {
                 self.halt(axis);
@@ -157,7 +156,7 @@ impl<const N: usize> SimulatedMaster<N> {
             self.settle(event.kind, clock + duration);
         }
         if let Rub::AlongMotion(coulomb) = regime.rub
-            && self.velocity.norm() < STOPPED
+            && self.motion.velocity.norm() < STOPPED
             && !setting_off
             && stretch.push[0].norm() <= coulomb
         {
@@ -181,8 +180,8 @@ impl<const N: usize> SimulatedMaster<N> {
             return None;
         }
         let push = self.held_force + hand;
-        let speed = self.velocity.norm();
-        let direction = if speed >= STOPPED { self.velocity / speed } else { push / push.norm() };
+        let speed = self.motion.velocity.norm();
+        let direction = if speed >= STOPPED { self.motion.velocity / speed } else { push / push.norm() };
         let aside = |along: &Axes<N>| across(&direction, along);
         let (mut across, mut power) = (aside(&push), 1.0);
         if holds_on {
@@ -193,7 +192,7 @@ impl<const N: usize> SimulatedMaster<N> {
         }
         // Within the reach of a series, no speed exceeds twice what its force alone would give.
         let grown = 2.0 * law.wanted * across / self.device.mass_kg[0];
-        (aside(&self.velocity) + grown <= STRAIGHT && self.velocity.dot(&direction) >= 0.0)
+        (aside(&self.motion.velocity) + grown <= STRAIGHT && self.motion.velocity.dot(&direction) >= 0.0)
             .then_some(direction)
     }
 
@@ -210,17 +209,17 @@ impl<const N: usize> SimulatedMaster<N> {
         };
         let (lower, upper) = self.device.stops;
         for axis in 0..N {
-            let (x, f) = (self.position[axis], push[axis]);
-            regime.stuck[axis] = self.velocity[axis] == 0.0
+            let (x, f) = (self.motion.position[axis], push[axis]);
+            regime.stuck[axis] = self.motion.velocity[axis] == 0.0
                 && ((x <= lower[axis] && f < 0.0) || (x >= upper[axis] && f > 0.0));
         }
         if self.device.rubs_along_motion() {
             let coulomb = self.device.coulomb[0];
-            let momentum = self.device.mass_kg.max() * self.velocity.norm();
+            let momentum = self.device.mass_kg.max() * self.motion.velocity.norm();
             let turns_at_once = push.norm() > coulomb
                 && momentum < TURNS_AT_ONCE * push.norm()
-                && self.velocity.dot(&push) > 0.0;
-            if self.velocity.norm() >= STOPPED && !turns_at_once {
+                && self.motion.velocity.dot(&push) > 0.0;
+            if self.motion.velocity.norm() >= STOPPED && !turns_at_once {
                 regime.rub = Rub::AlongMotion(coulomb);
                 return (regime, false);
             }
@@ -233,7 +232,7 @@ impl<const N: usize> SimulatedMaster<N> {
         }
         let mut friction = Axes::zeros();
         for axis in 0..N {
-            let (coulomb, v, f) = (self.device.coulomb[axis], self.velocity[axis], push[axis]);
+            let (coulomb, v, f) = (self.device.coulomb[axis], self.motion.velocity[axis], push[axis]);
             if coulomb == 0.0 || regime.stuck[axis] {
                 continue;
             }
@@ -253,7 +252,7 @@ impl<const N: usize> SimulatedMaster<N> {
         let mut force = Axes::zeros();
         for (index, wall) in self.walls.iter().enumerate() {
             if self.pushing & (1 << index) != 0 {
-                force += wall.normal * wall.push(&self.position, &self.velocity);
+                force += wall.normal * wall.push(&self.motion.position, &self.motion.velocity);
             }
         }
         force
@@ -323,7 +322,7 @@ impl<const N: usize> SimulatedMaster<N> {
         let (lower, upper) = self.device.stops;
         for axis in 0..N {
             let push = || stretch.push.map(|push| push[axis]);
-            let (x, coulomb) = (self.position[axis], self.device.coulomb[axis]);
+            let (x, coulomb) = (self.motion.position[axis], self.device.coulomb[axis]);
             if regime.stuck[axis] && x <= lower[axis] && stretch.push[0][axis] < 0.0 {
                 consider(EventKind::SetsOff, &push().map(|term| -term));
             } else if regime.stuck[axis] && x >= upper[axis] && stretch.push[0][axis] > 0.0 {
@@ -377,7 +376,7 @@ impl<const N: usize> SimulatedMaster<N> {
             } else if depth[0] > 0.0 {
                 // Inside a wall that would have to pull. A remainder after it ceased to push is rounding.
                 let mut pulls = push.map(|term| -term);
-                pulls[0] += wall.slight(depth[0], &self.velocity);
+                pulls[0] += wall.slight(depth[0], &self.motion.velocity);
                 consider(EventKind::Meets(index), &pulls);
                 consider(EventKind::Leaves(index), &depth);
             } else {
@@ -395,17 +394,17 @@ impl<const N: usize> SimulatedMaster<N> {
             EventKind::Rests => (0..N).for_each(|axis| self.halt(axis)),
             EventKind::Stop(axis) => {
                 let (lower, upper) = (self.device.stops.0[axis], self.device.stops.1[axis]);
-                let is_lower = self.position[axis] - lower < upper - self.position[axis];
-                self.position[axis] = if is_lower { lower } else { upper };
-                self.lost[0][axis] = 0.0;
+                let is_lower = self.motion.position[axis] - lower < upper - self.motion.position[axis];
+                self.motion.position[axis] = if is_lower { lower } else { upper };
+                self.motion.lost[0][axis] = 0.0;
             }
             EventKind::Meets(index) | EventKind::Leaves(index) => {
                 let wall = self.walls[index];
-                let depth = wall.depth(&self.position);
+                let depth = wall.depth(&self.motion.position);
                 if depth.abs() <= 1e-12 * (1.0 + wall.surface.abs()) {
                     // Exactly on the surface.
-                    self.position += wall.normal * depth;
-                    self.lost[0] = Axes::zeros();
+                    self.motion.position += wall.normal * depth;
+                    self.motion.lost[0] = Axes::zeros();
                 }
                 self.set_pushing(index, matches!(kind, EventKind::Meets(_)), clock);
             }
@@ -432,10 +431,11 @@ impl<const N: usize> SimulatedMaster<N> {
                 self.pushing |= 1 << index;
                 continue;
             }
-            let (depth, push) = (wall.depth(&self.position), wall.push(&self.position, &self.velocity));
+            let (depth, push) =
+                (wall.depth(&self.motion.position), wall.push(&self.motion.position, &self.motion.velocity));
             // Within rounding of an edge, the preceding event has decided.
             let edge = 1e-15 * (1.0 + wall.surface.abs());
-            let slight = wall.slight(depth, &self.velocity);
+            let slight = wall.slight(depth, &self.motion.velocity);
             if depth > edge && push > slight {
                 self.set_pushing(index, true, clock);
             } else if depth < -edge || (depth > edge && push < -slight) {
@@ -448,12 +448,12 @@ impl<const N: usize> SimulatedMaster<N> {
     fn meet_stops(&mut self) {
         let (lower, upper) = self.device.stops;
         for axis in 0..N {
-            if self.position[axis] <= lower[axis] {
-                self.position[axis] = lower[axis];
-                self.velocity[axis] = self.velocity[axis].max(0.0);
-            } else if self.position[axis] >= upper[axis] {
-                self.position[axis] = upper[axis];
-                self.velocity[axis] = self.velocity[axis].min(0.0);
+            if self.motion.position[axis] <= lower[axis] {
+                self.motion.position[axis] = lower[axis];
+                self.motion.velocity[axis] = self.motion.velocity[axis].max(0.0);
+            } else if self.motion.position[axis] >= upper[axis] {
+                self.motion.position[axis] = upper[axis];
+                self.motion.velocity[axis] = self.motion.velocity[axis].min(0.0);
             }
         }
     }

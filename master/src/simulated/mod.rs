@@ -13,7 +13,7 @@ pub use lanes::{MasterLanes, MasterLanesSample};
 
 use crate::{
     Axes, ContinuousWall, DeviceParameters, Hand, ModelError, Real,
-    device::{exerted, quantised},
+    device::{exerted, quantised_axes},
     hand::gripped,
     propagator::{Outlook, Propagator},
     require,
@@ -43,6 +43,75 @@ pub struct Touch {
     pub count: u64,
 }
 
+/// x in m and V in m/s of one device, or of one per lane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Motion<const N: usize, S: Real = f64> {
+    position: Axes<N, S>,
+    velocity: Axes<N, S>,
+    /// Rounding errors of position and velocity. A constant force adds the same step at every tick, and its
+    /// rounding would accumulate.
+    lost: [Axes<N, S>; 2],
+}
+
+impl<const N: usize, S: Real> Motion<N, S> {
+    fn at_rest(position: Axes<N, S>) -> Self {
+        Self { position, velocity: Axes::zeros(), lost: [Axes::zeros(); 2] }
+    }
+}
+
+impl<const N: usize> Motion<N> {
+    /// Add small steps of x in m and V in m/s, with compensated rounding.
+    fn add(&mut self, moved: &Axes<N>, gained: &Axes<N>) {
+        let [of_position, of_velocity] = &mut self.lost;
+        for axis in 0..N {
+            add_one(&mut self.position[axis], &mut of_position[axis], moved[axis]);
+            add_one(&mut self.velocity[axis], &mut of_velocity[axis], gained[axis]);
+        }
+    }
+}
+
+/// Time, and the hand's intent from then on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Clock<const N: usize> {
+    /// Time of the hand in s; its path begins at 0.
+    time: f64,
+    /// The same at the last tick in ns: a sum of ticks in s would accumulate rounding.
+    hand_ns: u64,
+    waits: bool,
+    now_ns: u64,
+    /// Length of the last tick in ns; the second tick of equal length computes a map.
+    last_ns: u64,
+    outlook: Outlook<N>,
+}
+
+impl<const N: usize> Clock<N> {
+    fn new(hand: &Hand<N>, now_ns: u64, waits: bool) -> Self {
+        Self { time: 0.0, hand_ns: 0, waits, now_ns, last_ns: 0, outlook: Outlook::new(hand, 0.0) }
+    }
+
+    /// True if path and grip stay smooth over a tick that is as long as the last.
+    #[inline(always)] // once per tick
+    fn is_smooth(&self, past_ns: u64) -> bool {
+        let Outlook { grip: [gain, strength], until, time, .. } = self.outlook;
+        gain[1] == 0.0
+            && strength[1] == 0.0
+            && past_ns == self.last_ns
+            && past_ns as f64 * 1e-9 <= until - time
+    }
+
+    /// Advance by `past_ns` > 0.
+    #[inline(always)] // once per tick
+    fn advance(&mut self, hand: &Hand<N>, past_ns: u64) {
+        self.last_ns = past_ns;
+        if !self.waits {
+            self.hand_ns += past_ns;
+            self.time = self.hand_ns as f64 / 1e9;
+        }
+        self.outlook.advance(hand, self.time, past_ns);
+        self.now_ns += past_ns;
+    }
+}
+
 /// Device, hand, and walls that act on the device at every instant.
 ///
 /// The motion is smooth between events and follows its Taylor series to rounding. Events are located to
@@ -54,25 +123,12 @@ pub struct SimulatedMaster<const N: usize> {
     hand: Hand<N>,
     walls: Vec<ContinuousWall<N>>,
     held_force: Axes<N>,
-    /// Time of the hand in s; its path begins at 0.
-    time: f64,
-    /// The same at the last tick in ns: a sum of ticks in s would accumulate rounding.
-    hand_ns: u64,
-    waits: bool,
-    now_ns: u64,
-    position: Axes<N>,
-    velocity: Axes<N>,
-    /// Rounding errors of position and velocity. A constant force adds the same step at every tick, and its
-    /// rounding would accumulate.
-    lost: [Axes<N>; 2],
+    clock: Clock<N>,
+    motion: Motion<N>,
     /// Mask of the walls that push.
     pushing: u64,
     touch: Touch,
-    /// Intent of the hand from now on.
-    outlook: Outlook<N>,
     propagator: Propagator<N>,
-    /// Length of the last tick in ns; the second tick of equal length computes a map.
-    last_ns: u64,
     #[cfg(test)]
     pub(crate) propagated: u64,
     #[cfg(test)]
@@ -86,11 +142,10 @@ impl<const N: usize> SimulatedMaster<N> {
     /// A device at rest at the start of the hand's path, at time `now_ns`.
     pub fn new(device: DeviceParameters<N>, hand: Hand<N>, now_ns: u64) -> Result<Self, ModelError> {
         device.check()?;
-        let position = hand.target_at(0.0);
         Ok(Self {
-            outlook: Outlook::new(&hand, 0.0),
+            clock: Clock::new(&hand, now_ns, false),
+            motion: Motion::at_rest(hand.target_at(0.0)),
             propagator: Propagator::none(),
-            last_ns: 0,
             #[cfg(test)]
             propagated: 0,
             #[cfg(test)]
@@ -99,13 +154,6 @@ impl<const N: usize> SimulatedMaster<N> {
             hand,
             walls: Vec::new(),
             held_force: Axes::zeros(),
-            time: 0.0,
-            hand_ns: 0,
-            waits: false,
-            now_ns,
-            position,
-            velocity: Axes::zeros(),
-            lost: [Axes::zeros(); 2],
             pushing: 0,
             touch: Touch::default(),
         })
@@ -119,7 +167,7 @@ impl<const N: usize> SimulatedMaster<N> {
 
     /// Set whether the hand waits at the start of its path; its time runs while it does not wait.
     pub fn set_waiting(&mut self, waits: bool) {
-        self.waits = waits;
+        self.clock.waits = waits;
     }
 
     /// Place the device at x in m with V in m/s.
@@ -128,14 +176,13 @@ impl<const N: usize> SimulatedMaster<N> {
             require("position", *x, true, "finite")?;
             require("velocity", *v, true, "finite")?;
         }
-        (self.position, self.velocity) = (position, velocity);
-        self.lost = [Axes::zeros(); 2];
+        self.motion = Motion { velocity, ..Motion::at_rest(position) };
         Ok(())
     }
 
     /// Set the clock to `now_ns` without advancing the state.
     pub fn begin(&mut self, now_ns: u64) {
-        self.now_ns = now_ns;
+        self.clock.now_ns = now_ns;
     }
 
     /// Advances to `now_ns` (monotonic) and returns the measurement.
@@ -147,56 +194,46 @@ impl<const N: usize> SimulatedMaster<N> {
 
     #[inline(never)]
     fn advance_to(&mut self, now_ns: u64) {
-        if now_ns > self.now_ns {
-            let past_ns = now_ns - self.now_ns;
+        let past_ns = now_ns.saturating_sub(self.clock.now_ns);
+        if past_ns > 0 {
             let duration = past_ns as f64 * 1e-9;
             if !self.propagates(duration, past_ns) {
                 self.advance(duration);
             }
-            self.last_ns = past_ns;
-            if !self.waits {
-                self.hand_ns += past_ns;
-                self.time = self.hand_ns as f64 / 1e9;
-            }
-            self.outlook.advance(&self.hand, self.time, past_ns);
-            self.now_ns = now_ns;
+            self.clock.advance(&self.hand, past_ns);
         }
     }
 
     /// Measurement of the current state.
     #[inline]
     pub fn measured(&self) -> MasterSample<N> {
-        let quantum = self.device.encoder_quantum;
+        let (quantum, Motion { position, velocity, .. }) = (self.device.encoder_quantum, self.motion);
         MasterSample {
-            position: self.position.map(|x| quantised(x, quantum, quantum == 0.0)),
-            velocity: self.device.measures_velocity.then_some(self.velocity),
+            position: quantised_axes(&position, quantum, quantum == 0.0),
+            velocity: self.device.measures_velocity.then_some(velocity),
         }
     }
 
     /// Hold this force in N within the motors' bound; a non-finite force becomes zero.
     pub fn write(&mut self, force: &Axes<N>) {
-        let commanded = if force.iter().all(|f| f.is_finite()) { *force } else { Axes::zeros() };
         let quantum = self.device.force_quantum_n;
-        self.held_force = exerted(&commanded, self.device.max_force_n, quantum, quantum == 0.0);
+        self.held_force = exerted(force, self.device.max_force_n, quantum, quantum == 0.0);
     }
 
     /// True position in m, before the encoder.
     pub fn position(&self) -> &Axes<N> {
-        &self.position
+        &self.motion.position
     }
 
     /// True velocity in m/s.
     pub fn velocity(&self) -> &Axes<N> {
-        &self.velocity
+        &self.motion.velocity
     }
 
     /// True force of the hand on the device in N.
     pub fn hand_force(&self) -> Axes<N> {
-        let [gain, strength] = self.outlook.grip.map(|line| line[0]);
-        let wish = ((self.outlook.target - self.position) * self.hand.stiffness()
-            - self.velocity * self.hand.damping())
-            * gain;
-        gripped(&wish, strength)
+        let step = self.one_step(0.0);
+        gripped(&step.wish(), step.strength)
     }
 
     /// Force of the motors since the last write in N.
@@ -206,7 +243,7 @@ impl<const N: usize> SimulatedMaster<N> {
 
     /// True force of the continuous walls on the device in N.
     pub fn wall_force(&self) -> Axes<N> {
-        self.walls.iter().map(|wall| wall.force(&self.position, &self.velocity)).sum()
+        self.walls.iter().map(|wall| wall.force(&self.motion.position, &self.motion.velocity)).sum()
     }
 
     /// Contacts with continuous walls.
@@ -215,20 +252,13 @@ impl<const N: usize> SimulatedMaster<N> {
     }
 
     fn halt(&mut self, axis: usize) {
-        (self.velocity[axis], self.lost[1][axis]) = (0.0, 0.0);
+        (self.motion.velocity[axis], self.motion.lost[1][axis]) = (0.0, 0.0);
     }
 }
 
 /// Magnitude of `along` perpendicular to `direction`, a unit vector.
 fn across<const N: usize>(direction: &Axes<N>, along: &Axes<N>) -> f64 {
     (along - direction * direction.dot(along)).norm()
-}
-
-/// Add a small step per axis, with compensated rounding.
-fn add<const N: usize>(sum: &mut Axes<N>, lost: &mut Axes<N>, step: &Axes<N>) {
-    for axis in 0..N {
-        add_one(&mut sum[axis], &mut lost[axis], step[axis]);
-    }
 }
 
 /// Add a small step with compensated rounding.

@@ -8,10 +8,10 @@ use crate::{
         Built, ControllerKind, Controllers, PerController, Tripped, Verdicts, cancel_and_damp, dampable,
         probe::{GraspProbe, GraspProbes, Intervening},
     },
-    lanes::{choose, choose_axes, nowhere, option, pack},
     observer::VelocityForceForm,
     parameter::{in_range, positive},
 };
+use haptether_numeric::{choose, choose_axes, nowhere, option, pack};
 
 /// Set of controllers, their thresholds, and the times of an intervention.
 ///

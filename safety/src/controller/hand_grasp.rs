@@ -3,10 +3,10 @@
 use crate::{
     About, DeviceModel, Observation, ParameterError, Real,
     controller::{Controller, Observed, SafetySettings, Verdict},
-    lanes::{norm, pack, part},
     observer::HandGraspObserver,
     parameter::{in_range, non_negative},
 };
+use haptether_numeric::{norm, pack, part};
 
 /// HSC: unsafe while `S_h > zeta` and `|F_v| > F_t`; with a velocity threshold, also `V·F_v / |F_v| > V_s`.
 ///

@@ -23,9 +23,9 @@ pub use research::{ResearchController, ResearchObservation};
 
 use crate::{
     About, Axes, DeviceModel, Observation, ParameterError, Real,
-    lanes::{nowhere, option},
     parameter::{in_range, non_negative},
 };
+use haptether_numeric::{nowhere, option};
 
 registry::controllers! {
     /// VFC, Eq. 2.

@@ -3,9 +3,9 @@
 use crate::{
     About, Axes, DeviceModel, Observation, ParameterError, Real,
     controller::{Controller, Observed, SafetySettings, Verdict, dampable},
-    lanes::{choose_axes, lesser, nowhere, pack, part, shared},
     observer::SafetyObserver,
 };
+use haptether_numeric::{choose_axes, lesser, nowhere, pack, part, shared};
 
 /// PC: dissipates the energy that the safety observer finds missing.
 ///

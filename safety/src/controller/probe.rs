@@ -5,9 +5,9 @@ use nalgebra::SimdValue as _;
 use crate::{
     Axes, DeviceModel, Observation, ParameterError, Real,
     controller::{ControllerKind, SafetySettings},
-    lanes::norm,
     parameter::{in_range, positive},
 };
+use haptether_numeric::{norm, pack, padded};
 
 /// Duration of each half of the probe in s.
 const HALF_S: f64 = 0.1;
@@ -432,15 +432,11 @@ impl<const N: usize> GraspProbes<N, f64> {
 }
 
 impl<const N: usize, S: Real> GraspProbes<N, S> {
-    /// Gather one probe per lane; return None if their number is not that of the lanes.
+    /// Gather one probe per lane; return None if there are more than lanes.
     pub(super) fn gather(of: &[&GraspProbes<N, f64>]) -> Option<Self> {
-        let lanes: Box<[_]> = of.iter().flat_map(|one| one.lanes.iter().cloned()).collect();
-        let mut force = Axes::<N, S>::zeros();
-        for (lane, one) in of.iter().enumerate() {
-            force.replace(lane, one.force);
-        }
-        let at_rest = of.iter().all(|one| one.at_rest);
-        (lanes.len() == S::LANES).then_some(Self { lanes, at_rest, force })
+        let lanes = padded(of, S::LANES).flat_map(|one| one.lanes.iter().cloned()).collect();
+        let force = pack(of, |one| one.force)?;
+        Some(Self { lanes, at_rest: of.iter().all(|one| one.at_rest), force })
     }
 
     /// Return whether this tick needs no step; the force may then return in every lane.

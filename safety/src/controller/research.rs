@@ -5,7 +5,8 @@ use std::fmt::{self, Debug, Formatter};
 use nalgebra::SimdValue as _;
 
 use super::Response;
-use crate::{Axes, Observation, Real, Signal, lanes::nowhere};
+use crate::{Axes, Observation, Real, Signal};
+use haptether_numeric::nowhere;
 
 /// Controller outside the registry.
 ///

@@ -3,9 +3,9 @@
 use crate::{
     About, DeviceModel, Observation, ParameterError, Real,
     controller::{Controller, Observed, SafetySettings, Verdict},
-    lanes::part,
     observer::VelocityForceObserver,
 };
+use haptether_numeric::part;
 
 /// VFC: unsafe while `S_vf > 1`.
 ///

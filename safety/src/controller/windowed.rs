@@ -3,10 +3,10 @@
 use crate::{
     About, DeviceModel, Observation, ParameterError, Real,
     controller::{Controller, Observed, SafetySettings, Verdict},
-    lanes::{norm, pack, part},
     observer::WindowedSafetyObserver,
     parameter::{in_range, non_negative, whole},
 };
+use haptether_numeric::{norm, pack, part};
 
 /// WSC: unsafe while `E_wso < delta`, with delta negative; with a force threshold, also `F_v·V / |V| > F_w`.
 ///

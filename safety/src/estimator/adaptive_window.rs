@@ -3,9 +3,9 @@
 use nalgebra::SimdValue;
 
 use super::{Estimator, MAX_WINDOW, Motion};
-use crate::lanes::shared;
 use crate::parameter::{ParameterError, in_range, positive};
 use crate::{About, Axes, Real};
+use haptether_numeric::{padded, shared};
 
 /// V is the slope of the longest straight line that stays within the noise bound d of every sample that it spans.
 ///
@@ -67,11 +67,6 @@ impl<const N: usize> AdaptiveWindow<N> {
             started: false,
         })
     }
-
-    /// Return whether these estimators can be the lanes of one: the right number, all of one period.
-    fn are_lanes(of: &[Self], lanes: usize) -> bool {
-        of.len() == lanes && shared(of, |one| one.period_s).is_some()
-    }
 }
 
 impl<const N: usize> Estimator<N> for AdaptiveWindow<N> {
@@ -120,8 +115,8 @@ impl<const N: usize, S: Real> Estimator<N, S> for Box<[AdaptiveWindow<N>]> {
     type One = Self;
 
     fn gather(of: &[&Self::One]) -> Option<Self> {
-        let lanes: Vec<_> = of.iter().flat_map(|one| one.iter()).cloned().collect();
-        AdaptiveWindow::are_lanes(&lanes, S::LANES).then(|| lanes.into())
+        shared(of, |one| one.first().map(|one| one.period_s))?;
+        (of.len() <= S::LANES).then(|| padded(of, S::LANES).flat_map(|one| one.iter()).cloned().collect())
     }
 
     fn step(&mut self, position: &Axes<N, S>) -> Motion<N, S> {
@@ -484,23 +479,6 @@ mod tests {
                 let found = [axis.velocity_window, axis.acceleration_window];
                 assert_eq!(found, windows, "{fit:?} {jump} tick {n}");
             }
-        }
-    }
-
-    #[test]
-    fn lanes_are_as_many_estimators_of_one_period() {
-        let of = |period_s: f64| AdaptiveWindow::<1>::new(period_s, BOUND_M, 16, Fit::End).unwrap();
-        let (one, other) = (of(1e-3), of(2e-3));
-        for (lanes, given, can) in [
-            (2, [&one, &one].as_slice(), true),
-            (2, &[&one, &other], false),
-            (2, &[&other, &one], false),
-            (1, &[&one, &one], false),
-            (4, &[&one, &one], false),
-            (2, &[], false),
-        ] {
-            let given: Vec<_> = given.iter().copied().cloned().collect();
-            assert_eq!(AdaptiveWindow::are_lanes(&given, lanes), can, "{lanes} {}", given.len());
         }
     }
 

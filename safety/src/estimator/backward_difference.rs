@@ -1,9 +1,9 @@
 //! Backward differences: the estimator with the smallest lag, which passes all quantisation noise.
 
 use super::{Estimator, Motion};
-use crate::lanes::{option, pack, shared};
 use crate::parameter::{ParameterError, positive};
 use crate::{About, Axes, Real};
+use haptether_numeric::{option, pack, shared};
 
 /// V\[n\] = (x\[n\] - x\[n-1\]) / dT and A\[n\] = (V\[n\] - V\[n-1\]) / dT.
 ///

@@ -1,9 +1,9 @@
 //! Two Kalman filters of one position: a fast one for V, a slow one for A.
 
 use super::{Estimator, Kalman, Motion};
-use crate::lanes::part;
 use crate::parameter::ParameterError;
 use crate::{About, Axes, Real};
+use haptether_numeric::part;
 
 /// V from a [`Kalman`] filter of jerk density `q_v`, A from one of density q.
 ///

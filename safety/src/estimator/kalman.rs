@@ -5,9 +5,9 @@ use std::cell::Cell;
 use nalgebra::{Matrix3, Vector3};
 
 use super::{Estimator, Motion};
-use crate::lanes::{option, pack, shared, without_residue};
 use crate::parameter::{ParameterError, in_range, positive};
 use crate::{About, Axes, Real};
+use haptether_numeric::{option, pack, shared, without_residue};
 
 /// Kalman filter of the state (x, v, a) with white jerk of spectral density q in m²/s⁵.
 ///

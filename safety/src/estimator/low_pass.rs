@@ -3,9 +3,9 @@
 use std::f64::consts::TAU;
 
 use super::{BackwardDifference, Estimator, Motion};
-use crate::lanes::{pack, part, shared, without_residue};
 use crate::parameter::{ParameterError, in_range, positive};
 use crate::{About, Axes, Real};
+use haptether_numeric::{pack, part, shared, without_residue};
 
 /// First-order low-pass of cut-off `f_c` on the backward difference D\[n\] = (x\[n\] - x\[n-1\]) / dT:
 ///

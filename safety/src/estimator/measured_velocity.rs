@@ -1,9 +1,9 @@
 //! Estimator for devices that measure velocity; it estimates only the acceleration.
 
 use super::Motion;
-use crate::lanes::{option, pack, shared};
 use crate::parameter::{ParameterError, positive};
 use crate::{Axes, Real};
+use haptether_numeric::{option, pack, shared};
 
 /// V\[n\] as measured, A\[n\] = (V\[n\] - V\[n-1\]) / dT.
 ///

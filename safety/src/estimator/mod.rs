@@ -4,7 +4,8 @@
 //! registry below. Estimators differ in the quantisation noise that they pass and in their lag. [`MeasuredVelocity`]
 //! is separate: it serves devices that measure V.
 
-use crate::{About, Axes, ParameterError, Real, lanes::part};
+use crate::{About, Axes, ParameterError, Real};
+use haptether_numeric::part;
 
 mod adaptive_window;
 mod backward_difference;

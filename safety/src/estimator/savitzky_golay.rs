@@ -1,9 +1,9 @@
 //! Savitzky-Golay: a polynomial fitted to the last samples, differentiated at the newest.
 
 use super::{Estimator, MAX_WINDOW, Motion};
-use crate::lanes::{pack, part, shared};
 use crate::parameter::{ParameterError, in_range, positive};
 use crate::{About, Axes, Real};
+use haptether_numeric::{pack, part, shared};
 
 /// Weights of the samples of the window, newest first.
 type Weights = [f64; MAX_WINDOW];

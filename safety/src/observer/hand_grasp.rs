@@ -1,10 +1,7 @@
 //! Hand grasp observer, HGO.
 
-use crate::{
-    About, Observation, ParameterError, Real,
-    lanes::{norm, pack},
-    parameter::positive,
-};
+use crate::{About, Observation, ParameterError, Real, parameter::positive};
+use haptether_numeric::{norm, pack};
 
 /// HGO: near 1 while the hand holds against the rendered force, large when no hand holds.
 ///
@@ -28,7 +25,7 @@ impl HandGraspObserver {
 }
 
 impl<S: Real> HandGraspObserver<S> {
-    /// Gather one observer per lane; return None if their number is not that of the lanes.
+    /// Gather one observer per lane; return None if there are more than lanes.
     pub fn gather(of: &[&HandGraspObserver]) -> Option<Self> {
         Some(Self { grasp_floor_n: pack(of, |one| one.grasp_floor_n)? })
     }

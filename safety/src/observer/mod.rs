@@ -18,8 +18,8 @@ pub use windowed::WindowedSafetyObserver;
 use crate::{
     About, Axes, Real,
     fault::{Fault, Signal},
-    lanes::{is_within, nowhere},
 };
+use haptether_numeric::{is_within, nowhere};
 
 /// Name, title and source of each observer.
 pub const OBSERVERS: [About; 5] = [

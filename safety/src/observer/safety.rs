@@ -2,9 +2,9 @@
 
 use crate::{
     About, DeviceModel, Observation, ParameterError, Real,
-    lanes::{choose, pack, part, shared},
     parameter::{positive, ratio},
 };
+use haptether_numeric::{choose, pack, part, shared};
 
 /// SO: energy that the hand has put in since the start, less the kinetic energy that a safe device would need.
 ///

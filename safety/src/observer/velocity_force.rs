@@ -1,10 +1,7 @@
 //! Velocity and force observer, VFO.
 
-use crate::{
-    About, Observation, ParameterError, Real,
-    lanes::{choose, lesser, norm, pack, shared},
-    parameter::positive,
-};
+use crate::{About, Observation, ParameterError, Real, parameter::positive};
+use haptether_numeric::{choose, lesser, norm, pack, shared};
 
 /// Form of the comparison of velocity and force with their thresholds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -2,7 +2,8 @@
 
 use std::fmt;
 
-use crate::{Axes, Fault, ParameterError, Real, Signal, lanes::nowhere};
+use crate::{Axes, Fault, ParameterError, Real, Signal};
+use haptether_numeric::nowhere;
 
 /// Bounds on the samples of a device.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,10 +3,8 @@
 use nalgebra::SimdBool as _;
 
 use super::bounds::{PerTick, SampleBounds, is_short};
-use crate::{
-    Axes, Real,
-    lanes::{is_within, nowhere, selected},
-};
+use crate::{Axes, Real};
+use haptether_numeric::{is_within, nowhere, selected};
 
 /// Largest number of ticks between two samples of a device that samples more slowly than the loop.
 pub(super) const MAX_EVERY: f64 = 4.0;

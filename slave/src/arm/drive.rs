@@ -22,7 +22,7 @@ impl<const N: usize> ArmDrive<N> {
     pub(crate) fn new(model: ArmModel, position: &Axes<N>) -> Self {
         Self {
             model,
-            command: Command { position: Some(*position), velocity: Axes::zeros() },
+            command: Command { position: *position, velocity: Axes::zeros() },
             stops: false,
             set_points: std::array::from_fn(|axis| SetPoint::at_rest(position[axis])),
         }
@@ -36,8 +36,8 @@ impl<const N: usize> ArmDrive<N> {
         &self.set_points
     }
 
-    /// Commanded position in m, if any, and velocity in m/s.
-    pub(crate) fn commanded(&self) -> (Option<Axes<N>>, Axes<N>) {
+    /// Commanded position in m, and velocity in m/s.
+    pub(crate) fn commanded(&self) -> (Axes<N>, Axes<N>) {
         (self.command.position, self.command.velocity)
     }
 
@@ -54,13 +54,13 @@ impl<const N: usize> ArmDrive<N> {
         stops: bool,
         set_position: &Axes<N>,
     ) {
-        (self.command, self.stops) = (Command { position: Some(position), velocity }, stops);
+        (self.command, self.stops) = (Command { position, velocity }, stops);
         for (set_point, position) in self.set_points.iter_mut().zip(set_position) {
             set_point.position = *position;
         }
     }
 
-    pub(crate) fn command(&mut self, position: Option<Axes<N>>, velocity: Axes<N>) {
+    pub(crate) fn command(&mut self, position: Axes<N>, velocity: Axes<N>) {
         let command = Command { position, velocity };
         self.stops &= command == self.command;
         self.command = command;
@@ -76,8 +76,8 @@ impl<const N: usize> ArmDrive<N> {
     /// `x* >= x + 2 M V / B`. With less damping the swing is smallest near `x + V sqrt(M / K)`. A second stop before
     /// another command changes nothing.
     pub(crate) fn stop(&mut self, tool: &Tool<N>) -> Axes<N> {
-        if let Some(rest) = self.command.position.filter(|_| self.stops) {
-            return rest;
+        if self.stops {
+            return self.command.position;
         }
         let limits = self.model.limits();
         let (stiffness, damping, feed_forward) = self.model.impedance();
@@ -96,7 +96,7 @@ impl<const N: usize> ArmDrive<N> {
             let (low, high) = if coast < 0.0 { (2.0 * coast, 0.0) } else { (0.0, 2.0 * coast) };
             set + (position + coast - set).max(low).min(high)
         });
-        self.command(Some(rest), Axes::zeros());
+        self.command(rest, Axes::zeros());
         self.stops = true;
         rest
     }
@@ -108,10 +108,10 @@ impl<const N: usize> ArmDrive<N> {
 
     /// Choose the phases of the set position that start now.
     pub(crate) fn plan(&mut self) {
-        if let (Some(target), false) = (self.command.position, self.is_velocity_control()) {
+        if !self.is_velocity_control() {
             let limits = self.model.limits();
             for (axis, set_point) in self.set_points.iter_mut().enumerate() {
-                set_point.plan(target[axis], &limits);
+                set_point.plan(self.command.position[axis], &limits);
             }
         }
     }
@@ -130,11 +130,9 @@ impl<const N: usize> ArmDrive<N> {
     /// Advance the set position by `step` in s, at most to the end of the present [unsteady
     /// phases](Self::unsteady_phase).
     pub(crate) fn advance(&mut self, step: f64) {
-        if let Some(target) = self.command.position {
-            let limits = self.model.limits();
-            for (axis, set_point) in self.set_points.iter_mut().enumerate() {
-                set_point.advance(step, target[axis], &limits);
-            }
+        let limits = self.model.limits();
+        for (axis, set_point) in self.set_points.iter_mut().enumerate() {
+            set_point.advance(step, self.command.position[axis], &limits);
         }
     }
 
@@ -162,8 +160,7 @@ impl<const N: usize> ArmDrive<N> {
             return ((pull + force) / mass, Axes::zeros());
         }
         let pole = damping / mass;
-        let target =
-            self.command.position.map_or_else(Axes::zeros, |at| (at - tool.position) * (0.25 * pole));
+        let target = (self.command.position - tool.position) * (0.25 * pole);
         let target = self.within_speed(&(target + self.command.velocity));
         let limit = self.model.limits().acceleration;
         let (set, change) = if limit.is_finite() {

@@ -1,9 +1,10 @@
 //! Everything that acts on the tool: objects in contact and pushers.
 
+use haptether_numeric::norm;
+
 use crate::{
     Axes, Object, Pusher, amax,
     contact::law::{Mode, Reaction},
-    norm,
     solver::state::Solver,
 };
 

@@ -5,4 +5,5 @@ pub(crate) mod law;
 pub(crate) mod object;
 pub(crate) mod pusher;
 pub(crate) mod rendered;
+pub(crate) mod wall;
 mod window;

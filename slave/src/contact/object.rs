@@ -1,8 +1,8 @@
 //! An object that the tool may touch: its shape and its motion, prescribed or by pushing.
 
-use crate::{
-    Axes, Contact, ContactLaw, ModelError, amax, contact::window::Window, larger, require, require_axes,
-};
+use haptether_numeric::Real as _;
+
+use crate::{Axes, Contact, ContactLaw, ModelError, amax, contact::window::Window, require, require_axes};
 
 /// Mobility of an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -239,7 +239,7 @@ fn unit<const N: usize>(axis: usize, sign: f64) -> Axes<N> {
 #[inline(always)]
 fn cuboid<const N: usize>(point: &Axes<N>, half_extents: &Axes<N>) -> (f64, Axes<N>) {
     let beyond = point.abs() - half_extents;
-    let outside = beyond.map(|q| larger(q, 0.0));
+    let outside = beyond.map(|q| q.larger(0.0));
     let distance = outside.norm();
     if distance > 0.0 {
         return (distance, outside.zip_map(point, |q, x| q.copysign(x) / distance));

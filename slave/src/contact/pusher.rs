@@ -98,13 +98,6 @@ pub struct Pusher<const N: usize = 1> {
     course: Course<N>,
 }
 
-impl Pusher<1> {
-    /// Start at `at_s`, rise linearly over `rise_s` to `force_n` (N, positive along +x) and end at `at_s + duration_s`.
-    pub fn new(at_s: f64, rise_s: f64, duration_s: f64, force_n: f64) -> Result<Self, ModelError> {
-        Self::shaped(PushShape::Ramp { rise_s }, at_s, duration_s, Axes::<1>::new(force_n))
-    }
-}
-
 impl<const N: usize> Pusher<N> {
     /// A push with a shape and a force in N, from `at_s` for `duration_s`.
     pub fn shaped(
@@ -203,7 +196,7 @@ mod tests {
 
     #[test]
     fn a_push_rises_stays_and_ends() {
-        let pusher = Pusher::new(2.0, 0.1, 1.0, -4.0).unwrap();
+        let pusher = Pusher::shaped(PushShape::Ramp { rise_s: 0.1 }, 2.0, 1.0, Axes::<1>::new(-4.0)).unwrap();
         for (t, f) in [(1.9, 0.0), (2.0, 0.0), (2.05, -2.0), (2.5, -4.0), (3.0, 0.0)] {
             assert!((pusher.force(t)[0] - f).abs() < 1e-12, "{t}");
         }
@@ -217,7 +210,7 @@ mod tests {
     #[test]
     fn a_rise_too_short_for_a_clock_is_a_step() {
         for rise_s in [0.0, 1e-300, 4e-10] {
-            let pusher = Pusher::new(0.1, rise_s, 0.2, 3.0).unwrap();
+            let pusher = Pusher::shaped(PushShape::Ramp { rise_s }, 0.1, 0.2, Axes::<1>::new(3.0)).unwrap();
             let forces = [0.1 - 1e-6, 0.1, 0.2, 0.1 + 0.2, 0.3].map(|t| pusher.force(t)[0]);
             assert_eq!(forces, [0.0, 3.0, 3.0, 0.0, 0.0], "{rise_s}");
             assert_eq!(pusher.next_kink(0.1), 0.3);

@@ -1,18 +1,16 @@
 //! An arm among springs and planes across the axes. It is linear between contacts on each axis, and is advanced exactly
 //! while it stays clear of all other objects.
 
-mod lanes;
 mod transition;
 
-pub(crate) use lanes::LineLanes;
-
 use transition::{Transition, TransitionMap};
+
+use haptether_numeric::{everywhere, norm, pack, shared};
+use nalgebra::SimdBool as _;
 
 use crate::{
     Axes, Environment, Object, Real,
     arm::drive::{ArmDrive, Tool},
-    contact::law::Mode,
-    norm,
 };
 
 /// Longest piece in s.
@@ -22,41 +20,43 @@ pub(crate) const SHORTEST: f64 = 1e-12;
 /// Steps for one piece before its rest is taken in one step.
 const MAX_STEPS: u32 = 20_000;
 
-/// Objects that act on one axis of the tool, without the pushers.
+/// Objects that act on one axis of the tool, without the pushers; of one arm, or of one per lane.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Line {
-    planes: Vec<LinePlane>,
+pub(crate) struct Line<S: Real = f64> {
+    planes: Vec<LinePlane<S>>,
     /// Sums over the springs: K in N/m, B in N s/m and K anchor in N.
     spring: [f64; 3],
-    regime: Regime,
+    regime: Regime<S>,
     /// Bound in m on the distance of x from its value at the start of the tick, if requested; infinity if a contact may
     /// have changed. None between ticks, so it is not part of the state.
-    swing: Option<f64>,
+    swing: Option<S>,
 }
 
 /// Dynamics for one arm and one set of touched planes.
 #[derive(Clone, Copy, Debug)]
-struct Regime {
+struct Regime<S> {
     /// M in kg, K in N/m and B in N s/m of the arm; NaN before the first regime.
     arm: [f64; 3],
     /// Total B per kg.
-    c: f64,
+    c: S,
     /// Sum of K anchor and K surface, per kg.
-    pull: f64,
-    transition: Transition,
+    pull: S,
+    transition: Transition<S>,
     /// Longest piece in s in which no contact can hide. An undamped contact lasts pi / sqrt(k); this is half a radian.
-    longest: f64,
-    kept: Kept,
+    /// Infinite without planes; negative before the first regime.
+    longest: S,
+    kept: Kept<S>,
 }
 
-impl Default for Regime {
+impl<S: Real> Default for Regime<S> {
     fn default() -> Self {
-        let transition = Transition::new(0.0, 0.0);
-        Self { arm: [f64::NAN; 3], c: 0.0, pull: 0.0, transition, longest: 0.0, kept: Kept::default() }
+        let (zero, one) = (S::zero(), S::one());
+        let transition = Transition::default();
+        Self { arm: [f64::NAN; 3], c: zero, pull: zero, transition, longest: -one, kept: Kept::default() }
     }
 }
 
-impl PartialEq for Regime {
+impl<S> PartialEq for Regime<S> {
     /// Always equal: a regime follows from its inputs and is not part of the state.
     fn eq(&self, _: &Self) -> bool {
         true
@@ -64,44 +64,59 @@ impl PartialEq for Regime {
 }
 
 /// Map of the last whole piece, and its time step, which nearly every tick repeats.
-#[derive(Clone, Copy, Debug, Default)]
-struct Kept(Option<(f64, TransitionMap)>);
+#[derive(Clone, Copy, Debug)]
+struct Kept<S> {
+    time: f64,
+    map: TransitionMap<S>,
+}
 
-impl Kept {
+impl<S: Real> Default for Kept<S> {
+    fn default() -> Self {
+        Self { time: f64::NAN, map: TransitionMap::default() }
+    }
+}
+
+impl<S: Real> Kept<S> {
     /// Map of `transition` over `t`; `transition` is that of the regime that owns this.
-    #[inline]
-    fn over(&mut self, transition: &Transition, t: f64) -> TransitionMap {
-        match self.0 {
-            Some((time, map)) if time == t => map,
-            _ => {
-                let map = transition.over(t);
-                self.0 = Some((t, map));
-                map
-            }
+    #[inline(always)] // nearly every tick finds it
+    fn over(&mut self, transition: &Transition<S>, t: f64) -> TransitionMap<S> {
+        if self.time != t {
+            self.time = t;
+            (0..S::LANES).for_each(|lane| self.load(lane, transition));
         }
+        self.map
+    }
+
+    #[inline(never)] // rare, and long
+    fn load(&mut self, lane: usize, transition: &Transition<S>) {
+        self.map.load(lane, &transition.of_lane(lane).over(self.time));
     }
 }
 
 /// A plane across an axis: `F = max(0, K d + B d')` along its normal.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct LinePlane {
-    surface: f64,
-    normal: f64,
-    stiffness: f64,
-    damping: f64,
-    mode: Mode,
+struct LinePlane<S = f64> {
+    surface: S,
+    normal: S,
+    stiffness: S,
+    damping: S,
+    /// [`APART`], [`TOUCHING`] or [`LEAVING`].
+    mode: S,
 }
 
-impl LinePlane {
-    fn mode(&self, [x, v]: [f64; 2]) -> Mode {
+const APART: f64 = 0.0;
+const TOUCHING: f64 = 1.0;
+/// Inside, where the plane would have to pull.
+const LEAVING: f64 = 2.0;
+
+impl<S: Real> LinePlane<S> {
+    /// Depth of the tool in m, and the mode there.
+    #[inline(always)]
+    fn mode(&self, [x, v]: [S; 2]) -> (S, S) {
         let depth = self.normal * (self.surface - x);
-        if depth <= 0.0 {
-            Mode::Apart
-        } else if self.stiffness * depth - self.damping * self.normal * v > 0.0 {
-            Mode::Touching
-        } else {
-            Mode::Leaving
-        }
+        let presses = (self.stiffness * depth - self.damping * self.normal * v).simd_gt(S::zero());
+        let inside = S::splat(TOUCHING).select(presses, S::splat(LEAVING));
+        (depth, S::splat(APART).select(depth.simd_le(S::zero()), inside))
     }
 }
 
@@ -123,12 +138,6 @@ impl Course {
 
     fn at(self, t: f64) -> [f64; 2] {
         self.by(&self.transition.over(t), t)
-    }
-
-    /// State after t: the course, advanced by the map over t, plus the response to a [`Bend`].
-    #[inline]
-    fn after_bend(&self, bend: &Bend, c: f64, map: &TransitionMap, t: f64) -> [f64; 2] {
-        self.bent(bend, c, map, &self.transition.over(t - bend.at), t)
     }
 }
 
@@ -294,12 +303,9 @@ impl<const N: usize> LinearArm<N> {
                 ];
                 let state = [tool.position[axis], tool.velocity[axis]];
                 let arm = [mass, stiffness, damping];
-                let (state, whole) = if set.arrives_steadily() && set.phase < step {
-                    let bend = (set.phase, stiffness * set.velocity / mass);
-                    line.advance_bent(arm, [input[0], input[1]], bend, state, step)
-                } else {
-                    line.advance(arm, input, state, step)
-                };
+                let bend = (set.arrives_steadily() && set.phase < step)
+                    .then(|| Bend { at: set.phase, slope: stiffness * set.velocity / mass });
+                let (state, whole) = line.advance(arm, input, bend, state, step);
                 let finite = state.iter().all(|value| value.is_finite());
                 self.coarse_steps += u64::from(!(whole && finite));
                 // Overflow: the tool stays at its last position.
@@ -329,83 +335,148 @@ fn sort<const N: usize>(lines: &mut [Line; N], object: &Object<N>) -> bool {
     let Some((axis, surface, normal)) = object.shape().across_axis() else { return false };
     let frictionless = object.contact().friction() == 0.0 || N == 1;
     if frictionless {
-        lines[axis].planes.push(LinePlane { surface, normal, stiffness, damping, mode: Mode::Apart });
+        lines[axis].planes.push(LinePlane { surface, normal, stiffness, damping, mode: APART });
     }
     frictionless
 }
 
-impl Line {
-    /// Like [`advance`](Self::advance), for an input that is linear in time and loses `slope` of its growth at `bend`
-    /// in s. Mostly in one piece: the course of the input after the bend, plus the response to `slope (t - bend)`, the
-    /// difference before the bend.
-    #[inline(always)] // has one caller
-    fn advance_bent(
-        &mut self,
-        arm: [f64; 3],
-        [u0, u1]: [f64; 2],
-        (bend, slope): (f64, f64),
-        state: [f64; 2],
-        step: f64,
-    ) -> ([f64; 2], bool) {
-        let [later0, later1] = [u0 + slope * bend, u1 - slope];
-        // Bound on the integral of |slope (t - bend)|, which is half of it.
-        let impulse = (slope * bend).abs() * bend;
-        if let Some((course, map)) = self.one_piece(arm, [later0, later1, 0.0], state, step, impulse) {
-            return (course.after_bend(&Bend { at: bend, slope }, self.regime.c, &map, step), true);
-        }
-        let (state, before) = self.advance_by_pieces(arm, [u0, u1, 0.0], state, bend);
-        let later = [later0 + bend * later1, later1, 0.0];
-        let (state, after) = self.advance_by_pieces(arm, later, state, step - bend);
-        (state, before && after)
+impl<S: Real> Line<S> {
+    /// Lanes without a regime yet; None if the numbers of planes differ.
+    pub(crate) fn gather(of: &[&Line]) -> Option<Self> {
+        let plane = |index: usize| {
+            Some(LinePlane {
+                surface: pack(of, |one| one.planes[index].surface)?,
+                normal: pack(of, |one| one.planes[index].normal)?,
+                stiffness: pack(of, |one| one.planes[index].stiffness)?,
+                damping: pack(of, |one| one.planes[index].damping)?,
+                mode: S::splat(LEAVING),
+            })
+        };
+        let planes = (0..shared(of, |one| one.planes.len())?).map(plane).collect::<Option<_>>()?;
+        Some(Self { planes, spring: [0.0; 3], regime: Regime::default(), swing: None })
     }
 
-    /// Add a bound on the travel in t in s of a course without a change of contact; `impulse` as in
-    /// [`stays`](Self::stays).
-    #[inline(always)]
-    fn add_swing(&mut self, course: &Course, c: f64, t: f64, impulse: f64) {
-        if let Some(swing) = &mut self.swing {
-            let [farther, _] = course.bounds(t);
-            *swing += if c >= 0.0 { farther + impulse * t } else { f64::INFINITY };
+    /// Copy the regime of one arm with M, K and B into its lane.
+    pub(crate) fn load(&mut self, lane: usize, line: &Line, arm: [f64; 3]) {
+        let (regime, of) = (&mut self.regime, &line.regime);
+        let mut lasts = of.arm == arm;
+        for (plane, of) in self.planes.iter_mut().zip(&line.planes) {
+            plane.mode.replace(lane, of.mode);
+            lasts &= of.mode != LEAVING;
         }
+        regime.c.replace(lane, of.c);
+        regime.pull.replace(lane, of.pull);
+        regime.transition.load(lane, &of.transition);
+        regime.longest.replace(lane, if lasts { of.longest } else { -1.0 });
+        regime.kept.load(lane, &regime.transition);
     }
 
-    /// Course and map of a whole step with an additional `impulse` as in [`stays`](Self::stays); none if a contact may
-    /// change within the step.
-    #[inline(always)] // like its callers
-    fn one_piece(
+    /// (x, V) after a step in one piece, and the mask of lanes in which no contact may change within it.
+    ///
+    /// The input per kg is quadratic in time. Where `bends`, it is linear and loses the slope of `bend` at its time. The
+    /// result is the course of the input after the bend, plus the response to the difference before the bend.
+    #[inline(always)] // once per tick and axis
+    pub(crate) fn one_piece(
         &mut self,
-        arm: [f64; 3],
-        [u0, u1, u2]: [f64; 3],
-        state: [f64; 2],
+        [u0, u1, u2]: [S; 3],
+        (bends, bend): (S::SimdBool, &Bend<S>),
+        state: [S; 2],
         step: f64,
-        impulse: f64,
-    ) -> Option<(Course, TransitionMap)> {
-        let Regime { c, pull, transition, longest, .. } = *self.regime(arm, state);
-        let is_free = self.planes.is_empty();
-        if !(is_free || (longest >= step && c >= 0.0)) {
-            return None;
+    ) -> ([S; 2], S::SimdBool) {
+        let (zero, Regime { c, pull, transition, longest, .. }) = (S::zero(), self.regime);
+        let any_bends = bends.any();
+        let [mut later0, mut later1, mut impulse] = [u0, u1, zero];
+        if any_bends {
+            later0 = (u0 + bend.slope * bend.at).select(bends, u0);
+            later1 = (u1 - bend.slope).select(bends, u1);
+            // Bound on the integral of |slope (t - bend)|, which is half of it.
+            impulse = ((bend.slope * bend.at).magnitude() * bend.at).select(bends, zero);
         }
         // First, so that the course stays in registers: no call follows it.
         let map = self.regime.kept.over(&transition, step);
-        let course = Course::of(transition, c, [u0 + pull, u1, u2], state);
-        if !(is_free || self.stays(&course, state[0], step, impulse)) {
-            return None;
+        let course = Course::of(transition, c, [later0 + pull, later1, u2], state);
+        let mut keeps = longest.simd_ge(S::splat(step));
+        if !self.planes.is_empty() {
+            keeps = keeps & c.simd_ge(zero) & self.stays(&course, state, step, impulse);
         }
-        self.add_swing(&course, c, step, impulse);
-        Some((course, map))
+        self.add_swing(&course, step, impulse, keeps);
+        let mut found = course.by(&map, step);
+        if any_bends {
+            let (rest, is_exact) = transition.over_each(S::splat(step) - bend.at);
+            keeps = keeps & (is_exact | !bends);
+            let [bent_x, bent_v] = course.bent(bend, c, &map, &rest, step);
+            found = [bent_x.select(bends, found[0]), bent_v.select(bends, found[1])];
+        }
+        (found, keeps)
     }
 
-    /// Advance (x, V) by `step` in s under an arm with M, K, B and an input per kg that is quadratic in time. Returns
-    /// true if every contact was located.
+    /// Add a bound on the travel in t in s of a course, where no contact changes; `impulse` as in
+    /// [`stays`](Self::stays).
+    #[inline(always)]
+    fn add_swing(&mut self, course: &Course<S>, t: f64, impulse: S, keeps: S::SimdBool) {
+        if let Some(swing) = &mut self.swing {
+            let [farther, _] = course.bounds(t);
+            let most = (farther + impulse * S::splat(t))
+                .select(self.regime.c.simd_ge(S::zero()), S::splat(f64::INFINITY));
+            *swing += most.select(keeps, S::zero());
+        }
+    }
+
+    /// Mask of lanes in which bounds exclude a change of contact within t in s on a course from a state, with an
+    /// additional input of `impulse` in m/s.
+    ///
+    /// The response to it is at most `impulse t` and `impulse`, because the response to a unit impulse is at most t and
+    /// 1.
+    #[inline(always)]
+    fn stays(&self, course: &Course<S>, state: [S; 2], t: f64, impulse: S) -> S::SimdBool {
+        let [farther, fastest] = course.bounds(t);
+        let (farther, fastest) = (farther + impulse * S::splat(t), fastest + impulse);
+        let [a0, ..] = course.particular;
+        let mut stays = everywhere::<S>();
+        for plane in &self.planes {
+            let (depth, mode) = plane.mode(state);
+            // Far above the rounding of positions.
+            let size = state[0].magnitude() + a0.magnitude() + plane.surface.magnitude();
+            let farther = farther + S::splat(1e-12) * size;
+            let pushes = plane.stiffness * (depth - farther);
+            let touches = mode.simd_eq(S::splat(TOUCHING))
+                & pushes.simd_gt(plane.damping * fastest * S::splat(1.0 + 1e-12));
+            let is_apart = mode.simd_eq(S::splat(APART)) & (depth + farther).simd_lt(S::zero());
+            stays = stays & mode.simd_eq(plane.mode) & (touches | is_apart);
+        }
+        stays
+    }
+}
+
+impl Line {
+    /// Advance (x, V) by `step` in s under an arm with M, K, B and an input per kg that is quadratic in time, or linear
+    /// with a bend. Returns true if every contact was located.
     #[inline(always)] // has one caller
-    fn advance(&mut self, arm: [f64; 3], input: [f64; 3], state: [f64; 2], step: f64) -> ([f64; 2], bool) {
-        match self.one_piece(arm, input, state, step, 0.0) {
-            Some((course, map)) => (course.by(&map, step), true),
-            None => self.advance_by_pieces(arm, input, state, step),
+    fn advance(
+        &mut self,
+        arm: [f64; 3],
+        [u0, u1, u2]: [f64; 3],
+        bend: Option<Bend>,
+        state: [f64; 2],
+        step: f64,
+    ) -> ([f64; 2], bool) {
+        self.renew(arm, state);
+        let Bend { at, slope } = bend.unwrap_or(Bend { at: 0.0, slope: 0.0 });
+        let (found, keeps) = self.one_piece([u0, u1, u2], (bend.is_some(), &Bend { at, slope }), state, step);
+        if keeps {
+            return (found, true);
         }
+        if bend.is_none() {
+            return self.advance_by_pieces(arm, [u0, u1, u2], state, step);
+        }
+        let (state, before) = self.advance_by_pieces(arm, [u0, u1, 0.0], state, at);
+        let [later0, later1] = [u0 + slope * at, u1 - slope];
+        let later = [later0 + at * later1, later1, 0.0];
+        let (state, after) = self.advance_by_pieces(arm, later, state, step - at);
+        (state, before && after)
     }
 
-    /// The same, from contact to contact.
+    /// As [`advance`](Self::advance), from contact to contact.
     #[inline(never)] // rare, and long
     fn advance_by_pieces(
         &mut self,
@@ -416,13 +487,14 @@ impl Line {
     ) -> ([f64; 2], bool) {
         let mut done = 0.0;
         for _ in 0..MAX_STEPS {
-            let Regime { c, pull, transition, longest, .. } = *self.regime(arm, state);
+            self.renew(arm, state);
+            let Regime { c, pull, transition, longest, .. } = self.regime;
             let input = [u0 + done * (u1 + done * u2) + pull, u1 + 2.0 * u2 * done, u2];
             let course = Course::of(transition, c, input, state);
             let left = step - done;
             let longest = left.min(longest);
-            if longest >= left && c >= 0.0 && self.stays(&course, state[0], left, 0.0) {
-                self.add_swing(&course, c, left, 0.0);
+            if longest >= left && c >= 0.0 && self.stays(&course, state, left, 0.0) {
+                self.add_swing(&course, left, 0.0, true);
                 // The rest of a step has an arbitrary length: do not keep its map.
                 return (course.at(left), true);
             }
@@ -437,62 +509,38 @@ impl Line {
         (state, false)
     }
 
-    /// Regime of a state: the previous one, unless the arm or the set of touched planes has changed.
+    /// Set the regime of a state: the previous one, unless the arm or the set of touched planes has changed.
     #[inline]
-    fn regime(&mut self, arm: [f64; 3], state: [f64; 2]) -> &Regime {
+    fn renew(&mut self, arm: [f64; 3], state: [f64; 2]) {
         let mut is_same = self.regime.arm == arm;
         for plane in &mut self.planes {
-            let mode = plane.mode(state);
-            is_same &= (mode == Mode::Touching) == (plane.mode == Mode::Touching);
+            let (_, mode) = plane.mode(state);
+            is_same &= (mode == TOUCHING) == (plane.mode == TOUCHING);
             plane.mode = mode;
         }
         if !is_same {
             self.regime = self.regime_of(arm);
         }
-        &self.regime
     }
 
-    fn regime_of(&self, arm: [f64; 3]) -> Regime {
+    fn regime_of(&self, arm: [f64; 3]) -> Regime<f64> {
         let [mass, mut stiffness, mut damping] = arm;
         stiffness += self.spring[0];
         damping += self.spring[1];
         let mut pull = self.spring[2];
-        for plane in self.planes.iter().filter(|plane| plane.mode == Mode::Touching) {
+        for plane in self.planes.iter().filter(|plane| plane.mode == TOUCHING) {
             stiffness += plane.stiffness;
             damping += plane.damping;
             pull += plane.stiffness * plane.surface;
         }
         let (k, c) = (stiffness / mass, damping / mass);
-        let (transition, longest) = (Transition::new(k, c), 0.5 / k.sqrt());
+        let longest = if self.planes.is_empty() { f64::INFINITY } else { 0.5 / k.sqrt() };
+        let transition = Transition::new(k, c);
         Regime { arm, c, pull: pull / mass, transition, longest, kept: Kept::default() }
     }
 
-    /// True if bounds exclude a change of contact within t in s on a course from x in m, with an additional input of
-    /// `impulse` in m/s.
-    ///
-    /// The response to it is at most `impulse t` and `impulse`, because the response to a unit impulse is at most t and
-    /// 1.
-    #[inline(always)]
-    fn stays(&self, course: &Course, x: f64, t: f64, impulse: f64) -> bool {
-        let [farther, fastest] = course.bounds(t);
-        let (farther, fastest) = (farther + impulse * t, fastest + impulse);
-        let [a0, ..] = course.particular;
-        self.planes.iter().all(|plane| {
-            let depth = plane.normal * (plane.surface - x);
-            // Far above the rounding of positions.
-            let farther = farther + 1e-12 * (x.abs() + a0.abs() + plane.surface.abs());
-            match plane.mode {
-                Mode::Apart => depth + farther < 0.0,
-                Mode::Touching => {
-                    plane.stiffness * (depth - farther) > plane.damping * fastest * (1.0 + 1e-12)
-                }
-                Mode::Leaving => false,
-            }
-        })
-    }
-
     fn changed(&self, state: [f64; 2]) -> bool {
-        self.planes.iter().any(|plane| plane.mode(state) != plane.mode)
+        self.planes.iter().any(|plane| plane.mode(state).1 != plane.mode)
     }
 
     /// Time in s just after the first change of a contact.
@@ -531,8 +579,8 @@ mod tests {
             t in 1e-5..1e-3_f64,
         ) {
             let normal = if is_above { 1.0 } else { -1.0 };
-            let mut plane = LinePlane { surface, normal, stiffness, damping, mode: Mode::Apart };
-            plane.mode = plane.mode([x, v]);
+            let mut plane = LinePlane { surface, normal, stiffness, damping, mode: APART };
+            plane.mode = plane.mode([x, v]).1;
             let line = Line { planes: vec![plane], ..Line::default() };
             let course = Course::new(k, c, [input.0, input.1, input.2], [x, v]);
             let [farther, fastest] = course.bounds(t);
@@ -541,7 +589,7 @@ mod tests {
                 let [moved, speed] = course.at(at);
                 prop_assert!((moved - x).abs() <= farther + 1e-12, "{} {}", moved - x, farther);
                 prop_assert!(speed.abs() <= fastest * (1.0 + 1e-9) + 1e-9, "{} {}", speed, fastest);
-                prop_assert!(!line.stays(&course, x, t, 0.0) || !line.changed([moved, speed]), "{share}");
+                prop_assert!(!line.stays(&course, [x, v], t, 0.0) || !line.changed([moved, speed]), "{share}");
             }
         }
     }
@@ -556,10 +604,10 @@ mod tests {
             normal in prop_oneof![Just(1.0), Just(-1.0)],
             step in prop_oneof![Just(1e-3), 1e-5..1e-3_f64],
         ) {
-            let plane = LinePlane { surface, normal, stiffness: wall, damping: lost, mode: Mode::Apart };
+            let plane = LinePlane { surface, normal, stiffness: wall, damping: lost, mode: APART };
             let line = Line { planes: vec![plane], swing: Some(0.0), ..Line::default() };
             let ([mut one, mut other], arm) = ([line.clone(), line], [2.0, stiffness, damping]);
-            let found = one.advance(arm, [u0, u1, u2], [x, v], step);
+            let found = one.advance(arm, [u0, u1, u2], None, [x, v], step);
             let expected = other.advance_by_pieces(arm, [u0, u1, u2], [x, v], step);
             prop_assert_eq!(found, expected);
             prop_assert_eq!(one.swing, other.swing);
@@ -587,7 +635,7 @@ mod tests {
             let rate = std::f64::consts::TAU * frequency;
             let arm = [mass, mass * rate * rate, 2.0 * ratio * mass * rate];
             let normal = if is_above { 1.0 } else { -1.0 };
-            let plane = LinePlane { surface, normal, stiffness: wall, damping, mode: Mode::Apart };
+            let plane = LinePlane { surface, normal, stiffness: wall, damping, mode: APART };
             let line = Line { planes: vec![plane; usize::from(has_wall)], ..Line::default() };
             let step = 1e-3;
             // A set position `away` from its target arrives there at the bend.
@@ -596,12 +644,12 @@ mod tests {
             let slope = arm[1] * speed / mass;
             let input = [(push + arm[1] * (x - away)) / mass, growth / mass + slope, 0.0];
             let state = [x, v];
-            let (found, whole) = line.clone().advance_bent(arm, [input[0], input[1]], (bend, slope), state, step);
+            let (found, whole) = line.clone().advance(arm, input, Some(Bend { at: bend, slope }), state, step);
             prop_assert!(whole);
             let mut by_halves = line.clone();
-            let (middle, _) = by_halves.advance(arm, input, state, bend);
+            let (middle, _) = by_halves.advance(arm, input, None, state, bend);
             let [u0, u1] = [input[0] + slope * bend, input[1] - slope];
-            let (end, _) = by_halves.advance(arm, [u0 + u1 * bend, u1, 0.0], middle, step - bend);
+            let (end, _) = by_halves.advance(arm, [u0 + u1 * bend, u1, 0.0], None, middle, step - bend);
             // A few roundings of the terms of the courses: positions, and speeds divided by the rates.
             let size = x.abs() + v.abs() * step + away.abs() + input[0].abs() / (rate * rate) + speed.abs() / rate;
             let unsure = 64.0 * f64::EPSILON * (size + surface.abs());
@@ -611,14 +659,14 @@ mod tests {
 
             // The bound on the distance holds everywhere within the step and is tight enough.
             let mut bounded = Line { swing: Some(0.0), ..line.clone() };
-            let _ = bounded.advance_bent(arm, [input[0], input[1]], (bend, slope), state, step);
+            let _ = bounded.advance(arm, input, Some(Bend { at: bend, slope }), state, step);
             let swing = bounded.swing.unwrap();
             prop_assert!(!swing.is_nan() && (has_wall || swing.is_finite()));
             for part in 0..=50 {
                 let t = f64::from(part) / 50.0 * step;
                 let mut seen = line.clone();
-                let (now, _) = seen.advance(arm, input, state, t.min(bend));
-                let (now, _) = seen.advance(arm, [u0 + u1 * bend, u1, 0.0], now, (t - bend).max(0.0));
+                let (now, _) = seen.advance(arm, input, None, state, t.min(bend));
+                let (now, _) = seen.advance(arm, [u0 + u1 * bend, u1, 0.0], None, now, (t - bend).max(0.0));
                 prop_assert!((now[0] - x).abs() <= swing + unsure, "{part}: {} {swing}", now[0] - x);
             }
             let fastest_pull = (slope * bend).abs() + (growth / mass).abs() * step;
@@ -626,17 +674,18 @@ mod tests {
             prop_assert!(has_wall || swing <= 10.0 * step * (speeds + fastest_pull / rate + speed.abs()), "{swing}");
 
             let mut watched = line;
-            let regime = *watched.regime(arm, state);
+            watched.renew(arm, state);
+            let regime = watched.regime;
             let later = [u0 + regime.pull, u1, 0.0];
             let course = Course::of(regime.transition, regime.c, later, state);
-            if has_wall && watched.stays(&course, x, step, (slope * bend).abs() * bend) {
+            if has_wall && watched.stays(&course, state, step, (slope * bend).abs() * bend) {
                 let modes = watched.planes.clone();
                 for part in 0..=50 {
                     let t = f64::from(part) / 50.0 * step;
                     let mut seen = watched.clone();
-                    let (now, _) = seen.advance(arm, input, state, t.min(bend));
-                    let (now, _) = seen.advance(arm, [u0 + u1 * bend, u1, 0.0], now, (t - bend).max(0.0));
-                    prop_assert!(modes[0].mode(now) == modes[0].mode, "{part}");
+                    let (now, _) = seen.advance(arm, input, None, state, t.min(bend));
+                    let (now, _) = seen.advance(arm, [u0 + u1 * bend, u1, 0.0], None, now, (t - bend).max(0.0));
+                    prop_assert!(modes[0].mode(now).1 == modes[0].mode, "{part}");
                 }
             }
         }
@@ -646,14 +695,14 @@ mod tests {
     #[test]
     fn a_kept_map_is_that_of_its_time() {
         let (transition, state) = (Transition::new(9.0, 1.0), [0.7, -1.3]);
-        let mut kept = Kept::default();
+        let mut kept = Kept::<f64>::default();
         for t in [1e-3, 2e-3, 2e-3, 1e-3] {
             assert_eq!(kept.over(&transition, t).apply(state), transition.apply(t, state), "{t}");
-            assert!(kept.0.is_some_and(|(time, _)| time == t));
+            assert_eq!(kept.time, t);
         }
         // A substituted map is returned, so the map is kept.
         let other = Transition::new(4.0, 1.0).over(1e-3);
-        kept.0 = Some((1e-3, other));
+        kept.map = other;
         assert_eq!(kept.over(&transition, 1e-3).apply(state), other.apply(state));
         assert_ne!(other.apply(state), transition.apply(1e-3, state));
     }
@@ -666,7 +715,7 @@ mod tests {
             normal,
             stiffness: 3000.0,
             damping: 5.0,
-            mode: Mode::Apart,
+            mode: APART,
         };
         let planes = vec![plane(0.0, 1.0), plane(0.1, -1.0)];
         let mut line = Line { planes, spring: [10.0, 1.0, 0.3], ..Line::default() };
@@ -674,8 +723,9 @@ mod tests {
         for round in 0..2 {
             for arm in arms {
                 for x in [0.05, -0.01, -0.02, 0.11, 0.05, -0.01] {
-                    let kept = *line.regime(arm, [x, 0.0]);
-                    let touched = line.planes.iter().filter(|plane| plane.mode == Mode::Touching).count();
+                    line.renew(arm, [x, 0.0]);
+                    let kept = line.regime;
+                    let touched = line.planes.iter().filter(|plane| plane.mode == TOUCHING).count();
                     assert_eq!(touched, usize::from(x != 0.05), "{round} {x}");
                     let fresh = line.regime_of(arm);
                     assert_eq!(
@@ -700,15 +750,20 @@ mod tests {
         let damping = 2.0 * f64::sqrt(mass * arm);
         for (x, set_point, touches) in [(0.01, 0.012, false), (-0.004, -0.01, true)] {
             let mut plane =
-                LinePlane { surface: 0.0, normal: 1.0, stiffness: wall, damping: 0.0, mode: Mode::Apart };
-            plane.mode = plane.mode([x, 0.0]);
-            assert_eq!(plane.mode == Mode::Touching, touches);
+                LinePlane { surface: 0.0, normal: 1.0, stiffness: wall, damping: 0.0, mode: APART };
+            plane.mode = plane.mode([x, 0.0]).1;
+            assert_eq!(plane.mode == TOUCHING, touches);
             let line = Line { planes: vec![plane], ..Line::default() };
             let k = (arm + if touches { wall } else { 0.0 }) / mass;
             let course = Course::new(k, damping / mass, [arm * set_point / mass, 0.0, 0.0], [x, 0.0]);
-            assert!(line.stays(&course, x, 1e-3, 0.0));
+            assert!(line.stays(&course, [x, 0.0], 1e-3, 0.0));
             // They do not exclude the contact of an arriving tool.
-            assert!(!line.stays(&Course::new(k, damping / mass, [0.0; 3], [1e-4, -1.0]), 1e-4, 1e-3, 0.0));
+            assert!(!line.stays(
+                &Course::new(k, damping / mass, [0.0; 3], [1e-4, -1.0]),
+                [1e-4, -1.0],
+                1e-3,
+                0.0
+            ));
         }
     }
 }

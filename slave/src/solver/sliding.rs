@@ -14,11 +14,12 @@
 
 use arrayvec::ArrayVec;
 
+use haptether_numeric::Real as _;
+
 use crate::{
     Axes, ContactLaw, Environment, FULL_SLIP, all_finite, amax,
     arm::drive::{ArmDrive, Tool},
     contact::law::Mode,
-    larger,
     solver::{adaptive::SHORTEST, located::first_share, state::Piece},
 };
 
@@ -342,7 +343,7 @@ impl<const N: usize> Pull<N> {
             newest_velocity = force * (share / self.mass);
             v.push(newest_velocity);
             let size = amax(&newest_velocity);
-            largest = larger(size, largest);
+            largest = size.larger(largest);
             negligible = if size <= NEGLIGIBLE * largest { negligible + 1 } else { 0 };
             // Terms quadratic in time enter with the third coefficient.
             if negligible >= 2 && n >= 3 {
@@ -625,7 +626,7 @@ mod tests {
     fn arm<const N: usize>(tool: &Tool<N>, target: Axes<N>, speed: Option<f64>) -> ArmDrive<N> {
         let control = ArmControl::Pd { stiffness: K, damping: B };
         let mut drive = ArmDrive::new(ArmModel::new(control, KG, speed, None).unwrap(), &tool.position);
-        drive.command(Some(target), Axes::zeros());
+        drive.command(target, Axes::zeros());
         drive
     }
 
@@ -753,7 +754,7 @@ mod tests {
             let mut environment = Environment::new(objects.to_vec(), pushers.to_vec());
             environment.is_push_linear &= by_series;
             let mut drive = ArmDrive::new(arm, &start.position);
-            drive.command(Some(target), Axes::zeros());
+            drive.command(target, Axes::zeros());
             (environment, drive, start)
         };
         let (mut runs, mut largest) = ([of(true), of(false)], 0.0_f64);

@@ -53,26 +53,25 @@ fn pd_is_the_damped_oscillator_of_the_textbook() {
 }
 
 #[test]
-fn a_velocity_control_is_of_first_order_and_an_admittance() {
+fn a_velocity_control_is_critically_damped_and_an_admittance() {
+    let (mass, goal, speed, force) = (3.0, 0.5, 0.03, 6.0);
     let pole = std::f64::consts::TAU * 10.0;
-    let arm = ArmModel::new(ArmControl::Velocity { bandwidth_hz: 10.0 }, 3.0, None, None).unwrap();
-    let push = Pusher::shaped(PushShape::Step, 0.0, 9.0, Axes::<2>::new(0.0, 6.0)).unwrap();
+    let arm = ArmModel::new(ArmControl::Velocity { bandwidth_hz: 10.0 }, mass, None, None).unwrap();
+    let push = Pusher::shaped(PushShape::Step, 0.0, 9.0, Axes::<1>::new(force)).unwrap();
     let environment = Environment::new(Vec::new(), vec![push]);
     let mut slave = SimulatedSlave::in_environment(arm, environment, None, Axes::zeros(), 0).unwrap();
     slave.start(0);
-    slave.write_velocity(&Axes::<2>::new(0.3, 0.0));
-    for tick in 1..=200_u32 {
-        let v = slave.read(u64::from(tick) * MS).velocity;
-        let rise = 1.0 - (-pole * f64::from(tick) * 1e-3).exp();
-        let expected = Axes::<2>::new(0.3, 6.0 / (3.0 * pole)) * rise;
-        assert!((v - expected).norm() < 1e-9, "{tick}: {:e}", (v - expected).norm());
+    slave.write(&Axes::<1>::new(goal), &Axes::<1>::new(speed));
+    // M x'' = M w ((w / 4) (x_cmd - x) + V_cmd - x') + F: both poles are w / 2.
+    let rest = goal + 4.0 * speed / pole + force / (0.25 * mass * pole * pole);
+    for tick in 1..=400_u32 {
+        let at = 0.5 * pole * f64::from(tick) * 1e-3;
+        let off = slave.read(u64::from(tick) * MS).position[0] - rest * (1.0 - (1.0 + at) * (-at).exp());
+        assert!(off.abs() < 1e-9, "{tick}: {off:e}");
     }
-    // Held in place; then moved to a position with critical damping, without overshoot.
-    slave.stop();
-    slave.write(&Axes::<2>::new(0.5, 0.2), &Axes::zeros());
-    let sample = slave.read(3000 * MS);
-    let give = 6.0 / (0.25 * 3.0 * pole * pole);
-    assert!((sample.position - Axes::<2>::new(0.5, 0.2 + give)).norm() < 1e-9);
+    // Held in place.
+    let held = slave.stop()[0];
+    assert!((slave.read(3000 * MS).position[0] - held - (rest - goal - 4.0 * speed / pole)).abs() < 1e-9);
 }
 
 #[test]

@@ -28,7 +28,7 @@ fn an_oblique_push_conserves_momentum() {
         slave.start(0);
         let momentum = |slave: &mut SimulatedSlave<3>, tick: u64| {
             let tool = slave.read(tick * MS).velocity;
-            tool * 0.4 + slave.environment().unwrap().body_velocity(0).unwrap() * 0.15
+            tool * 0.4 + slave.environment().body_velocity(0).unwrap() * 0.15
         };
         // 20 N over a half sine of 10 ms: 2 / pi of the product.
         let pushed = Axes::<3>::new(20.0 * 0.01 * 2.0 / std::f64::consts::PI, 0.0, 0.0);
@@ -37,7 +37,7 @@ fn an_oblique_push_conserves_momentum() {
             let now = momentum(&mut slave, tick);
             assert!((now - start).norm() < 1e-10, "{law:?} {tick}: {:e}", (now - start).norm());
         }
-        let hit = slave.environment().unwrap().body_velocity(0).unwrap();
+        let hit = slave.environment().body_velocity(0).unwrap();
         assert!(hit[0] > 0.3 && hit[1] > 0.06, "it was hit off its centre: {hit}");
         assert_eq!(slave.coarse_steps(), 0);
     }
@@ -78,7 +78,7 @@ fn friction_holds_a_body_up_to_its_limit() {
             SimulatedSlave::in_environment(arm, environment, None, Axes::<1>::new(-1e-5), 0).unwrap();
         slave.start(0);
         slave.read(2000 * MS);
-        let environment = slave.environment().unwrap();
+        let environment = slave.environment();
         (environment.body_position(0).unwrap()[0], environment.body_velocity(0).unwrap()[0])
     };
     // While the push rises at 4 N/s the contact, at 100 rad/s, oscillates about it by up to 4 / 100 N.

@@ -4,7 +4,6 @@ mod arm;
 mod bodies;
 mod contact;
 mod force_sensor;
-mod one_axis;
 mod reach;
 mod robust;
 mod settings;

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use haptether_numeric::of_axes;
 use haptether_safety::{Axes, Fault, controller::ControllerKind};
 
 use super::{HandImpedance, RecordedTick, Replay, ReplayedTick};
@@ -10,7 +11,6 @@ use crate::{
     scene::{
         assemble::{SceneError, bad_axes},
         outline::{scene_outline, scene_spec},
-        spec::of_axes,
     },
 };
 

@@ -11,6 +11,7 @@ use std::{
 };
 
 use haptether_master::{MasterSample, SimulatedMaster};
+use haptether_numeric::WIDTH;
 use haptether_safety::{Axes, Fault, SafetyTick, Signal};
 use haptether_slave::{SimulatedSlave, SlaveSample};
 
@@ -26,7 +27,6 @@ use crate::{
     Event, MasterRecord, ModelPlant as _, SlaveReading, SlaveRecord,
     coupling::PositionForce,
     endpoint::{Arm, ArmInput, Hand, HandInput, MasterReading, MasterState, Past},
-    lanes::WIDTH,
     port::PortState,
     scene::{
         assemble::{SceneError, exact_master},

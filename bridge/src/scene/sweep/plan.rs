@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 
+use haptether_numeric::of_axes;
 use haptether_safety::controller::SafetySettings;
 use serde::Deserialize as _;
 use serde_json::Value;
@@ -9,7 +10,7 @@ use serde_json::Value;
 use super::{SweepError, SweepPart, Variation};
 use crate::scene::{
     shared,
-    spec::{SceneSpec, of_axes, scene_axes},
+    spec::{SceneSpec, scene_axes},
 };
 
 /// Smallest number of scenarios without an arm in a job, and largest number with one.

@@ -1,11 +1,11 @@
 //! What is seen of both sides of several runs that have the same link and ladders, side by side.
 
+use haptether_numeric::{nowhere, pack};
 use haptether_safety::{Advance, Axes, Real, norm};
 
 use super::{Watched, from_engagement};
 use crate::{
     LadderState, Truth,
-    lanes::{packed, padded},
     scene::{
         measures::{Ending, MeasureSettings, Measures, Outcome},
         tracking::Tracking,
@@ -43,10 +43,10 @@ impl<const N: usize, S: Real> WatchedLanes<N, S> {
             return None;
         }
         Some(Self {
-            judged: padded(of, S::LANES).map(|one| one.judged).collect(),
-            measures: Measures::gather(&padded(of, S::LANES).map(|one| one.measures).collect::<Vec<_>>())?,
+            judged: of.iter().map(|one| one.judged).collect(),
+            measures: Measures::gather(&of.iter().map(|one| one.measures).collect::<Vec<_>>())?,
             tracking: Tracking::gather(&of.iter().map(|one| &one.tracking).collect::<Vec<_>>())?,
-            max_distance: packed(of, |one| one.max_distance),
+            max_distance: pack(of, |one| one.max_distance)?,
             states: [LadderState::Disengaged; 2],
             has_engaged: false,
             ticks: 0,
@@ -88,16 +88,15 @@ impl<const N: usize, S: Real> WatchedLanes<N, S> {
     pub(in crate::scene) fn near(&mut self, tick: &NearTick<'_, N, S>) -> [S::SimdBool; 2] {
         let NearTick { now_ns, state, truth, decided } = *tick;
         let time_s = now_ns as f64 / 1e9;
-        let nowhere = S::zero().simd_lt(S::zero());
         if !self.change(now_ns) {
-            return [nowhere; 2];
+            return [nowhere::<S>(); 2];
         }
         self.states[0] = state;
         if state.is_coupled() && !self.has_engaged {
             self.engage(time_s, &truth.position);
         }
         let (x, v, force) = (&truth.position, &truth.velocity, &decided.device_force);
-        let mut stays = !nowhere;
+        let mut stays = !nowhere::<S>();
         if self.measures.may_have_diverged(x, v, force) {
             // A copy, for what a call gets the address of.
             let measures = self.measures;
@@ -109,7 +108,7 @@ impl<const N: usize, S: Real> WatchedLanes<N, S> {
             self.measures.take(time_s, x, v, &decided.rendered_force, force, &truth.hand_force, is_on);
         self.ticks += 1;
         self.tracking.near(self.is_coupled(), x, force);
-        [stays, settled.filter(|_| self.has_engaged).unwrap_or(nowhere)]
+        [stays, settled.filter(|_| self.has_engaged).unwrap_or(nowhere::<S>())]
     }
 
     /// Take a tick of the slave as [`Watched::measure_far`], with x and `F_e`; return where the loop has not diverged.
@@ -121,7 +120,7 @@ impl<const N: usize, S: Real> WatchedLanes<N, S> {
         [position, environment_force]: [&Axes<N, S>; 2],
     ) -> S::SimdBool {
         if !self.change(now_ns) {
-            return S::zero().simd_lt(S::zero());
+            return nowhere::<S>();
         }
         self.states[1] = state;
         let is_coupled = self.is_coupled();

@@ -88,7 +88,7 @@ fn check<const N: usize>(of: &[Drawn; 4], shared: &Shared, periods_ns: &[u64], f
             lanes = 0b1101;
         }
         let sample = beside.read(lanes, now_ns);
-        taken += u64::from(beside.fast.as_ref().unwrap().loaded.count_ones());
+        taken += u64::from(beside.fast.as_ref().unwrap().occupancy.loaded().count_ones());
         let force = |lane: usize| {
             let push = if tick % 50 > 25 { force_n } else { 0.0 };
             Axes::<N>::from_fn(|axis, _| {
@@ -97,7 +97,7 @@ fn check<const N: usize>(of: &[Drawn; 4], shared: &Shared, periods_ns: &[u64], f
         };
         let mut forces = Axes::<N, AutoF64x4>::zeros();
         for lane in 0..4 {
-            set(&mut forces, lane, &force(lane));
+            forces.replace(lane, force(lane));
         }
         for lane in lanes_of(lanes, 4) {
             let found = alone[lane].read(now_ns);
@@ -111,15 +111,15 @@ fn check<const N: usize>(of: &[Drawn; 4], shared: &Shared, periods_ns: &[u64], f
             ];
             for (which, (in_lanes, by_itself)) in pairs.iter().enumerate() {
                 let [in_lanes, by_itself] =
-                    [of_lane(in_lanes, lane), *by_itself].map(|axes| axes.map(f64::to_bits));
+                    [in_lanes.extract(lane), *by_itself].map(|axes| axes.map(f64::to_bits));
                 assert_eq!(in_lanes, by_itself, "signal {which} of lane {lane} at tick {tick}");
             }
         }
         let fast = beside.fast.as_ref().unwrap();
-        for lane in lanes_of(lanes & fast.loaded, 4) {
+        for lane in lanes_of(lanes & fast.occupancy.loaded(), 4) {
             // Rounding errors show in the state only later.
-            for (lost, by_itself) in fast.lost.iter().zip(&alone[lane].lost) {
-                assert_eq!(of_lane(lost, lane), *by_itself, "of lane {lane} at tick {tick}");
+            for (lost, by_itself) in fast.motion.lost.iter().zip(&alone[lane].motion.lost) {
+                assert_eq!(lost.extract(lane), *by_itself, "of lane {lane} at tick {tick}");
             }
         }
         beside.write(lanes, &forces);

@@ -4,8 +4,8 @@ use proptest::prelude::*;
 
 use super::codel::Codel;
 use crate::impairments::{CrossTraffic, Discipline, Opportunities};
-use crate::random::draw;
 use crate::{Direction, DropCause, Link, LinkSettings, Packet, Verdict};
+use haptether_numeric::random::draw;
 
 const MS: u64 = 1_000_000;
 

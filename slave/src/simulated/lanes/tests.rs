@@ -94,16 +94,16 @@ fn check<const N: usize>(
             lanes = 0b1011;
         }
         let sample = *beside.read(lanes, now_ns);
-        taken += u64::from(beside.fast.as_ref().unwrap().loaded.count_ones());
+        taken += u64::from(beside.fast.as_ref().unwrap().occupancy.loaded().count_ones());
         let phase = tick as f64 * 0.06;
         let command = |lane: usize| {
             Axes::<N>::from_fn(|axis, _| reach * (phase * (1.0 + 0.1 * lane as f64) + axis as f64).sin())
         };
         let velocity = |lane: usize| command(lane) * 3.0;
-        let (mut positions, mut velocities) = (SVector::<_, N>::zeros(), SVector::<_, N>::zeros());
+        let (mut positions, mut velocities) = (Axes::<N, _>::zeros(), Axes::<N, _>::zeros());
         for lane in 0..4 {
-            set(&mut positions, lane, &command(lane));
-            set(&mut velocities, lane, &velocity(lane));
+            positions.replace(lane, command(lane));
+            velocities.replace(lane, velocity(lane));
         }
         // The second stop follows other commands, so it differs from the first.
         let stops = tick == stop_at || tick == stop_at + 20;
@@ -117,11 +117,11 @@ fn check<const N: usize>(
             ];
             for (which, (in_lanes, by_itself)) in pairs.iter().enumerate() {
                 let [in_lanes, by_itself] =
-                    [of_lane(in_lanes, lane), *by_itself].map(|axes| axes.map(f64::to_bits));
+                    [in_lanes.extract(lane), *by_itself].map(|axes| axes.map(f64::to_bits));
                 assert_eq!(in_lanes, by_itself, "signal {which} of lane {lane} at tick {tick}");
             }
             if let Some(rests) = &rests {
-                assert_eq!(of_lane(rests, lane), alone[lane].stop());
+                assert_eq!(rests.extract(lane), alone[lane].stop());
             }
         }
         // Two ticks without a command after a stop, then the same command again.

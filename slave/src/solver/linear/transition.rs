@@ -1,17 +1,33 @@
 //! Closed-form solution of `y'' + c y' + k y = 0`, for one state or for several in lanes.
 
+use haptether_numeric::everywhere;
+
 use crate::Real;
 
 /// Map of a [`Transition`] over a given time.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TransitionMap<S = f64> {
-    pub(super) k: S,
-    pub(super) from_y: S,
-    pub(super) from_v: S,
-    pub(super) sine: S,
+    k: S,
+    from_y: S,
+    from_v: S,
+    sine: S,
+}
+
+impl<S: Real> Default for TransitionMap<S> {
+    fn default() -> Self {
+        Self { k: S::zero(), from_y: S::zero(), from_v: S::zero(), sine: S::zero() }
+    }
 }
 
 impl<S: Real> TransitionMap<S> {
+    #[inline(always)]
+    pub(super) fn load(&mut self, lane: usize, of: &TransitionMap) {
+        self.k.replace(lane, of.k);
+        self.from_y.replace(lane, of.from_y);
+        self.from_v.replace(lane, of.from_v);
+        self.sine.replace(lane, of.sine);
+    }
+
     /// (y, y') after that time.
     #[inline(always)]
     pub(crate) fn apply(&self, [y, v]: [S; 2]) -> [S; 2] {
@@ -27,9 +43,15 @@ pub(crate) struct Transition<S = f64> {
     /// 1 / k
     pub(super) per_k: S,
     /// c / 2
-    pub(super) half: S,
+    half: S,
     /// (c / 2)² - k: positive if overdamped.
-    pub(super) discriminant: S,
+    discriminant: S,
+}
+
+impl<S: Real> Default for Transition<S> {
+    fn default() -> Self {
+        Self { k: S::one(), per_k: S::one(), half: S::zero(), discriminant: S::zero() }
+    }
 }
 
 /// `1 / (2 n)!` and `1 / (2 n + 1)!`, of cosine and sine.
@@ -89,9 +111,38 @@ impl Transition {
 }
 
 impl<S: Real> Transition<S> {
+    /// That of one lane.
+    #[inline(always)]
+    pub(super) fn of_lane(&self, lane: usize) -> Transition {
+        let [k, per_k, half, discriminant] =
+            [self.k, self.per_k, self.half, self.discriminant].map(|of| of.extract(lane));
+        Transition { k, per_k, half, discriminant }
+    }
+
+    pub(super) fn load(&mut self, lane: usize, of: &Transition) {
+        self.k.replace(lane, of.k);
+        self.per_k.replace(lane, of.per_k);
+        self.half.replace(lane, of.half);
+        self.discriminant.replace(lane, of.discriminant);
+    }
+
+    /// The map over t in s of each lane, and the mask of the lanes in which it is that of a single arm, to the bit.
+    #[inline(always)]
+    pub(super) fn over_each(&self, t: S) -> (TransitionMap<S>, S::SimdBool) {
+        if S::LANES == 1 {
+            let mut map = TransitionMap::default();
+            map.load(0, &self.of_lane(0).over(t.extract(0)));
+            return (map, everywhere::<S>());
+        }
+        let z = self.discriminant * t * t;
+        let is_near = z.magnitude().simd_le(S::splat(NEARLY_CRITICAL))
+            & (self.half.magnitude() * t).simd_le(S::splat(REACH));
+        (self.over_nearly_critical(t), is_near)
+    }
+
     /// The map over t in s, where `|(c / 2)² - k| t² <=` [`NEARLY_CRITICAL`] and `|c| t / 2 <=` [`REACH`].
     #[inline(always)]
-    pub(super) fn over_nearly_critical(&self, t: S) -> TransitionMap<S> {
+    fn over_nearly_critical(&self, t: S) -> TransitionMap<S> {
         let [cosine, sine] = nearly_critical(self.discriminant * t * t);
         self.damped(exponential(-self.half * t), cosine, sine * t)
     }
@@ -109,7 +160,7 @@ impl<S: Real> Transition<S> {
 }
 
 /// Bound on `|(c / 2)² - k| t²` below which cosine and sine are computed as power series.
-pub(super) const NEARLY_CRITICAL: f64 = 1e-2;
+const NEARLY_CRITICAL: f64 = 1e-2;
 
 /// Cosine, and sine over time, near critical damping: both are power series of z; `z^6 / 12!` is below rounding.
 #[inline(always)]
@@ -124,7 +175,7 @@ fn nearly_critical<S: Real>(z: S) -> [S; 2] {
 }
 
 /// Bound on `|x|` for [`exponential`].
-pub(super) const REACH: f64 = 0.5;
+const REACH: f64 = 0.5;
 
 /// `e^x` for `|x| <=` [`REACH`], to two roundings: Taylor series up to `x^15`, since `0.5^16 / 16!` is 7e-19.
 ///

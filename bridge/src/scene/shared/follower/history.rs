@@ -1,5 +1,6 @@
 //! What the frames of a side say that its peer may still hear of, of one run or of several side by side.
 
+use haptether_numeric::nowhere;
 use haptether_safety::{Axes, Real, Signal, is_within};
 
 /// What a frame says of a tick.
@@ -35,7 +36,7 @@ impl<const N: usize, S: Real> History<N, S> {
     #[inline(always)]
     pub(super) fn push(&mut self, sent: Sent<N, S>, force: Signal, heard: u64) -> S::SimdBool {
         if self.next - heard >= self.sent.len() as u64 && !self.grow() {
-            return S::zero().simd_lt(S::zero());
+            return nowhere::<S>();
         }
         let slot = self.slot(self.next);
         self.sent[slot] = sent;

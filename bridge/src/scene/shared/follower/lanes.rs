@@ -2,6 +2,7 @@
 //! withholds its force or diverges leaves, and is run by itself.
 
 use haptether_master::{MasterLanes, MasterLanesSample};
+use haptether_numeric::{Lanes, WIDTH, lanes_of};
 use haptether_safety::{Axes, Signal, is_within};
 use haptether_slave::{SlaveLanes, SlaveLanesSample};
 use nalgebra::SimdBool as _;
@@ -14,7 +15,6 @@ use crate::{
     Truth,
     coupling::PositionForce,
     endpoint::{HandLanes, SlaveTranslation, TranslationInput},
-    lanes::{Lanes, WIDTH},
     scene::{
         measures::Outcome,
         shared::connection::Step,
@@ -82,12 +82,6 @@ impl<const N: usize> Deciding<N> {
             watched: WatchedLanes::gather(&watched)?,
         })
     }
-}
-
-/// The lanes of a mask.
-#[inline(always)]
-fn lanes_of(mask: u64, count: usize) -> impl Iterator<Item = usize> {
-    (0..count).filter(move |lane| mask >> lane & 1 == 1)
 }
 
 impl<const N: usize> LaneFollowers<N> {

@@ -1,4 +1,4 @@
-//! Lanes of f64: the scalar type of sweeps.
+//! Lanes of f64: the number of sweeps.
 //!
 //! The compiler vectorizes loops over an array. A mask holds floats as well: bytes or bits per lane would give scalar
 //! logic.
@@ -10,18 +10,20 @@ use std::ops::{
 use nalgebra::{SimdBool, SimdPartialOrd, SimdValue};
 use num_traits::{One, Zero};
 
+use crate::Real;
+
 /// Number of lanes: two vectors of AVX2.
-pub(crate) const WIDTH: usize = 8;
+pub const WIDTH: usize = 8;
 
 /// One number per lane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(64))]
-pub(crate) struct Lanes([f64; WIDTH]);
+pub struct Lanes([f64; WIDTH]);
 
 /// One truth value per lane: 1 or 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(align(64))]
-pub(crate) struct LaneMask([f64; WIDTH]);
+pub struct LaneMask([f64; WIDTH]);
 
 const TRUE: f64 = 1.0;
 const FALSE: f64 = 0.0;
@@ -350,29 +352,7 @@ impl SimdPartialOrd for Lanes {
     }
 }
 
-impl haptether_safety::Real for Lanes {
-    #[inline(always)]
-    fn root(self) -> Self {
-        self.each(f64::sqrt)
-    }
-
-    #[inline(always)]
-    fn magnitude(self) -> Self {
-        self.each(f64::abs)
-    }
-
-    #[inline(always)]
-    fn larger(self, other: Self) -> Self {
-        self.with(other, |a, b| if a > b { a } else { b })
-    }
-
-    #[inline(always)]
-    fn lesser(self, other: Self) -> Self {
-        self.with(other, |a, b| if a < b { a } else { b })
-    }
-}
-
-impl haptether_master::Real for Lanes {
+impl Real for Lanes {
     #[inline(always)]
     fn root(self) -> Self {
         self.each(f64::sqrt)
@@ -387,32 +367,16 @@ impl haptether_master::Real for Lanes {
     fn rounded(self) -> Self {
         self.each(f64::round)
     }
-}
 
-impl haptether_slave::Real for Lanes {
     #[inline(always)]
-    fn root(self) -> Self {
-        self.each(f64::sqrt)
+    fn larger(self, other: Self) -> Self {
+        self.with(other, |a, b| if a > b { a } else { b })
     }
 
     #[inline(always)]
-    fn magnitude(self) -> Self {
-        self.each(f64::abs)
+    fn lesser(self, other: Self) -> Self {
+        self.with(other, |a, b| if a < b { a } else { b })
     }
-}
-
-/// Iterates over one instance per lane; spare lanes repeat the last one.
-pub(crate) fn padded<T>(of: &[T], lanes: usize) -> impl Iterator<Item = &T> {
-    (0..lanes).filter_map(|lane| of.get(lane).or(of.last()))
-}
-
-/// Pack a number of each instance, as [`padded`].
-pub(crate) fn packed<T, S: haptether_safety::Real>(of: &[T], number: impl Fn(&T) -> f64) -> S {
-    let mut lanes = S::zero();
-    for (lane, one) in padded(of, S::LANES).enumerate() {
-        lanes.replace(lane, number(one));
-    }
-    lanes
 }
 
 #[cfg(test)]
@@ -457,13 +421,13 @@ mod tests {
                 let (p, q) = (a[lane], b[lane]);
                 prop_assert!(same(x + y, lane, p + q) && same(x - y, lane, p - q));
                 prop_assert!(same(x * y, lane, p * q) && same(x / y, lane, p / q));
-                prop_assert!(same(-x, lane, -p) && same(haptether_safety::Real::magnitude(x), lane, p.abs()));
-                prop_assert!(same(haptether_safety::Real::root(x), lane, p.sqrt()));
-                prop_assert!(same(haptether_master::Real::rounded(x), lane, p.round()));
+                prop_assert!(same(-x, lane, -p) && same(Real::magnitude(x), lane, p.abs()));
+                prop_assert!(same(Real::root(x), lane, p.sqrt()));
+                prop_assert!(same(Real::rounded(x), lane, p.round()));
                 prop_assert!(same(x.simd_max(y), lane, p.simd_max(q)));
                 prop_assert!(same(x.simd_min(y), lane, p.simd_min(q)));
                 prop_assert!(same(x.select(mask, y), lane, p.select(m[lane], q)));
-                let most = haptether_safety::Real::magnitude(y);
+                let most = Real::magnitude(y);
                 prop_assert!(same(x.simd_clamp(-most, most), lane, p.simd_clamp(-q.abs(), q.abs())));
                 prop_assert_eq!(x.simd_lt(y).extract(lane), p < q);
                 prop_assert_eq!(x.simd_le(y).extract(lane), p <= q);
