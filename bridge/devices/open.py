@@ -27,7 +27,9 @@ REST_ATTEMPTS = 5
 """Number of attempts to bring a device to rest after its driver failed."""
 REST_EVERY_S = 2e-3
 LEAVE_S = 1.0
-"""Time in s that rest and close may take if another thread blocks the driver."""
+"""Time in s that rest and close may take if another thread blocks the driver; close also gets its `close_s`."""
+CLOSE_S = 5.0
+"""Time in s that a driver may take to close, beyond its `close_s`."""
 
 BRIDGE = Path(__file__).parents[1]
 """Source folder whose lines are skipped when a driver exception is located."""
@@ -240,13 +242,28 @@ def close_once(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None
             print(f"not closed: {text}", file=sys.stderr, flush=True)
 
 
+def lowering_s(device: object) -> float:
+    """Return the time in s for which `close` lowers an arm by the driver's own `close_s`; 0 without it."""
+    seconds: float | None = getattr(device, "close_s", None)
+    return seconds or 0.0
+
+
+def await_closed(thread: threading.Thread, device: object, notes: DeviceNotes) -> None:
+    """Wait for a loop thread that closes its device: it may take its `close_s` and 5 s, but it may also hang."""
+    if thread.is_alive() and notes.closing.locked():
+        thread.join(CLOSE_S + lowering_s(device))
+
+
 def leave_blocked(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None:
-    """Leave a driver with a blocked method: rest and close run on separate threads for 1 s."""
-    calls: tuple[Callable[[], object], ...] = (notes.rest, lambda: close_once(device, notes))
-    for call in calls if not notes.is_at_rest else calls[1:]:
+    """Leave a driver with a blocked method: rest and close run on separate threads, for 1 s and what close needs."""
+    calls: tuple[tuple[Callable[[], object], float], ...] = (
+        (notes.rest, LEAVE_S),
+        (lambda: close_once(device, notes), LEAVE_S + lowering_s(device)),
+    )
+    for call, limit_s in calls if not notes.is_at_rest else calls[1:]:
         beside = threading.Thread(target=call, name="haptether-leave", daemon=True)
         beside.start()
-        beside.join(LEAVE_S)
+        beside.join(limit_s)
 
 
 def failure(device: object, error: BaseException, *, rests: bool = True) -> DeviceError:

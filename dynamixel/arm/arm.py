@@ -286,10 +286,15 @@ class ServoArm:
         if self._bus is None:
             return
         try:
-            if self._fault is None:
+            if self._fault is None and not self._is_waiting:
                 self._let_down()
         finally:
             self._disconnect()
+
+    @property
+    def close_s(self) -> float:
+        """Time in s for which `close` lowers the arm."""
+        return self.settings.release_s
 
     def _refuse_to_end(self) -> NoReturn:
         """End the torque if an `open` or a recovery does not end."""

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from haptether.bridge.devices.check.finding import Finding, messages, raised
-from haptether.bridge.devices.check.report import CLOSE_S
+from haptether.bridge.devices.open import CLOSE_S
 from haptether.bridge.devices.standalone import StandaloneRun
 from haptether.slave import GripperSample
 
