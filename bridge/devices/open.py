@@ -8,6 +8,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from decimal import ROUND_CEILING, Context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -214,9 +215,10 @@ def check_period(device: "MasterDevice | SlaveDevice", key: str, period_s: float
     """
     cycle_s: float | None = getattr(device, "cycle_s", None)
     if period_s is not None and cycle_s is not None and cycle_s > period_s:
+        least_s = rounded_up(cycle_s)
         message = (
-            f"{key} = {period_s:g}: a cycle on the bus of this device takes {1e3 * cycle_s:.3g} ms: must be at least "
-            f"{cycle_s:.3g}; raise it, or the rate of the bus"
+            f"{key} = {period_s:g}: a cycle on the bus of this device takes {1e3 * least_s:g} ms: must be at least "
+            f"{least_s:g}; raise it, or the rate of the bus"
         )
         raise DeviceError(message)
     seen_s: float | None = getattr(device, "period_s", None)
@@ -228,6 +230,11 @@ def check_period(device: "MasterDevice | SlaveDevice", key: str, period_s: float
             f"set {key} = {seen_s:g}"
         )
         raise DeviceError(message)
+
+
+def rounded_up(seconds: float) -> float:
+    """Return a number of three digits that is not below the given one."""
+    return float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(repr(float(seconds))))
 
 
 def close_once(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None:

@@ -100,6 +100,19 @@ def test_a_driver_that_hangs_in_open_or_in_a_call_is_said_to(monkeypatch: pytest
 
 
 @live
+@pytest.mark.parametrize("wrong", [{"cycle_s": 0.00162}, {"paces": True, "period_s": 0.002}])
+def test_a_period_that_the_device_cannot_keep_is_refused_with_the_number(wrong: dict[str, Any]) -> None:
+    device = type("Timed", (drivers.Stylus,), wrong)()
+    found = checked(device, 0.5)
+    assert found["open()"][0] == "pass"
+    if "cycle_s" in wrong:
+        said = "period_s = 0.001: a cycle on the bus of this device takes 1.62 ms: must be at least 0.00162;"
+        assert found["period"] == ("mend", f"{said} raise it, or the rate of the bus")
+    assert not any("does not return" in text for _, text in found.values())
+    assert device.closed == 1
+
+
+@live
 @pytest.mark.parametrize("axes", [1, 3, 6])
 @anew_after_stalls
 def test_an_arm_is_read_and_stopped_and_never_moved(axes: int) -> None:

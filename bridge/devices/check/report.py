@@ -202,9 +202,13 @@ def _calls_of(run: StandaloneRun, method: str) -> int:
 
 
 def _opening(check: DeviceCheck) -> list[Finding]:
-    watched = check.run.watched
+    watched, error = check.run.watched, check.run.error
     if "open" in watched.failed:
         return [Finding("open()", "mend", raised(watched.failed["open"])), *_closed(check)]
+    if check.ended and error is not None and not check.run.is_open:
+        # The driver opened, and `opened` refused its period.
+        opened = Finding("open()", "pass", f"took {watched.took_s['open']:.2f} s")
+        return [opened, Finding("period", "mend", error.brief), *_closed(check)]
     if not check.run.is_open:
         return [Finding("open()", "mend", "does not return: nothing can be said of the rest"), *_closed(check)]
     return [Finding("open()", "pass", f"took {watched.took_s['open']:.2f} s")]
