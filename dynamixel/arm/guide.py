@@ -134,8 +134,8 @@ class Guide:
             while True:
                 before = self._angles()
                 self._ask(
-                    f"turn joint {joint + 1} (servo {servo.servo_id}) by 0.3 rad or more in its positive direction,"
-                    " hold the others, and press Enter"
+                    f"turn joint {joint + 1} (servo {servo.servo_id}) by {TURNED_RAD:g} rad or more in its positive"
+                    " direction, hold the others, and press Enter"
                 )
                 now = self._angles()
                 moved = now - begun
