@@ -30,6 +30,8 @@ STATUS: Final = (
 """Required value of each flag, fault otherwise, and remedy."""
 MAX_EVENTS: Final = 100
 """Events read per tick; a flood must not delay it."""
+GREETED_S: Final = 0.01
+"""Time in s for the first data of a port that is not that of the events."""
 EVENTS_S: Final = 0.005
 """Time in s for events per tick; the rest waits for the next tick."""
 EBRAKE: Final = "e-brake"
@@ -179,6 +181,21 @@ def opened_events(options: Inverse3Options, checklist: Checklist) -> Channel:
         raise
     checklist.ok("events", f"port {options.event_port}")
     return events
+
+
+def check_events(events: Channel, options: Inverse3Options, checklist: Checklist) -> None:
+    """Check that a new event channel sends events or nothing; the ordinary port sends its state to a new client.
+
+    Raises:
+        RefusedError: The channel sends other data, or is lost.
+    """
+    try:
+        if (received := events.peek(GREETED_S)) is not None:
+            event(received)
+    except (ChannelError, MessageError) as error:
+        remedy = "event_port must be that of the events, by default 10020"
+        checklist.refuse("events", f"port {options.event_port}: malformed event: {error}", remedy)
+        checklist.finish()
 
 
 def pending_events(events: Channel) -> list[Event]:

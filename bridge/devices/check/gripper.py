@@ -114,7 +114,7 @@ class GripperCheck:
         else:
             found.append(Finding("position", "pass", f"{positions[-1]:.3f} of 0 (open) to 1 (closed)"))
         if lead.faults:
-            found.append(Finding("faults", "note", f"the gripper reports: {'; '.join(lead.faults)}"))
+            found.append(Finding("faults", "mend", f"the gripper reports: {'; '.join(lead.faults)}"))
         return found
 
     def _at_rest(self) -> Finding:

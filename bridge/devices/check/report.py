@@ -116,7 +116,7 @@ class DeviceCheck:
         ]
         found += self._series()
         if self.form.faults:
-            found.append(Finding("faults", "note", f"the device reports: {'; '.join(self.form.faults)}"))
+            found.append(Finding("faults", "mend", f"the device reports: {'; '.join(self.form.faults)}"))
         found += self._calls()
         if self.lead.push is not None:
             found.append(self._pushed(self.lead.push))
