@@ -10,7 +10,7 @@ import numpy as np
 
 from haptether._core import DynamixelBus, SyncRead
 from haptether.dynamixel.arm.arm import Vector
-from haptether.dynamixel.arm.checks import answer_all
+from haptether.dynamixel.arm.checks import answer_all, opened_bus
 from haptether.dynamixel.arm.settings import TURN, ServoSettings
 from haptether.dynamixel.control_table import CENTRE, HOMING_OFFSET, PRESENT_POSITION, RAD_PER_TICK, TORQUE_ENABLE
 from haptether.dynamixel.models import BAUD_RATES, SERVO_MODELS_BY_NUMBER, OperatingMode, ServoModel
@@ -52,7 +52,7 @@ def find_servos(
     """
     found = []
     for baud in rates:
-        bus = DynamixelBus(port, baud=baud, timeout_s=timeout_s)
+        bus = opened_bus(port, baud, timeout_s)
         try:
             for servo_id in ids:
                 with contextlib.suppress(TimeoutError, RuntimeError):
