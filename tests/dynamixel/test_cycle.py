@@ -42,7 +42,7 @@ def test_positions_are_longer_than_currents() -> None:
 def test_the_number_of_a_refusal_is_accepted(cycle_s: float) -> None:
     def refusal(period_s: float) -> str:
         try:
-            check_period(SimpleNamespace(cycle_s=cycle_s, paces=False), "period_s", period_s)  # type: ignore[arg-type]
+            check_period(SimpleNamespace(cycle_s=cycle_s, paces=False), "period_s", period_s)
         except DeviceError as error:
             return str(error)
         return ""
