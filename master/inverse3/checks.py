@@ -30,8 +30,6 @@ STATUS: Final = (
 """Required value of each flag, fault otherwise, and remedy."""
 MAX_EVENTS: Final = 100
 """Events read per tick; a flood must not delay it."""
-GREETED_S: Final = 0.01
-"""Time in s for the first data of a port that is not that of the events."""
 EVENTS_S: Final = 0.005
 """Time in s for events per tick; the rest waits for the next tick."""
 EBRAKE: Final = "e-brake"
@@ -190,7 +188,7 @@ def check_events(events: Channel, options: Inverse3Options, checklist: Checklist
         RefusedError: The channel sends other data, or is lost.
     """
     try:
-        if (received := events.peek(GREETED_S)) is not None:
+        if (received := events.peek(0.0)) is not None:
             event(received)
     except (ChannelError, MessageError) as error:
         remedy = "event_port must be that of the events, by default 10020"
