@@ -62,6 +62,9 @@ class MasterDevice(Protocol):
     A driver that paces the loop may have `period_s`, the seconds between two samples, known once it is open. A scene
     whose `[run] period_s` differs by more than 1 % is then refused, before any force. A driver on a bus may have
     `cycle_s`, the shortest bus cycle in s, known once it is open; a shorter period is refused.
+
+    A driver whose `close` lowers an arm has `close_s`, the seconds that this takes; the end of a run waits for them,
+    and for 5 s more.
     """
 
     paces: bool

@@ -13,6 +13,7 @@ from haptether.bridge.devices.open import (
     KEEPS,
     DeviceError,
     DeviceNotes,
+    await_closed,
     check_kind,
     check_trigger,
     encodable,
@@ -33,7 +34,7 @@ else:
     _LiveSide = object
 
 JOIN_S = 10.0
-"""Time in s that the end of a run waits for a driver, for example to let an arm down."""
+"""Time in s that the end of a run waits for a driver to begin its close."""
 LOOK_S = 0.05
 """Interval in s of the check for a blocked driver call."""
 PROMPT_S = 0.25
@@ -208,7 +209,8 @@ def _drive(
     notes.realtime = realtime
     wait = None if device.paces else loop.wait
     try:
-        while True:
+        # A run that was stopped while its device opened does not read it: the first read may give an arm its torque.
+        while not loop.finished:
             if loop.take_acknowledgement():
                 # Acknowledged through the control socket.
                 notes.acknowledged_s = time.monotonic()
@@ -304,6 +306,7 @@ class DeviceRun(_LiveSide):
         end_s = time.monotonic() + JOIN_S
         while self._thread.is_alive() and time.monotonic() < end_s and not self._loop.is_blocked:
             self._thread.join(LOOK_S)
+        await_closed(self._thread, self._device, self.notes)
         if self._thread.is_alive():
             leave_blocked(self._device, self.notes)
 
@@ -354,12 +357,18 @@ class DeviceRun(_LiveSide):
         self._loop.stop()
 
     def give_up(self) -> None:
-        """End a run whose device does not open; if `open` does not return within 1 s, close the device here."""
+        """End a run whose device does not open; if `open` does not return within 1 s, close the device here.
+
+        A device that opened meanwhile is closed by its loop, which gets the time for that.
+        """
         self._loop.stop()
         self._thread.join(GIVE_UP_S)
+        await_closed(self._thread, self._device, self.notes)
         atexit.unregister(self._leave)
         if self._thread.is_alive():
             leave_blocked(self._device, self.notes)
+            # An `open` that its close has ended returns at once.
+            self._thread.join(GIVE_UP_S)
         self._unquiet()
 
     def _unquiet(self) -> None:

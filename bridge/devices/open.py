@@ -8,6 +8,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from decimal import ROUND_CEILING, Context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,7 +28,9 @@ REST_ATTEMPTS = 5
 """Number of attempts to bring a device to rest after its driver failed."""
 REST_EVERY_S = 2e-3
 LEAVE_S = 1.0
-"""Time in s that rest and close may take if another thread blocks the driver."""
+"""Time in s that rest and close may take if another thread blocks the driver; close also gets its `close_s`."""
+CLOSE_S = 5.0
+"""Time in s that a driver may take to close, beyond its `close_s`."""
 
 BRIDGE = Path(__file__).parents[1]
 """Source folder whose lines are skipped when a driver exception is located."""
@@ -212,9 +215,10 @@ def check_period(device: "MasterDevice | SlaveDevice", key: str, period_s: float
     """
     cycle_s: float | None = getattr(device, "cycle_s", None)
     if period_s is not None and cycle_s is not None and cycle_s > period_s:
+        least_s = rounded_up(cycle_s)
         message = (
-            f"{key} = {period_s:g}: a cycle on the bus of this device takes {1e3 * cycle_s:.3g} ms: must be at least "
-            f"{cycle_s:.3g}; raise it, or the rate of the bus"
+            f"{key} = {period_s:g}: a cycle on the bus of this device takes {1e3 * least_s:g} ms: must be at least "
+            f"{least_s:g}; raise it, or the rate of the bus"
         )
         raise DeviceError(message)
     seen_s: float | None = getattr(device, "period_s", None)
@@ -226,6 +230,11 @@ def check_period(device: "MasterDevice | SlaveDevice", key: str, period_s: float
             f"set {key} = {seen_s:g}"
         )
         raise DeviceError(message)
+
+
+def rounded_up(seconds: float) -> float:
+    """Return a number of three digits that is not below the given one."""
+    return float(Context(prec=3, rounding=ROUND_CEILING).create_decimal(repr(float(seconds))))
 
 
 def close_once(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None:
@@ -240,13 +249,28 @@ def close_once(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None
             print(f"not closed: {text}", file=sys.stderr, flush=True)
 
 
+def lowering_s(device: object) -> float:
+    """Return the time in s for which `close` lowers an arm by the driver's own `close_s`; 0 without it."""
+    seconds: float | None = getattr(device, "close_s", None)
+    return seconds or 0.0
+
+
+def await_closed(thread: threading.Thread, device: object, notes: DeviceNotes) -> None:
+    """Wait for a loop thread that closes its device: it may take its `close_s` and 5 s, but it may also hang."""
+    if thread.is_alive() and notes.closing.locked():
+        thread.join(CLOSE_S + lowering_s(device))
+
+
 def leave_blocked(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None:
-    """Leave a driver with a blocked method: rest and close run on separate threads for 1 s."""
-    calls: tuple[Callable[[], object], ...] = (notes.rest, lambda: close_once(device, notes))
-    for call in calls if not notes.is_at_rest else calls[1:]:
+    """Leave a driver with a blocked method: rest and close run on separate threads, for 1 s and what close needs."""
+    calls: tuple[tuple[Callable[[], object], float], ...] = (
+        (notes.rest, LEAVE_S),
+        (lambda: close_once(device, notes), LEAVE_S + lowering_s(device)),
+    )
+    for call, limit_s in calls if not notes.is_at_rest else calls[1:]:
         beside = threading.Thread(target=call, name="haptether-leave", daemon=True)
         beside.start()
-        beside.join(LEAVE_S)
+        beside.join(limit_s)
 
 
 def failure(device: object, error: BaseException, *, rests: bool = True) -> DeviceError:

@@ -73,9 +73,12 @@ def _check_axes(scene: Scene, device: "MasterDevice | SlaveDevice", side: Litera
     axes = getattr(device, "axes", None)
     if axes is not None and axes != scene.master.axes:
         kind = "device" if side == "master" else "arm"
+        options = getattr(device, "options", None)
+        key = next((key for key in ("axes", "arm") if hasattr(options, key)), None)
         message = (
             f"{side}.options: the {kind} has {axes} axes, the scene {scene.master.axes}: must be as many;"
-            f" set axes = {axes} in [master], or `axes` in [{side}.options]"
+            f" set axes = {axes} in [master], or "
+            + (f"another `{key}` in [{side}.options]" if key is not None else f"take another driver in [{side}]")
         )
         raise ValueError(message)
 

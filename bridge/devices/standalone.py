@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple, Protocol
 from haptether.bridge.devices.open import (
     DeviceError,
     DeviceNotes,
+    await_closed,
     failure,
     leave_blocked,
     opened,
@@ -20,7 +21,7 @@ from haptether.bridge.interpreter import QUIET
 Written = tuple[tuple[float, ...], ...]
 """Arguments of a driver's `write`: force, and torque for a pose."""
 LEAVE_S = 5.0
-"""Time in s that the end waits for a blocked driver, and the limit for close."""
+"""Time in s that the end waits for a driver to begin its close."""
 PRIORITY = 80
 """SCHED_FIFO priority, if the system grants it; same as the loops of both sides."""
 SHORTEST_S = 1e-4
@@ -81,6 +82,11 @@ class WatchedDevice:
     def cycle_s(self) -> float | None:
         """Shortest bus cycle in s, or None if the driver does not know it."""
         return getattr(self.device, "cycle_s", None)
+
+    @property
+    def close_s(self) -> float | None:
+        """Time in s for which `close` lowers an arm, or None if the driver does not say."""
+        return getattr(self.device, "close_s", None)
 
     def has(self, method: str) -> bool:
         """True if the driver has an optional method."""
@@ -212,6 +218,7 @@ class StandaloneRun:
     def _leave(self) -> None:
         self._stopping.set()
         self._thread.join(LEAVE_S)
+        await_closed(self._thread, self.watched, self.notes)
 
     def _run(self) -> None:
         try:

@@ -18,6 +18,7 @@ from haptether._core import DynamixelBus, SyncRead
 from haptether.checklist import Checklist
 from haptether.dynamixel.arm.checks import (
     ANSWERS_ALL,
+    NO_PORT,
     ArmRefusedError,
     ServoRegisters,
     answer_all,
@@ -27,6 +28,7 @@ from haptether.dynamixel.arm.checks import (
     check_present,
     check_servo,
     knows_fast_reads,
+    opened_bus,
 )
 from haptether.dynamixel.arm.cycle import cycle_s
 from haptether.dynamixel.arm.faults import ArmFaultError, FaultKind, hardware_error
@@ -286,10 +288,15 @@ class ServoArm:
         if self._bus is None:
             return
         try:
-            if self._fault is None:
+            if self._fault is None and not self._is_waiting:
                 self._let_down()
         finally:
             self._disconnect()
+
+    @property
+    def close_s(self) -> float:
+        """Time in s for which `close` lowers the arm."""
+        return self.settings.release_s
 
     def _refuse_to_end(self) -> NoReturn:
         """End the torque if an `open` or a recovery does not end."""
@@ -475,9 +482,13 @@ class ServoArm:
         checklist.finish()
         if self._bus is None:
             try:
-                self._bus = DynamixelBus(settings.port, baud=settings.baud, timeout_s=settings.timeout_s)
+                self._bus = opened_bus(settings.port, settings.baud, settings.timeout_s)
             except OSError as error:
-                checklist.refuse("port", str(error), "end what else has it, and see that the adapter knows this rate")
+                if error.errno in NO_PORT:
+                    found, remedy = str(error.strerror), "/dev/serial/by-id names the ports of adapters"
+                else:
+                    found, remedy = str(error), "end what else has it, and see that the adapter knows this rate"
+                checklist.refuse("port", found, remedy)
                 checklist.finish()
         try:
             if restart:

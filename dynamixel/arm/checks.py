@@ -1,6 +1,7 @@
 """Checks before a servo arm gets torque: one line each, with a remedy."""
 
 import contextlib
+import errno
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -33,6 +34,8 @@ BESIDE_RAD: Final = 0.1
 PROFILES: Final = ("Profile Acceleration", "Profile Velocity")
 """0 is no profile; a profile of another program would lag behind the driver's goals."""
 SYSTEM: Final = Path("/sys")
+NO_PORT: Final = (errno.ENOTTY, errno.EISDIR)
+"""Error numbers of a file, folder or device that is no serial port."""
 
 
 class ArmRefusedError(RefusedError):
@@ -67,6 +70,20 @@ def check_port(port: str, checklist: Checklist, system: Path = SYSTEM) -> float:
         remedy=f"echo {LATENCY_MS} | sudo tee {timer}, or the udev rule of docs/dynamixel.md",
     )  # fmt: skip
     return found_ms * 1e-3
+
+
+def opened_bus(port: str, baud: int, timeout_s: float) -> DynamixelBus:
+    """Open a bus.
+
+    Raises:
+        OSError: The path is no serial port, or the port cannot be opened at this rate.
+    """
+    try:
+        return DynamixelBus(port, baud=baud, timeout_s=timeout_s)
+    except OSError as error:
+        if error.errno in NO_PORT:
+            raise OSError(error.errno, "is no serial port", port) from None
+        raise
 
 
 def answering_rate(settings: ArmSettings, go_on: Callable[[], None]) -> int | None:

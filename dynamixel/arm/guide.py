@@ -10,7 +10,7 @@ import numpy as np
 
 from haptether._core import DynamixelBus, SyncRead
 from haptether.dynamixel.arm.arm import Vector
-from haptether.dynamixel.arm.checks import answer_all
+from haptether.dynamixel.arm.checks import answer_all, opened_bus
 from haptether.dynamixel.arm.settings import TURN, ServoSettings
 from haptether.dynamixel.control_table import CENTRE, HOMING_OFFSET, PRESENT_POSITION, RAD_PER_TICK, TORQUE_ENABLE
 from haptether.dynamixel.models import BAUD_RATES, SERVO_MODELS_BY_NUMBER, OperatingMode, ServoModel
@@ -52,7 +52,7 @@ def find_servos(
     """
     found = []
     for baud in rates:
-        bus = DynamixelBus(port, baud=baud, timeout_s=timeout_s)
+        bus = opened_bus(port, baud, timeout_s)
         try:
             for servo_id in ids:
                 with contextlib.suppress(TimeoutError, RuntimeError):
@@ -134,8 +134,8 @@ class Guide:
             while True:
                 before = self._angles()
                 self._ask(
-                    f"turn joint {joint + 1} (servo {servo.servo_id}) by 0.3 rad or more in its positive direction,"
-                    " hold the others, and press Enter"
+                    f"turn joint {joint + 1} (servo {servo.servo_id}) by {TURNED_RAD:g} rad or more in its positive"
+                    " direction, hold the others, and press Enter"
                 )
                 now = self._angles()
                 moved = now - begun

@@ -78,6 +78,11 @@ class DynamixelMaster:
         """Shortest bus cycle in s, once open."""
         return self.servos.cycle_s
 
+    @property
+    def close_s(self) -> float:
+        """Time in s for which `close` lowers the arm."""
+        return self.servos.close_s
+
     def open(self) -> None:
         """Run the checklist of the bus; torque starts with the first `read`, and rises from 0.
 

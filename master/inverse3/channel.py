@@ -82,6 +82,14 @@ class Channel:
         Raises:
             ChannelError: The connection is lost.
         """
+        return None if self.peek(limit_s) is None else self._frames.pop(0)
+
+    def peek(self, limit_s: float) -> bytes | None:
+        """Return the next frame as `frame` does, and leave it there.
+
+        Raises:
+            ChannelError: The connection is lost.
+        """
         end_s = time.monotonic() + limit_s
         while not self._frames and (left_s := end_s - time.monotonic()) > -DRAIN_S:
             try:
@@ -90,7 +98,7 @@ class Channel:
                 return None
             except (OSError, WebSocketException) as error:
                 raise ChannelError(_text(error)) from None
-        return self._frames.pop(0) if self._frames else None
+        return self._frames[0] if self._frames else None
 
     def send_last(self, message: bytes) -> None:
         """Send a text frame before `close`, even if received data was not WebSocket."""

@@ -181,6 +181,21 @@ def opened_events(options: Inverse3Options, checklist: Checklist) -> Channel:
     return events
 
 
+def check_events(events: Channel, options: Inverse3Options, checklist: Checklist) -> None:
+    """Check that a new event channel sends events or nothing; the ordinary port sends its state to a new client.
+
+    Raises:
+        RefusedError: The channel sends other data, or is lost.
+    """
+    try:
+        if (received := events.peek(0.0)) is not None:
+            event(received)
+    except (ChannelError, MessageError) as error:
+        remedy = "event_port must be that of the events, by default 10020"
+        checklist.refuse("events", f"port {options.event_port}: malformed event: {error}", remedy)
+        checklist.finish()
+
+
 def pending_events(events: Channel) -> list[Event]:
     """Return the events that have arrived.
 

@@ -16,6 +16,7 @@ from haptether.master.inverse3.channel import Channel, ChannelError
 from haptether.master.inverse3.checks import (
     EBRAKE,
     brake,
+    check_events,
     chosen_device,
     chosen_grip,
     event_fault,
@@ -266,6 +267,7 @@ class Inverse3:
             if channel.frame(1.0) is None:
                 checklist.refuse("reply", "none within 1 s", "does the service answer the vendor's own demos?")
                 checklist.finish()
+            check_events(events, options, checklist)
             if self._ending.is_set():
                 raise RefusedError(CLOSED)
         except BaseException:

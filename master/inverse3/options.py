@@ -56,6 +56,8 @@ def inverse3_options(given: Mapping[str, Any]) -> Inverse3Options:
     options = converted(Inverse3Options, given, DEVICE, {})
     if not options.host or any(sign.isspace() or sign in ":/" for sign in options.host):
         raise refused(DEVICE, "host", options.host, "must be an IPv4 address or a name, without a port")
+    if options.event_port == options.port:
+        raise refused(DEVICE, "event_port", options.event_port, "must be another port than `port`: that of the events")
     if not all(sign.isalnum() or sign in "-_" for sign in options.device_id):
         raise refused(DEVICE, "device_id", options.device_id, "must be letters and digits")
     check_frame(DEVICE, options.axes, options.origin)

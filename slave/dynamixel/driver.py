@@ -47,6 +47,11 @@ class DynamixelSlave:
         """Shortest bus cycle in s, once open."""
         return self.servos.cycle_s
 
+    @property
+    def close_s(self) -> float:
+        """Time in s for which `close` lowers the arm."""
+        return self.servos.close_s
+
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
         self.options: DynamixelSlaveOptions = dynamixel_slave_options(options)
         self.settings: ArmSettings = self.options.settings()

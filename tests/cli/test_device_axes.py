@@ -32,3 +32,19 @@ def test_axes_of_a_driver_are_those_of_its_scene(
     assert status != 0
     said = " ".join(capsys.readouterr().err.split())
     assert f"master.options: the device has {has} axes, the scene {axes}: must be as many; set axes = {has}" in said
+    assert "in [master], or another `axes` in [master.options]" in said
+
+
+def test_the_refusal_of_a_follower_names_an_option_that_it_has(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arm, scene = tmp_path / "arm.toml", tmp_path / "cell.toml"
+    arm.write_text('[[servo]]\nid = 1\nmodel = "XM430-W350"\n[[servo]]\nid = 2\nmodel = "XM430-W350"\n')
+    scene.write_text(
+        'schema = 1\n[master]\nkind = "joints"\naxes = 6\nmass_kg = 0.1\n[slave]\ndevice = "dynamixel"\n'
+        f'options = {{ port = "{tmp_path / "port"}", arm = "{arm}" }}\n'
+    )
+    assert main(["slave", "--scene", str(scene), "--listen", "127.0.0.1:0", "--insecure"]) != 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "the arm has 2 axes, the scene 6: must be as many; set axes = 2 in [master], or another `arm` in" in said
+    assert "`axes`" not in said

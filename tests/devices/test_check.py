@@ -17,8 +17,8 @@ from tests.ur.stalls import anew_after_stalls
 from haptether.bridge.devices.check.form import Reading, SampleForm, check_kinds
 from haptether.bridge.devices.check.push import GAP_S, MAX_PUSH, MAX_SPEED, MAX_TRAVEL, Push, profile
 from haptether.bridge.devices.check.report import DeviceCheck, SecondRun
-from haptether.bridge.devices.check.series import check_renewal
-from haptether.bridge.devices.standalone import wait_until
+from haptether.bridge.devices.check.series import check_blocking, check_renewal
+from haptether.bridge.devices.standalone import Tick, wait_until
 from haptether.master import MasterSample
 from haptether.slave import SlaveSample
 
@@ -96,6 +96,40 @@ def test_a_driver_that_hangs_in_open_or_in_a_call_is_said_to(monkeypatch: pytest
     found = checked(device, 0.5)
     assert found["read()"] == ("mend", "does not return: nobody can take the device's force away")
     assert "KEEPS ITS LAST COMMAND" in found["zero at begin and end"][1]
+    assert device.closed == 1
+
+
+@pytest.mark.parametrize(
+    ("first_s", "later_s", "verdict"),
+    [
+        (0.025, 0.002, "pass"),
+        (0.9, 0.019, "pass"),
+        (0.002, 0.025, "mend"),
+        (1.2, 0.002, "mend"),
+        (0.025, 0.025, "mend"),
+    ],
+)
+def test_the_first_read_may_give_an_arm_its_torque(first_s: float, later_s: float, verdict: str) -> None:
+    def tick(index: int, read_s: float) -> Tick:
+        return Tick(float(index), index + read_s, index + read_s, None, ((0.0,),))
+
+    ticks = [tick(0, first_s), *(tick(index, later_s) for index in range(1, 5))]
+    found = check_blocking(ticks, paces=False, said_s=None)
+    assert found.verdict == verdict, found
+    assert ("the first read() took" in found.text) == (first_s > 1.0)
+    assert ("took longer than 20 ms 4 times" in found.text) == (later_s > 0.02)
+
+
+@live
+@pytest.mark.parametrize("wrong", [{"cycle_s": 0.00162}, {"paces": True, "period_s": 0.002}])
+def test_a_period_that_the_device_cannot_keep_is_refused_with_the_number(wrong: dict[str, Any]) -> None:
+    device = type("Timed", (drivers.Stylus,), wrong)()
+    found = checked(device, 0.5)
+    assert found["open()"][0] == "pass"
+    if "cycle_s" in wrong:
+        said = "period_s = 0.001: a cycle on the bus of this device takes 1.62 ms: must be at least 0.00162;"
+        assert found["period"] == ("mend", f"{said} raise it, or the rate of the bus")
+    assert not any("does not return" in text for _, text in found.values())
     assert device.closed == 1
 
 

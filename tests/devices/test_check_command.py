@@ -59,6 +59,7 @@ def test_each_error_is_printed_once_and_without_its_source(
     printed = ended.stdout + ended.stderr
     assert printed.count(message) == 1, printed
     assert verdict in ended.stdout
+    assert ended.returncode == 1, "a fault in the run is no pass"
     assert ".py" not in printed
     # The report is complete without the printed text.
     assert message in (tmp_path / "report.json").read_text()
@@ -134,7 +135,7 @@ def test_a_bad_request_is_one_line_and_status_2_and_opens_nothing(
         ("slow", 1, "must be at most 5 ms"),
         ("none", 1, "read() gives NoneType: must be a GripperSample"),
         ("hold", 1, "hold() raises: the jaws may go on as they were sent"),
-        ("fault", 0, "the gripper reports: overheating: let it cool"),
+        ("fault", 1, "the gripper reports: overheating: let it cool"),
     ],
 )
 def test_jaws_are_held_and_never_sent_anywhere(tmp_path: Path, wrong: str, status: int, said: str) -> None:

@@ -1,5 +1,9 @@
 """Every end of every driver leaves zero force or a stop: end of run, exception, Ctrl-C, refusal, lost connection."""
 
+import signal
+import subprocess
+import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -15,6 +19,8 @@ from tests.haptic.standins import Standin, built
 from tests.ur.fake_rtde import START_POSE, Arm, install
 from tests.ur.stalls import anew_after_stalls
 
+from haptether.bridge import MasterLoop, MasterRun, load_scene, scene_json
+from haptether.bridge.devices.check.report import DeviceCheck
 from haptether.bridge.devices.loop import drive_master, drive_slave
 from haptether.bridge.devices.open import DeviceError
 from haptether.master import MasterSample
@@ -44,6 +50,7 @@ class Loop:
     trigger_force: float | None = None
     gripper_command: None = None
     ticks: int = 0
+    finished: bool = False
     said: list[str] = field(default_factory=list)
 
     def begin(self, _driver: str = "") -> str:
@@ -213,7 +220,7 @@ def torque_is_off(bus: EmulatedBus) -> bool:
 PATIENT = {"timeout_s": 0.05, "watchdog_s": 0.5, "ramp_s": 0.1, "verify_watchdog": False}
 
 
-def leader(parts: Parts, _patch: pytest.MonkeyPatch) -> Device:
+def leader(parts: Parts, _patch: pytest.MonkeyPatch | None = None) -> Device:
     path = parts.folder / "two.toml"
     path.write_text(TWO_LINKS)
     bus = parts.bus("leader", "--arm", str(path))
@@ -369,3 +376,135 @@ def test_a_driver_that_gives_up_leaves_its_device_at_rest(devices: Callable[[str
             time.sleep(0.01)
     finally:
         driver.close()
+
+
+class Lowered(PlainMaster):
+    """An arm with torque from its first `read` on, which `close` lowers for longer than the end of a run waits."""
+
+    close_s = 0.3
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.blocks = ""
+        self.entered, self.let = threading.Event(), threading.Event()
+
+    def _block(self, method: str) -> None:
+        if self.blocks == method:
+            self.entered.set()
+            self.let.wait(PATIENCE_S)
+
+    def open(self) -> None:
+        self._block("open")
+        self.calls.append("open")
+
+    def read(self) -> MasterSample:
+        self.kept = FORCE
+        self.calls.append("read")
+        self._block("read")
+        return MasterSample(0.0)
+
+    def write(self, force: tuple[float, ...], _velocity: tuple[float, ...] | None = None) -> None:
+        pass
+
+    def close(self) -> None:
+        time.sleep(self.close_s)
+        self.kept = 0.0
+        self.calls.append("close")
+
+
+def master_run(device: Any) -> MasterRun:  # noqa: ANN401  # of any kind
+    scene = scene_json(load_scene("remote_push", ["environment.pushers=[]"]))
+    return MasterRun(device, MasterLoop(scene, peer="127.0.0.1:9", run_id=1, insecure=True))
+
+
+def give_up(device: Lowered) -> None:
+    run = master_run(device)
+    assert device.entered.wait(PATIENCE_S)
+    threading.Timer(0.05, device.let.set).start()
+    run.give_up()
+    assert run.finished
+
+
+def finish(device: Lowered) -> None:
+    run = master_run(device)
+    until(lambda: "read" in device.calls)
+    device.let.set()
+    run.finish()
+    assert run.finished
+
+
+def end_alone(device: Lowered) -> None:
+    check = DeviceCheck(device, "master", "linear")
+    until(lambda: "read" in device.calls)
+    device.let.set()
+    check.end()
+    assert check.ended
+    closed = next(finding for finding in check.findings() if finding.check == "close()")
+    assert closed.verdict == "pass", closed
+
+
+def until(done: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + PATIENCE_S
+    while not done():
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(("leave", "blocks"), [(give_up, "open"), (give_up, "read"), (finish, ""), (end_alone, "")])
+def test_a_close_gets_the_time_that_its_driver_states(
+    monkeypatch: pytest.MonkeyPatch, leave: Callable[[Lowered], None], blocks: str
+) -> None:
+    devices = "haptether.bridge.devices"
+    for name in ("loop.GIVE_UP_S", "loop.JOIN_S", "standalone.LEAVE_S", "open.LEAVE_S"):
+        monkeypatch.setattr(f"{devices}.{name}", 0.15)
+    for module in ("open", "check.report"):
+        monkeypatch.setattr(f"{devices}.{module}.CLOSE_S", 0.2)
+    device = Lowered()
+    device.blocks = blocks
+    leave(device)
+    assert device.kept == 0.0, "it keeps its torque"
+    assert device.calls[-1] == "close"
+    if blocks == "open":
+        assert device.calls == ["open", "close"], "it was given torque after the stop"
+
+
+def test_ctrl_c_while_a_leader_opens_ends_without_torque(parts: Parts, tmp_path: Path) -> None:
+    device = leader(parts)
+    options = "".join(f"{key} = {str(value).lower()}\n" for key, value in PATIENT.items())
+    scene = tmp_path / "leader.toml"
+    scene.write_text(
+        f"""schema = 1
+[master]
+kind = "joints"
+axes = 2
+mass_kg = [0.02, 0.03]
+driver = "dynamixel"
+[master.options]
+port = "{device.driver.options.port}"
+arm = "{parts.folder / "two.toml"}"
+{options}
+[slave]
+[safety]
+controllers = ["wsc"]
+"""
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-m", "haptether", "master", "--scene", str(scene), "--peer", "127.0.0.1:9", "--insecure"],
+        stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        assert process.stderr is not None
+        said = ""
+        while "took torque" not in said:
+            part = process.stderr.readline()
+            assert part, said
+            said += part
+        process.send_signal(signal.SIGINT)
+        _, rest = process.communicate(timeout=60)
+    finally:
+        process.kill()
+        process.wait()
+    said += rest
+    assert process.returncode in {0, 130}, said
+    assert "NOT known to be closed" not in said
+    assert device.rests(), said

@@ -159,6 +159,10 @@ def test_a_joint_counts_from_where_it_stood_when_it_was_asked_for(
     refused = [line for line in arm.said if "once more" in line]
     assert len(refused) == len(refusals)
     assert all(line.startswith(begin) for line, begin in zip(refused, refusals, strict=True))
+    asked = {float(line.split(" rad or more")[0].split()[-1]) for line in arm.said if line.startswith("turn joint")}
+    accepted = {float(line.split("must be ")[1].split()[0]) for line in refused if "must be " in line}
+    assert accepted <= asked
+    assert len(asked) == 1
 
 
 def at_least_one_read() -> None:

@@ -1,12 +1,15 @@
 """Duration of a cycle on the bus; a faster loop is refused with that number."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from tests.dynamixel.emulated import emulated_bus
 
 from haptether.bridge import DeviceError
-from haptether.bridge.devices.open import DeviceNotes, opened
+from haptether.bridge.devices.open import DeviceNotes, check_period, opened
 from haptether.dynamixel import OperatingMode
 from haptether.dynamixel.arm import ArmSettings, ServoSettings, write_calibration
 from haptether.dynamixel.arm.cycle import cycle_s
@@ -33,6 +36,35 @@ def test_positions_are_longer_than_currents() -> None:
     of = [cycle_s(ArmSettings(port="/dev/null", servos=one), fast=True) for one in (both[:2], both)]
     # The request, the answer and a write of its own.
     assert of[1] - of[0] == pytest.approx(10 * (1 + 14 + 19) / 4_000_000)
+
+
+@given(st.floats(1e-5, 10.0))
+def test_the_number_of_a_refusal_is_accepted(cycle_s: float) -> None:
+    def refusal(period_s: float) -> str:
+        try:
+            check_period(SimpleNamespace(cycle_s=cycle_s, paces=False), "period_s", period_s)
+        except DeviceError as error:
+            return str(error)
+        return ""
+
+    message = refusal(0.5 * cycle_s)
+    least_s = float(message.partition("must be at least ")[2].partition(";")[0])
+    assert least_s == pytest.approx(cycle_s, rel=0.011)
+    assert 1e-3 * float(message.partition("takes ")[2].partition(" ms")[0]) == pytest.approx(least_s, rel=1e-9)
+    assert refusal(least_s) == ""
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("baud", [57_600, 1_000_000])
+def test_a_refused_period_is_no_fault_of_a_servo(tmp_path: Path, capfd: pytest.CaptureFixture[str], baud: int) -> None:
+    arm = tmp_path / "arm.toml"
+    write_calibration(arm, baud, servos(2))
+    with emulated_bus("--servos", "1=XM430-W350", "2=XM430-W350", "--baud", str(baud)) as emulated:
+        driver = DynamixelSlave(port=emulated.port, arm=str(arm), verify_watchdog=False, timeout_s=0.1)
+        with pytest.raises(DeviceError, match="a cycle on the bus"), opened(driver, DeviceNotes(), "period_s", 1e-4):
+            pytest.fail("it must not be driven")
+        assert not any(servo["torque"] for servo in emulated.status()["servos"])
+    assert "fault" not in capfd.readouterr().err
 
 
 @pytest.mark.live

@@ -1,10 +1,14 @@
 """`--port PORT` of the bus commands, as an alternative to their first argument."""
 
+import os
+from pathlib import Path
+
 import pytest
 
 from haptether.cli.dynamixel.calibrate import Calibrate
 from haptether.cli.dynamixel.find import Find
 from haptether.cli.entry import main, parse
+from haptether.dynamixel.arm import ArmRefusedError, ArmSettings, ServoArm, ServoSettings
 
 
 @pytest.mark.parametrize(
@@ -30,3 +34,23 @@ def test_a_port_that_is_missing_or_there_twice_is_refused(arguments: list[str]) 
     with pytest.raises(SystemExit) as ended:
         main(["dynamixel", "find", *arguments])
     assert ended.value.code == 2
+
+
+@pytest.mark.parametrize("kind", ["/dev/null", "folder", "file", "pipe"])
+def test_a_path_that_is_no_serial_port_is_said_to_be_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    port = tmp_path / "port"
+    if kind == "folder":
+        port.mkdir()
+    elif kind == "file":
+        port.touch()
+    elif kind == "pipe":
+        os.mkfifo(port)
+    else:
+        port = Path(kind)
+    arm = ServoArm(ArmSettings(port=str(port), servos=(ServoSettings(servo_id=1, model="XM430-W350"),)), lambda _: None)
+    with pytest.raises(ArmRefusedError, match=r"port: is no serial port: /dev/serial/by-id"):
+        arm.open()
+    assert main(["dynamixel", "find", str(port)]) != 0
+    assert f"{port}: is no serial port" in capsys.readouterr().err

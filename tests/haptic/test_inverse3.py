@@ -13,12 +13,15 @@ from tests.haptic.emulated import EmulatedInverse, emulated_service
 from tests.haptic.ticks import begun, step, until
 from tests.ur.stalls import anew_after_stalls
 
-from haptether.checklist import RefusedError
+from haptether.checklist import Checklist, RefusedError
 from haptether.master.inverse3 import Inverse3
+from haptether.master.inverse3.channel import Channel
+from haptether.master.inverse3.checks import check_events, opened_events
 from haptether.master.inverse3.driver import MAX_LATE
 from haptether.master.inverse3.emulator import EmulatedInverse3, EmulatedSettings, Service
 from haptether.master.inverse3.emulator.service import DEVICE_ID
 from haptether.master.inverse3.messages import ForceMessage, InverseDevice, MessageError, configuration, reply
+from haptether.master.inverse3.options import inverse3_options
 
 pytestmark = pytest.mark.live
 
@@ -154,6 +157,31 @@ def test_a_device_that_is_not_ready_is_refused(
     driver.close()
     assert said in str(refused.value)
     service.wait_for("clients", 0)
+
+
+def test_the_ordinary_port_is_no_port_of_events(service: EmulatedInverse) -> None:
+    with pytest.raises(ValueError, match=r"event_port = .*: must be another port than `port`"):
+        Inverse3(**{**service.options, "event_port": service.port})
+    options = inverse3_options({"port": 1, "event_port": service.port})
+    checklist = Checklist("inverse3", lambda _: None)
+    events = opened_events(options, checklist)
+    try:
+        assert events.peek(5.0) is not None
+        with pytest.raises(RefusedError, match=r"malformed event: .*: event_port must be that of the events"):
+            check_events(events, options, checklist)
+    finally:
+        events.close()
+
+
+def test_a_frame_that_was_peeked_at_stays(service: EmulatedInverse) -> None:
+    channel = Channel("127.0.0.1", service.port)
+    try:
+        first = channel.peek(5.0)
+        assert first is not None
+        assert channel.peek(0.0) == first
+        assert channel.frame(0.0) == first
+    finally:
+        channel.close()
 
 
 def test_the_checklist_says_what_changes_forces(service: EmulatedInverse, capfd: pytest.CaptureFixture[str]) -> None:

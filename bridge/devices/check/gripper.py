@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from haptether.bridge.devices.check.finding import Finding, messages, raised
-from haptether.bridge.devices.check.report import CLOSE_S
+from haptether.bridge.devices.open import CLOSE_S
 from haptether.bridge.devices.standalone import StandaloneRun
 from haptether.slave import GripperSample
 
@@ -114,7 +114,7 @@ class GripperCheck:
         else:
             found.append(Finding("position", "pass", f"{positions[-1]:.3f} of 0 (open) to 1 (closed)"))
         if lead.faults:
-            found.append(Finding("faults", "note", f"the gripper reports: {'; '.join(lead.faults)}"))
+            found.append(Finding("faults", "mend", f"the gripper reports: {'; '.join(lead.faults)}"))
         return found
 
     def _at_rest(self) -> Finding:
