@@ -46,6 +46,9 @@ class SlaveDevice(Protocol):
     than 1 % is then refused, before any motion. A driver on a bus may have `cycle_s`, the shortest bus cycle in s,
     known once it is open; a shorter period is refused.
 
+    Optional `give_up()` is called on another thread if the command ends while `open` runs. It returns at once, and
+    `open` raises an exception soon.
+
     A driver whose arm has torque from `open` on, and may fall when it is closed, sets `exerts_by_itself = True`:
     `check-device` and `haptether slave` announce this before they open it.
 

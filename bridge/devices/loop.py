@@ -18,6 +18,7 @@ from haptether.bridge.devices.open import (
     encodable,
     failure,
     fault_text,
+    give_up,
     leave_blocked,
     opened,
     opened_gripper,
@@ -356,7 +357,11 @@ class DeviceRun(_LiveSide):
     def give_up(self) -> None:
         """End a run whose device does not open; if `open` does not return within 1 s, close the device here."""
         self._loop.stop()
+        give_up(self._device)
         self._thread.join(GIVE_UP_S)
+        if self.notes.closing.locked():
+            # The driver ends what it began, such as the program of an arm.
+            self._thread.join(JOIN_S - GIVE_UP_S)
         atexit.unregister(self._leave)
         if self._thread.is_alive():
             leave_blocked(self._device, self.notes)

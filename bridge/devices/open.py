@@ -240,6 +240,14 @@ def close_once(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None
             print(f"not closed: {text}", file=sys.stderr, flush=True)
 
 
+def give_up(device: object) -> None:
+    """Tell a device that opens to raise an exception soon; a driver without `give_up` is waited for."""
+    if callable(method := getattr(device, "give_up", None)):
+        # The caller ends the device however it fails.
+        with contextlib.suppress(Exception):
+            method()
+
+
 def leave_blocked(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None:
     """Leave a driver with a blocked method: rest and close run on separate threads for 1 s."""
     calls: tuple[Callable[[], object], ...] = (notes.rest, lambda: close_once(device, notes))

@@ -12,6 +12,7 @@ from haptether.bridge.devices.open import (
     DeviceError,
     DeviceNotes,
     failure,
+    give_up,
     leave_blocked,
     opened,
 )
@@ -211,6 +212,8 @@ class StandaloneRun:
 
     def _leave(self) -> None:
         self._stopping.set()
+        if self.watched.stage == "open":
+            give_up(self.watched.device)
         self._thread.join(LEAVE_S)
 
     def _run(self) -> None:
