@@ -8,6 +8,7 @@ import time
 from typing import TYPE_CHECKING, Final
 
 from haptether.checklist import Checklist, RefusedError
+from haptether.printed import printed
 from haptether.slave.ur.connection import RtdeConnection, RtdeConnectionError
 from haptether.slave.ur.options import UrOptions
 from haptether.slave.ur.services import (
@@ -76,7 +77,7 @@ def check_address(host: str, checklist: Checklist) -> str:
         address = resolved(host)
     except ProbeError as error:
         checklist.refuse("address", str(error), "is the name right, and is there a name server? take its IPv4 address")
-        raise UrRefusedError("; ".join(checklist.refused)) from None
+        raise _refused(checklist) from None
     if address != host:
         checklist.ok("address", address)
     return address
@@ -93,7 +94,7 @@ def check_before(options: UrOptions, checklist: Checklist) -> Probe:
         seen = probe(host)
     except ProbeError as error:
         checklist.refuse("reachable", str(error), REACHABLE)
-        raise UrRefusedError("; ".join(checklist.refused)) from None
+        raise _refused(checklist) from None
     checklist.ok("reachable", f"{seen.rate_hz:.0f} packages/s")
     check_version(seen, options.mode, checklist)
     check_services(seen, host, checklist)
@@ -188,7 +189,7 @@ def check_connection(options: UrOptions, connection: RtdeConnection, checklist: 
         tool: Sequence[float] = options.tool or connection.setting("tool", connection.control.getTCPOffset)
     except RtdeConnectionError as error:
         checklist.refuse("control script", str(error), STARTED)
-        raise UrRefusedError("; ".join(checklist.refused)) from None
+        raise _refused(checklist) from None
     checklist.ok("control script", "plays")
     return tool
 
@@ -282,7 +283,8 @@ def recover(options: UrOptions, connection: RtdeConnection, stopped_at_s: float)
         Exception: The remaining obstacle; the arm does not move.
     """
     seen = _unlocked(options.host, probe(options.host), stopped_at_s)
-    checklist = Checklist(options.host)
+    # The raised error has what is refused.
+    checklist = Checklist(options.host, lambda _: None)
     check_state(seen, checklist)
     check_services(seen, options.host, checklist)
     checklist.finish()
@@ -355,6 +357,11 @@ def _unlocked(host: str, seen: Probe, stopped_at_s: float) -> Probe:
             raise RtdeConnectionError(message)
         seen = probe(host)
     return seen
+
+
+def _refused(checklist: Checklist) -> UrRefusedError:
+    """Return the error of a list that ends here."""
+    return UrRefusedError(printed("; ".join(checklist.refused)))
 
 
 def _text(pose: object) -> str:

@@ -7,6 +7,7 @@ from typing import Any, Final
 from msgspec.structs import replace
 
 from haptether.checklist import Checklist
+from haptether.printed import printed
 from haptether.slave.device import SlaveSample
 from haptether.slave.ur.checks import (
     REMOTE_SINCE,
@@ -328,7 +329,7 @@ class UrSlave:
                 self.stop()
             if not self._closed:
                 # A closed arm has no fault: this side has ended its program.
-                self._report(f"fault: {text}")
+                self._report(f"fault: {printed(text)}")
 
     def _report_check(self, line: str) -> None:
         if self._closed:

@@ -470,9 +470,7 @@ def model_distance(mode: Mode) -> float | None:
     return None if mode.joints is None else math.hypot(*mode.joints.offset)
 
 
-def ur_mode(
-    options: UrOptions, period_s: float, tool: Numbers, calibration: "UrCalibration | None" = None
-) -> Mode:
+def ur_mode(options: UrOptions, period_s: float, tool: Numbers, calibration: "UrCalibration | None" = None) -> Mode:
     """Return the mode that the options name.
 
     Args:
