@@ -49,6 +49,9 @@ class SlaveDevice(Protocol):
     A driver whose `close` lowers the arm has `close_s`, the seconds that this takes; the end of a run waits for them,
     and for 5 s more.
 
+    Optional `give_up()` is called on another thread if the command ends while `open` runs. It returns at once, and
+    `open` raises an exception soon.
+
     A driver whose arm has torque from `open` on, and may fall when it is closed, sets `exerts_by_itself = True`:
     `check-device` and `haptether slave` announce this before they open it.
 

@@ -19,6 +19,7 @@ from haptether.bridge.devices.open import (
     encodable,
     failure,
     fault_text,
+    give_up,
     leave_blocked,
     opened,
     opened_gripper,
@@ -362,6 +363,7 @@ class DeviceRun(_LiveSide):
         A device that opened meanwhile is closed by its loop, which gets the time for that.
         """
         self._loop.stop()
+        give_up(self._device)
         self._thread.join(GIVE_UP_S)
         await_closed(self._thread, self._device, self.notes)
         atexit.unregister(self._leave)

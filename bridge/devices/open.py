@@ -261,6 +261,14 @@ def await_closed(thread: threading.Thread, device: object, notes: DeviceNotes) -
         thread.join(CLOSE_S + lowering_s(device))
 
 
+def give_up(device: object) -> None:
+    """Tell a device that opens to raise an exception soon; a driver without `give_up` is waited for."""
+    if callable(method := getattr(device, "give_up", None)):
+        # The caller ends the device however it fails.
+        with contextlib.suppress(Exception):
+            method()
+
+
 def leave_blocked(device: "MasterDevice | SlaveDevice", notes: DeviceNotes) -> None:
     """Leave a driver with a blocked method: rest and close run on separate threads, for 1 s and what close needs."""
     calls: tuple[tuple[Callable[[], object], float], ...] = (

@@ -13,6 +13,7 @@ from haptether.bridge.devices.open import (
     DeviceNotes,
     await_closed,
     failure,
+    give_up,
     leave_blocked,
     opened,
 )
@@ -217,6 +218,8 @@ class StandaloneRun:
 
     def _leave(self) -> None:
         self._stopping.set()
+        if self.watched.stage == "open":
+            give_up(self.watched.device)
         self._thread.join(LEAVE_S)
         await_closed(self._thread, self.watched, self.notes)
 

@@ -336,7 +336,8 @@ def toml_value(text: str, path: Path) -> Raw:
     ):
         # String option that looks like a boolean, `safety.signals=true`.
         candidates = [f'"{text}"']
-    elif re.fullmatch(r"[\w./-]+", text):
+    elif re.fullmatch(r"[\w./:-]+", text) or (not text and inspect.AnyType in map(type, types_at(path))):
+        # An address with a port, or nothing after the sign, is for the driver to refuse.
         candidates.append(f'"{text}"')
     elif text.startswith(("[", "{")):
         candidates.append(_BARE_WORD.sub(r'"\1"', text))

@@ -50,6 +50,7 @@ from haptether.dynamixel.control_table import (
     TORQUE_ENABLE,
 )
 from haptether.dynamixel.models import OperatingMode
+from haptether.printed import printed
 
 Vector = NDArray[np.float64]
 
@@ -422,7 +423,7 @@ class ServoArm:
             self._latch(error)
         else:
             self._end_torque()
-            self._report(f"{self.name}: fault: {error}")
+            self._report(f"{self.name}: fault: {printed(str(error))}")
 
     # ------------------------------------------------------------------------------------------------ after a fault
 
@@ -786,7 +787,7 @@ class ServoArm:
             if found is None or self._fault is not roll_call.lost:
                 return False
             self._fault = found
-        self._report(f"{self.name}: fault: {found}")
+        self._report(f"{self.name}: fault: {printed(str(found))}")
         return False
 
     def _look_at_alert(self, servo_id: int) -> None:
@@ -848,7 +849,7 @@ class ServoArm:
         self._end_torque()
         self._ramp = 0.0
         self._watch_at_s = 0.0
-        self._report(f"{self.name}: fault: {error}")
+        self._report(f"{self.name}: fault: {printed(str(error))}")
 
     def _end_torque(self) -> None:
         """Send zero currents and torque off, several times, ahead of the bus requests of other threads.
@@ -889,7 +890,7 @@ class ServoArm:
                 return self.read()
             text = " ".join(str(self._recovered).split())
             self._fault = ArmFaultError(FaultKind.NOT_READY, text)
-            self._report(f"{self.name}: fault: {self._fault}")
+            self._report(f"{self.name}: fault: {printed(str(self._fault))}")
         now_s = time.monotonic()
         if self._bus is None or now_s < self._watch_at_s:
             return False

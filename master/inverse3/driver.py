@@ -28,6 +28,7 @@ from haptether.master.inverse3.checks import (
 )
 from haptether.master.inverse3.messages import GRIPS, ForceMessage, InverseDevice, MessageError, configuration, reply
 from haptether.master.inverse3.options import Inverse3Options, inverse3_options
+from haptether.printed import printed
 
 ADDED_N: Final = 0.3
 ADDED_SHARE: Final = 0.1
@@ -418,7 +419,7 @@ class Inverse3:
     def _latch(self, fault: str, *, anew: bool = False) -> None:
         if self._fault is None or anew:
             self._fault = fault
-            print(f"{self._name}: fault: {fault}", file=sys.stderr, flush=True)
+            print(f"{self._name}: fault: {printed(fault)}", file=sys.stderr, flush=True)
 
     def _lose(self, fault: str) -> None:
         """Send a zero force last; the connection closes on a separate thread."""

@@ -7,7 +7,7 @@ import msgspec
 from msgspec import Meta
 
 from haptether.master.frame import DeviceFrame, check_frame
-from haptether.options import converted, refused
+from haptether.options import check_host, converted, refused
 
 DEVICE: Final = "driver = inverse3"
 Port = Annotated[int, Meta(ge=1, le=65535)]
@@ -54,8 +54,7 @@ def inverse3_options(given: Mapping[str, Any]) -> Inverse3Options:
         ValueError: A key is unknown, or a value is invalid; names the key.
     """
     options = converted(Inverse3Options, given, DEVICE, {})
-    if not options.host or any(sign.isspace() or sign in ":/" for sign in options.host):
-        raise refused(DEVICE, "host", options.host, "must be an IPv4 address or a name, without a port")
+    check_host(DEVICE, options.host)
     if options.event_port == options.port:
         raise refused(DEVICE, "event_port", options.event_port, "must be another port than `port`: that of the events")
     if not all(sign.isalnum() or sign in "-_" for sign in options.device_id):

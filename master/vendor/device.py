@@ -10,6 +10,7 @@ from typing import Final, Generic, TypeVar
 from haptether.checklist import Checklist, RefusedError
 from haptether.master.device import MasterSample
 from haptether.master.frame import REST
+from haptether.printed import printed
 
 Session = TypeVar("Session")
 JOIN_S: Final = 3.0
@@ -209,7 +210,7 @@ class VendorDevice(ABC, Generic[Session]):
             self._halt(self._session)
         if self._fault is None or anew:
             self._fault = fault
-            print(f"{self.name}: fault: {fault}", file=sys.stderr, flush=True)
+            print(f"{self.name}: fault: {printed(fault)}", file=sys.stderr, flush=True)
 
     def _lose(self, fault: str) -> None:
         self._latch(f"{fault}: acknowledge to open it anew", anew=True)

@@ -3,6 +3,8 @@
 import sys
 from collections.abc import Callable
 
+from haptether.printed import printed
+
 
 class RefusedError(RuntimeError):
     """The device must not move now."""
@@ -52,7 +54,8 @@ class Checklist:
             RefusedError: An item was refused.
         """
         if self.refused:
-            raise self._error("; ".join(self.refused))
+            # Each item has its line already.
+            raise self._error(printed("; ".join(self.refused)))
 
 
 def _to_stderr(line: str) -> None:

@@ -1,6 +1,8 @@
 """Options of a driver: conversion from a scene, and the allowed values as text from annotations."""
 
+import ipaddress
 import math
+import socket
 from collections.abc import Iterator, Mapping
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -9,6 +11,8 @@ import msgspec
 from msgspec import Meta, Struct
 
 Options = TypeVar("Options", bound=Struct)
+NO_PEER = ipaddress.IPv4Network("0.0.0.0/8")
+"""Addresses of this host on this network (RFC 1122, 3.2.1.3)."""
 
 
 def converted(kind: type[Options], given: Mapping[str, Any], device: str, required: Mapping[str, str]) -> Options:
@@ -45,6 +49,23 @@ def converted(kind: type[Options], given: Mapping[str, Any], device: str, requir
 def refused(device: str, key: str, value: object, why: str) -> ValueError:
     """Return the error of an option: driver, key, given value, allowed values."""
     return ValueError(f"{device}: {key} = {value!r}: {why}")
+
+
+def check_host(device: str, host: str) -> None:
+    """Check the option `host`, the address of a peer.
+
+    Raises:
+        ValueError: Empty, with a port, or an address that no peer has, such as 0.0.0.0.
+    """
+    if not host or any(sign.isspace() or sign in ":/[]" for sign in host):
+        raise refused(device, "host", host, "must be an IPv4 address or a name, without a port")
+    try:
+        # Short forms are addresses, too: 0 is 0.0.0.0.
+        address = ipaddress.IPv4Address(socket.inet_aton(host))
+    except OSError:
+        return
+    if address in NO_PEER or address.is_multicast or address.is_reserved:
+        raise refused(device, "host", host, "is the address of no peer: must be that of the device")
 
 
 def allowed(options: type[Struct], key: str) -> str:

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from haptether.dynamixel.arm import ArmSettings, GripServo, ServoArm, Vector
+from haptether.printed import printed
 from haptether.slave.device import SlaveSample
 from haptether.slave.dynamixel.options import DynamixelSlaveOptions, dynamixel_slave_options
 from haptether.slave.dynamixel.torque import JointTorque
@@ -174,7 +175,7 @@ class DynamixelSlave:
     def _refuse(self, text: str) -> None:
         self.stop()
         self._refused = text
-        print(f"{self.servos.name}: fault: {text}", file=sys.stderr, flush=True)
+        print(f"{self.servos.name}: fault: {printed(text)}", file=sys.stderr, flush=True)
 
     def _within(self, angles: Vector) -> Vector:
         return np.clip(angles, self._low, self._high)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from haptether.checklist import Checklist, RefusedError
+from haptether.printed import printed
 from haptether.slave.gripper import GripperCommand, GripperSample
 from haptether.slave.robotiq.checks import check_address, check_gripper, choose, look
 from haptether.slave.robotiq.options import RobotiqOptions, robotiq_options
@@ -214,7 +215,7 @@ class RobotiqGripper:
     def _show(self, sample: GripperSample) -> None:
         before, self._sample = self._sample.fault, sample
         if sample.fault is not None and sample.fault != before:
-            self._report(f"fault: {sample.fault}")
+            self._report(f"fault: {printed(sample.fault)}")
 
     def _pause_opening(self, seconds: float) -> None:
         if self._ending.wait(seconds):

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Final, Literal, TypeAlias
 import msgspec
 from msgspec import Meta
 
-from haptether.options import converted, refused
+from haptether.options import check_host, converted, refused
 from haptether.slave.robotiq.models import ROBOTIQ_MODELS, Scale
 
 DEVICE: Final = "gripper = robotiq"
@@ -57,9 +57,7 @@ def robotiq_options(given: Mapping[str, Any]) -> RobotiqOptions:
         ValueError: A key is unknown or missing, or a value is invalid; names the key.
     """
     options = converted(RobotiqOptions, given, DEVICE, {"host": "the address of the UR controller"})
-    host = options.host
-    if not host or any(sign.isspace() or sign in ":/" for sign in host):
-        raise refused(DEVICE, "host", host, "must be an IPv4 address or a name, without a port")
+    check_host(DEVICE, options.host)
     opened, closed = options.scale.counts
     if not opened < closed:
         key = "open_count" if options.closed_count is None else "closed_count"

@@ -8,6 +8,7 @@ import time
 from typing import TYPE_CHECKING, Final
 
 from haptether.checklist import Checklist, RefusedError
+from haptether.printed import printed
 from haptether.slave.ur.connection import RtdeConnection, RtdeConnectionError
 from haptether.slave.ur.options import UrOptions
 from haptether.slave.ur.services import (
@@ -36,13 +37,14 @@ from haptether.slave.ur.state import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
 OLDEST: Final = {3: (3, 15), 5: (5, 4)}
 """Oldest supported versions: earlier ones lack registers or status bits that the library needs. Other series are not
 supported.
 """
 REMOTE_SINCE: Final = (5, 6)
+DIRECT_TORQUE_SINCE: Final = (5, 26)
 POLYSCOPE_X: Final = 10
 TOOL_M: Final = 1e-4
 """Largest difference between set and reported tool, in m and rad."""
@@ -58,6 +60,10 @@ class UrRefusedError(RefusedError):
 
 
 ENABLE: Final = "is the {} enabled (Settings > Security > Services)?"
+STARTED: Final = (
+    "does a popup or the log of the pendant name a cause, or does another client or a fieldbus use the registers?"
+    " remove it, then start again"
+)
 REACHABLE: Final = "is it on, in this network, and RTDE not disabled in its security settings?"
 
 
@@ -71,7 +77,7 @@ def check_address(host: str, checklist: Checklist) -> str:
         address = resolved(host)
     except ProbeError as error:
         checklist.refuse("address", str(error), "is the name right, and is there a name server? take its IPv4 address")
-        raise UrRefusedError("; ".join(checklist.refused)) from None
+        raise _refused(checklist) from None
     if address != host:
         checklist.ok("address", address)
     return address
@@ -88,9 +94,9 @@ def check_before(options: UrOptions, checklist: Checklist) -> Probe:
         seen = probe(host)
     except ProbeError as error:
         checklist.refuse("reachable", str(error), REACHABLE)
-        raise UrRefusedError("; ".join(checklist.refused)) from None
+        raise _refused(checklist) from None
     checklist.ok("reachable", f"{seen.rate_hz:.0f} packages/s")
-    check_version(seen, checklist)
+    check_version(seen, options.mode, checklist)
     check_services(seen, host, checklist)
     check_state(seen, checklist)
     check_program(seen, host, checklist)
@@ -98,8 +104,8 @@ def check_before(options: UrOptions, checklist: Checklist) -> Probe:
     return seen
 
 
-def check_version(seen: Probe, checklist: Checklist) -> None:
-    """Check that the driver supports the controller software.
+def check_version(seen: Probe, mode: str, checklist: Checklist) -> None:
+    """Check that the driver supports the controller software, and the software the mode of the options.
 
     Raises:
         UrRefusedError: Unsupported; the services of the next checks may not exist.
@@ -109,7 +115,10 @@ def check_version(seen: Probe, checklist: Checklist) -> None:
     remedy = "needs 3.15 (CB3), or 5.4 and later of PolyScope 5"
     if version[0] >= POLYSCOPE_X:
         remedy += ": PolyScope X has no dashboard server, the second means to stop the arm"
-    checklist.check("software", seen.version_text, good=oldest is not None and version >= oldest, remedy=remedy)
+    good = oldest is not None and version >= oldest
+    if good and mode == "direct-torque" and version < DIRECT_TORQUE_SINCE:
+        good, remedy = False, "mode = 'direct-torque' needs 5.26 or later: take servoj"
+    checklist.check("software", seen.version_text, good=good, remedy=remedy)
     checklist.finish()
 
 
@@ -167,6 +176,22 @@ def check_state(seen: Probe, checklist: Checklist) -> None:
     checklist.check(
         "speed slider", f"{100.0 * seen.speed_fraction:.0f} %", good=seen.speed_fraction >= FULL_SPEED, remedy=SLIDER
     )
+
+
+def check_connection(options: UrOptions, connection: RtdeConnection, checklist: Checklist) -> "Sequence[float]":
+    """Connect and check that the control script starts; return the tool of the options, or else of the pendant.
+
+    Raises:
+        UrRefusedError: The library does not connect, or the script does not start in time or does not answer.
+    """
+    try:
+        connection.connect()
+        tool: Sequence[float] = options.tool or connection.setting("tool", connection.control.getTCPOffset)
+    except RtdeConnectionError as error:
+        checklist.refuse("control script", str(error), STARTED)
+        raise _refused(checklist) from None
+    checklist.ok("control script", "plays")
+    return tool
 
 
 def check_after(
@@ -258,7 +283,8 @@ def recover(options: UrOptions, connection: RtdeConnection, stopped_at_s: float)
         Exception: The remaining obstacle; the arm does not move.
     """
     seen = _unlocked(options.host, probe(options.host), stopped_at_s)
-    checklist = Checklist(options.host)
+    # The raised error has what is refused.
+    checklist = Checklist(options.host, lambda _: None)
     check_state(seen, checklist)
     check_services(seen, options.host, checklist)
     checklist.finish()
@@ -331,6 +357,11 @@ def _unlocked(host: str, seen: Probe, stopped_at_s: float) -> Probe:
             raise RtdeConnectionError(message)
         seen = probe(host)
     return seen
+
+
+def _refused(checklist: Checklist) -> UrRefusedError:
+    """Return the error of a list that ends here."""
+    return UrRefusedError(printed("; ".join(checklist.refused)))
 
 
 def _text(pose: object) -> str:

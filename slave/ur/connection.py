@@ -40,6 +40,13 @@ class RtdeConnectionError(RuntimeError):
     """A library call failed or timed out, or the controller refused it."""
 
 
+class ClosedError(RuntimeError):
+    """The driver was closed or given up meanwhile, which is no fault of the arm."""
+
+    def __init__(self) -> None:
+        super().__init__("closed before it was open")
+
+
 def vendor_module() -> Any:  # noqa: ANN401  # it has no types
     """Return `rtde_receive` after checking for `rtde_control`.
 
@@ -97,6 +104,7 @@ class RtdeConnection:
 
         Raises:
             RtdeConnectionError: No connection, inputs in use by another client, or a script that does not start.
+            ClosedError: Another thread has closed or given up.
         """
         self._check_open()
         host, rate = self._options.host, self.rate_hz
@@ -117,7 +125,7 @@ class RtdeConnection:
                 # Recheck, because another thread may close from here on.
                 self._check_open()
                 self._run(self.worker, "connect (control)", self.control.connect, CONNECT_S)
-            except RtdeConnectionError:
+            except (RtdeConnectionError, ClosedError):
                 # Otherwise the library continues, and may upload its script later.
                 self.cut()
                 raise
@@ -135,8 +143,7 @@ class RtdeConnection:
 
     def _check_open(self) -> None:
         if self._closed:
-            message = "closed meanwhile"
-            raise RtdeConnectionError(message)
+            raise ClosedError
 
     def _receives(self) -> bool:
         """Return True if packages arrive."""
@@ -161,6 +168,7 @@ class RtdeConnection:
         """
         end_s = time.monotonic() + limit_s
         while not holds(state := self.state()):
+            self._check_open()
             if time.monotonic() > end_s:
                 message = f"{what}: not within {limit_s:g} s"
                 raise RtdeConnectionError(message)
@@ -193,6 +201,12 @@ class RtdeConnection:
         self.worker.stream(name, lambda: order(control), STREAM_S, idle)
 
     # ----------------------------------------------------------------------------------------------------- end
+
+    def give_up(self) -> None:
+        """Make waiting and later calls raise `ClosedError`, from any thread; `close` then ends the program."""
+        self._closed = True
+        if (control := self.control) is not None:
+            control.kill()
 
     def cut(self) -> None:
         """End the control interface in any state; this side cannot move the arm any more."""
@@ -235,12 +249,15 @@ class RtdeConnection:
         return failed
 
     def _run(self, worker: TimedWorker, name: str, function: Callable[[], Any], limit_s: float) -> Any:  # noqa: ANN401
+        self._check_open()
         try:
             return worker.run(name, function, limit_s)
-        except CallTimeoutError:
-            message = f"{name}: has not returned within {limit_s:g} s"
+        except CallTimeoutError as error:
+            message = str(error)
         except Exception as error:  # errors of the library
             message = f"{name}: {' '.join(str(error).split())}"
+        # The call may have failed because another thread has killed its process.
+        self._check_open()
         raise RtdeConnectionError(message)
 
 

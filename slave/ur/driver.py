@@ -7,6 +7,7 @@ from typing import Any, Final
 from msgspec.structs import replace
 
 from haptether.checklist import Checklist
+from haptether.printed import printed
 from haptether.slave.device import SlaveSample
 from haptether.slave.ur.checks import (
     REMOTE_SINCE,
@@ -14,15 +15,16 @@ from haptether.slave.ur.checks import (
     check_address,
     check_after,
     check_before,
+    check_connection,
     check_model,
     check_workspace,
     recover,
 )
-from haptether.slave.ur.connection import RtdeConnection, RtdeConnectionError, vendor_module
+from haptether.slave.ur.connection import ClosedError, RtdeConnection, vendor_module
 from haptether.slave.ur.kinematics.pose import quat_wxyz_from_rotvec
-from haptether.slave.ur.modes import check_mode, model_distance, ur_mode
+from haptether.slave.ur.modes import model_distance, ur_mode
 from haptether.slave.ur.motion import Motion, MotionError, along
-from haptether.slave.ur.options import UrOptions, ur_options
+from haptether.slave.ur.options import UrOptions, unit_calibration, ur_options
 from haptether.slave.ur.set_point import ORIGIN
 from haptether.slave.ur.state import UrState, safety_stop
 from haptether.slave.ur.stop import SoftStop, Watchdog
@@ -45,8 +47,8 @@ class UrSlave:
         options: Fields of `UrOptions`.
 
     Raises:
-        ValueError: The options are invalid. `open` also raises `UrRefusedError` and `RtdeConnectionError` if the arm is
-            not ready, or ur-rtde is missing.
+        ValueError: The options are invalid. `open` also raises `UrRefusedError` if the arm is not ready,
+            `RtdeConnectionError` if ur-rtde is missing, and `ClosedError` once it is given up.
     """
 
     paces = True
@@ -81,6 +83,8 @@ class UrSlave:
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401  # what a scene has
         self.options: UrOptions = ur_options(options)
+        # Read the file before anything is connected.
+        self._calibration = unit_calibration(self.options)
         self._connection: RtdeConnection
         self._soft_stop: SoftStop
         self._watchdog: Watchdog
@@ -104,26 +108,23 @@ class UrSlave:
 
     def open(self) -> None:
         """Run the checklist and connect; the arm does not move."""
-        vendor_module()
         self._closed = False
-        checklist = Checklist(f"ur {self.options.host}", error=UrRefusedError)
+        vendor_module()
+        checklist = Checklist(f"ur {self.options.host}", self._report_check, UrRefusedError)
         options = self.options = replace(self.options, host=check_address(self.options.host, checklist))
         seen = check_before(options, checklist)
-        check_mode(options, seen.version)
         self._connection = RtdeConnection(options, seen.version)
         self._watchdog = Watchdog(options, self._connection, watches_remote=seen.version[:2] >= REMOTE_SINCE)
         self._period_s = 1.0 / self._connection.rate_hz
         self._aside = TimedWorker("ur-aside")
         self._soft_stop = SoftStop(self._connection, options.host, self._report)
         if self._closed:
-            message = "closed before it was open"
-            raise RtdeConnectionError(message)
+            raise ClosedError
         self._opened = True
-        self._connection.connect()
-        x, y, z, rx, ry, rz = options.tool or (self._connection.setting("tool", self._connection.control.getTCPOffset))
+        x, y, z, rx, ry, rz = check_connection(options, self._connection, checklist)
         offset = (x, y, z, rx, ry, rz)
         # Loading CasADi takes time, so it precedes the start of the watchdog.
-        mode = ur_mode(options, self._period_s, offset)
+        mode = ur_mode(options, self._period_s, offset, self._calibration)
         self._motion = motion = Motion(
             options, self._connection, self._soft_stop, mode, self._period_s, report=self._report
         )
@@ -210,6 +211,12 @@ class UrSlave:
             return recover(options, connection, stopped_s)
 
         self._recovery = self._aside.start("recovery", recovered, 60.0)
+
+    def give_up(self) -> None:
+        """Make a running `open` raise an exception soon, from another thread."""
+        self._closed = True
+        if (connection := getattr(self, "_connection", None)) is not None:
+            connection.give_up()
 
     def close(self) -> None:
         """End the control script and disconnect: within 5 s if the controller answers, otherwise 20 s."""
@@ -320,7 +327,14 @@ class UrSlave:
                 self._soft_stop.cut()
             else:
                 self.stop()
-            self._report(f"fault: {text}")
+            if not self._closed:
+                # A closed arm has no fault: this side has ended its program.
+                self._report(f"fault: {printed(text)}")
+
+    def _report_check(self, line: str) -> None:
+        if self._closed:
+            raise ClosedError
+        print(line, file=sys.stderr, flush=True)
 
     def _report(self, text: str) -> None:
         print(f"ur {self.options.host}: {text}", file=sys.stderr, flush=True)

@@ -25,9 +25,9 @@ from haptether.slave.ur.stop import joint_deceleration, tool_deceleration
 
 if TYPE_CHECKING:
     from haptether.slave.ur.kinematics.arm import UrKinematics
+    from haptether.slave.ur.kinematics.chain import UrCalibration
     from haptether.slave.ur.kinematics.models import UrModel
 
-DIRECT_TORQUE_SINCE: Final = (5, 26)
 ROTATION_SPEED: Final = 0.5
 """Largest angular speed in rad/s that keeps the initial orientation under speedl."""
 WRIST_SHARE: Final = 0.2
@@ -465,44 +465,29 @@ class JointTracking:
         return float(np.linalg.norm(behind))
 
 
-def check_mode(options: UrOptions, version: tuple[int, ...]) -> None:
-    """Check that a controller supports the mode of the options.
-
-    Raises:
-        ValueError: The mode is not supported.
-    """
-    if options.mode == "direct-torque" and tuple(version[:2]) < DIRECT_TORQUE_SINCE:
-        text = ".".join(map(str, version[:3]))
-        message = (
-            f"device = ur: mode = 'direct-torque': needs software 5.26 or later, the controller has {text}: take servoj"
-        )
-        raise ValueError(message)
-
-
 def model_distance(mode: Mode) -> float | None:
     """Return the initial distance in m between the model's and the controller's tool; None without a model."""
     return None if mode.joints is None else math.hypot(*mode.joints.offset)
 
 
-def ur_mode(options: UrOptions, period_s: float, tool: Numbers) -> Mode:
+def ur_mode(options: UrOptions, period_s: float, tool: Numbers, calibration: "UrCalibration | None" = None) -> Mode:
     """Return the mode that the options name.
 
     Args:
         options: Options of the driver.
         period_s: Period of commands in s.
         tool: Tool point in the flange frame, as a pose.
+        calibration: Deltas of this unit; by default the data sheet applies.
     """
     if options.axes == 1 and options.mode == "servol":
         return ServoL(options, period_s)
     if options.axes == 1 and options.mode == "speedl":
         return SpeedL(options, period_s)
-    from haptether.slave.ur.kinematics.arm import UrKinematics  # noqa: PLC0415
-    from haptether.slave.ur.kinematics.chain import read_calibration  # noqa: PLC0415  # with CasADi
+    from haptether.slave.ur.kinematics.arm import UrKinematics  # noqa: PLC0415  # with CasADi
     from haptether.slave.ur.kinematics.models import ur_model  # noqa: PLC0415
     from haptether.slave.ur.kinematics.pose import transform_from_pose  # noqa: PLC0415
 
     model = ur_model(options.model)
-    calibration = read_calibration(options.calibration, model) if options.calibration is not None else None
     flange_from_tool = transform_from_pose(tool)
     joints = JointTracking(UrKinematics(model, calibration, flange_from_tool), options, period_s)
     if options.mode == "servoj":

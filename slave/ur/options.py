@@ -2,14 +2,17 @@
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias
 
 import msgspec
 from msgspec import Meta
 
-from haptether.options import converted, refused
+from haptether.options import check_host, converted, refused
 from haptether.slave.ur.kinematics.constraints import ToolCone, WorkspacePlane
 from haptether.slave.ur.kinematics.models import MAX_PAYLOAD_KG, UR_MODELS, Six, ur_model
+
+if TYPE_CHECKING:
+    from haptether.slave.ur.kinematics.chain import UrCalibration
 
 Three: TypeAlias = tuple[float, float, float]
 Four: TypeAlias = tuple[float, float, float, float]
@@ -117,10 +120,27 @@ def ur_options(given: Mapping[str, Any]) -> UrOptions:
     return options
 
 
+def unit_calibration(options: UrOptions) -> "UrCalibration | None":
+    """Return the deltas of `calibration`; None without this option.
+
+    Raises:
+        ValueError: The file cannot be read, or is no calibration of this model; names option and file.
+    """
+    if options.calibration is None:
+        return None
+    from haptether.slave.ur.kinematics.chain import read_calibration  # noqa: PLC0415  # with numpy
+
+    try:
+        return read_calibration(options.calibration, ur_model(options.model))
+    except OSError as error:
+        why = f"{error.strerror}: must be a calibration.toml with the deltas of this unit"
+    except ValueError as error:
+        why = str(error).removeprefix(f"{options.calibration}: ")
+    raise _wrong("calibration", options.calibration, why)
+
+
 def _check(options: UrOptions) -> None:
-    host = options.host
-    if not host or any(sign.isspace() or sign in ":/" for sign in host):
-        raise _wrong("host", host, "must be an IPv4 address or a name, without a port")
+    check_host("device = ur", options.host)
     if options.model.lower() not in UR_MODELS:
         raise _wrong("model", options.model, f"must be one of {', '.join(UR_MODELS)}")
     model = ur_model(options.model)

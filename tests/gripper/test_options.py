@@ -21,6 +21,7 @@ HOST = {"host": "192.168.1.10"}
         ({}, "host is missing: must be the address of the UR controller"),
         (HOST | {"prot": 1}, "prot = 1: is no option: must be one of host, port, "),
         ({"host": "192.168.1.10:63352"}, "must be an IPv4 address or a name, without a port"),
+        ({"host": "0.0.0.0"}, "host = '0.0.0.0': is the address of no peer"),
         ({"host": ""}, "host = '': must be an IPv4 address"),
         (HOST | {"port": 0}, "port = 0: must be 1 to 65535"),
         (HOST | {"model": "3f"}, "model = '3f': must be one of 2f-85, 2f-140, hand-e"),

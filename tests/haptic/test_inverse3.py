@@ -550,6 +550,7 @@ def test_what_is_no_reply_is_refused(received: bytes) -> None:
         ({"axes": ["x", "x", "z"]}, "each once"),
         ({"axes": []}, "one to three"),
         ({"host": "ws://here"}, "host = 'ws://here': must be an IPv4 address or a name"),
+        ({"host": "0.0.0.0"}, "host = '0.0.0.0': is the address of no peer"),
         ({"device_id": 'a"b'}, "must be letters and digits"),
         ({"reply_timeout_s": 0.05}, "reply_timeout_s = 0.05: must be 0.002 to 0.015 s"),
         ({"max_force_n": 0.0}, "must be above 0 and at most 20 N"),

@@ -704,6 +704,55 @@ BENCH_SLAVE = (
     sys.executable, "-m", "haptether", "slave", "--listen", "127.0.0.1:0", "--insecure", "--scene", "remote_push",
     "--set", "slave.device=bench",
 )  # fmt: skip
+ENDING = """
+import sys
+from haptether.checklist import Checklist
+from haptether.slave import SlaveSample
+
+class Arm:
+    paces = False
+    reads = 0
+    def __init__(self, at): self.at = at
+    def open(self):
+        if self.at == "open":
+            raise OSError("the arm was unplugged")
+        if self.at == "checklist":
+            checklist = Checklist("arm 1")
+            checklist.refuse("power", "the arm was unplugged", "plug it in")
+            checklist.refuse("brakes", "they are closed", "open them")
+            checklist.finish()
+    def read(self):
+        self.reads += 1
+        if self.reads == 500 and self.at == "read":
+            raise OSError("the arm was unplugged")
+        fault = "the arm was unplugged" if self.reads > 500 and self.at == "fault" else None
+        return SlaveSample(0.02, 0.0, 0.0, fault)
+    def write(self, position, velocity): pass
+    def stop(self): pass
+    def close(self): pass
+"""
+
+
+@pytest.mark.parametrize("debug", [False, True])
+@pytest.mark.parametrize("at", ["open", "checklist", "read", "fault"])
+def test_a_failure_of_a_driver_is_printed_once_and_its_source_line_for_debugging(
+    at: str, debug: bool, tmp_path: Path
+) -> None:
+    ended = subprocess.run(
+        [*BENCH_SLAVE, "--set", f"slave.options.at={at}", "--patience-s", "1.5", *(["--debug"] if debug else [])],
+        env=packaged(tmp_path, ENDING), capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert ended.returncode == 1
+    if debug:
+        assert at == "fault" or "bench_arm.py" in ended.stderr
+        return
+    assert ended.stderr.count("the arm was unplugged") == 1, ended.stderr
+    assert ended.stderr.count("open them") == (at == "checklist")
+    # An exception of a running driver is a fault of its code: both screens have the line.
+    assert ("bench_arm.py" in ended.stderr) == (at == "read")
+    assert ended.stderr.splitlines()[-1].startswith("haptether: ")
+
+
 HANGING = """
 import sys, time
 from haptether.slave import SlaveSample

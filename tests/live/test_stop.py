@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.devices.drivers import declared
 from tests.faults import stopping
 from tests.faults.processes import Limits
 from tests.faults.rows import Row
@@ -194,6 +195,63 @@ def test_a_button_pressed_while_a_side_loads_does_not_end_it(button: int, ignore
         process.kill()
         process.wait()
         process.stderr.close()
+
+
+LEAVES_A_THREAD = """
+import os, threading, time
+
+class Interpreter:
+    def __del__(self, write=os.write):
+        write(2, b"the interpreter has ended")
+
+interpreter = Interpreter()
+
+class Arm:
+    paces = True
+    def __init__(self, fails):
+        self.fails = fails
+    def open(self):
+        threading.Thread(target=time.sleep, args=(60.0,), daemon=True).start()
+        print("opening", flush=True)
+        if self.fails:
+            raise RuntimeError("no such arm")
+        time.sleep(60.0)
+    def read(self): pass
+    def write(self, position, velocity): pass
+    def stop(self): pass
+    def close(self): pass
+"""
+LEFT = (*LIVE[0], "--scene", "remote_push", "--set", "slave.device=left", "--set")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fails", "status"),
+    [
+        ((*LEFT, "slave.options.fails=false"), False, 130),
+        ((*LEFT, "slave.options.fails=true"), True, 1),
+        (("check-device", "left", "--options", "fails=true"), True, 1),
+    ],
+    ids=["interrupted", "failed", "checked"],
+)
+def test_the_interpreter_does_not_end_under_a_thread_of_a_driver(
+    arguments: tuple[str, ...], fails: bool, status: int, tmp_path: Path
+) -> None:
+    # Python ends such a thread as soon as it asks for the interpreter: C++ code of a library then aborts the process.
+    (tmp_path / "left_arm.py").write_text(LEAVES_A_THREAD)
+    with subprocess.Popen(
+        [*HAPTETHER, *arguments], env=declared(tmp_path, "haptether.slaves", left="left_arm:Arm"), text=True,
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as process:  # fmt: skip
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "opening\n"
+            if not fails:
+                process.send_signal(signal.SIGINT)
+            said = process.communicate(timeout=20.0)[1]
+        finally:
+            process.kill()
+    assert process.returncode == status, said
+    assert "the interpreter has ended" not in said
 
 
 # ------------------------------------------------------------------------------------------------------- memory

@@ -56,6 +56,8 @@ class Arm:
     """Number of control scripts ended without the library, started or not."""
     watchdog_bites: bool = True
     released: threading.Event = field(default_factory=threading.Event)
+    blocked: threading.Event = field(default_factory=threading.Event)
+    """Set while or after a call blocks."""
     kicked_s: float = 0.0
     packages: int = 0
     """Number of packages that the driver has seen."""
@@ -72,6 +74,7 @@ class Arm:
         """Record a call of either interface, and hang or raise if requested."""
         self.said.append((name, *arguments))
         if name in self.blocks:
+            self.blocked.set()
             self.released.wait(30.0)
         if name in self.raises:
             raise RuntimeError(f"{name}: write: Broken pipe")
@@ -96,6 +99,7 @@ class Arm:
         """Replace `services.probe`."""
         del limit_s
         if "probe" in self.blocks:
+            self.blocked.set()
             self.released.wait(30.0)
         return Probe(
             version=self.version, robot_mode=self.robot_mode, safety_mode=self.safety_mode,
@@ -146,12 +150,18 @@ class Control:
         self._arm = arm
         self.alive = True
 
+    def _call(self, name: str, *arguments: Any) -> bool:  # noqa: ANN401
+        done = self._arm.call(name, *arguments)
+        if not self.alive:
+            raise RuntimeError(f"the process of ur_rtde is gone during {name}")
+        return done
+
     def connect(self) -> None:
-        self._arm.call("connect")
+        self._call("connect")
         self._arm.runtime_state, self._arm.watchdog_hz = PLAYING, None
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401
-        return lambda *arguments: self._arm.call(name, *arguments)
+        return lambda *arguments: self._call(name, *arguments)
 
     def kill(self) -> None:
         """Let hanging calls return."""
@@ -159,13 +169,13 @@ class Control:
         self._arm.said.append(("kill",))
 
     def setWatchdog(self, hz: float) -> bool:  # noqa: N802
-        done = self._arm.call("setWatchdog", hz)
+        done = self._call("setWatchdog", hz)
         if done:
             self._arm.watchdog_hz = hz
         return done
 
     def reuploadScript(self) -> bool:  # noqa: N802
-        self._arm.call("reuploadScript")
+        self._call("reuploadScript")
         self._arm.runtime_state, self._arm.watchdog_hz = PLAYING, None
         return True
 
@@ -173,10 +183,10 @@ class Control:
         if self._arm.tool_moves:
             self._arm.pose[2] += tool[2]
         self._arm.tool = list(tool)
-        return self._arm.call("setTcp", tool)
+        return self._call("setTcp", tool)
 
     def getTCPOffset(self) -> list[float]:  # noqa: N802
-        self._arm.call("getTCPOffset")
+        self._call("getTCPOffset")
         return list(self._arm.tool)
 
 

@@ -21,4 +21,10 @@ def main(arguments: "Sequence[str] | None" = None) -> int:
         open_standard_streams()
     from haptether.cli.entry import main as run
 
-    return run(arguments)
+    try:
+        status = run(arguments)
+    except SystemExit as end:
+        INTERRUPTS.status = end.code
+        raise
+    INTERRUPTS.status = status
+    return status

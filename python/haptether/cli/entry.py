@@ -29,6 +29,7 @@ from haptether.cli.shared.commands import Command, CommandTable
 from haptether.cli.shared.numbers import NUMBERS
 from haptether.cli.shared.output import QueuedBuffer, QueuedOutput, queued_output
 from haptether.printable import printable
+from haptether.printed import SEE_ABOVE, forget, shortened
 
 PURPOSES = {
     "see it": CommandTable(
@@ -173,6 +174,7 @@ def _print_all_characters() -> None:
 
 def _main(arguments: Sequence[str]) -> int:
     _use_width()
+    forget()
     try:
         if list(arguments) in (["--version"], ["-V"]):
             print(f"haptether {__version__}", flush=True)
@@ -523,7 +525,13 @@ def complain(error: Exception, status: int, *, debug: bool = False, remedy: str 
     if debug:
         lines = "".join(traceback.format_exception(error)).splitlines()
         print("\n".join(printable(line) for line in lines), file=sys.stderr)
-    text = str(error) or ("no memory was left" if isinstance(error, MemoryError) else type(error).__name__)
+    said = shortened(str(error))
+    if not debug and said != SEE_ABOVE:
+        # The source line of a driver's error is for those who mend the driver.
+        said = shortened(getattr(error, "brief", str(error)))
+    if said == SEE_ABOVE:
+        said = f"failed: {said}"
+    text = said or ("no memory was left" if isinstance(error, MemoryError) else type(error).__name__)
     if isinstance(error, OSError) and error.strerror and text.startswith("[Errno"):
         text = error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
     if getattr(error, "errno", None) == errno.EBADF or text.endswith(f"(os error {errno.EBADF})"):

@@ -2,6 +2,7 @@
 
 # These modules are loaded already: while another module loads, Python itself answers Ctrl-C with a traceback.
 import _signal  # type: ignore[import-not-found]  # the part of `signal` in C
+import atexit
 import io
 import os
 import sys
@@ -25,10 +26,14 @@ class Interrupts:
         """True while a command runs that may have to clean up."""
         self.seen = False
         """True once Ctrl-C has come."""
+        self.status: object = 1
+        """Exit status of the command, as `sys.exit` takes it; an exception that nothing catches gives 1."""
 
     def begin(self) -> None:
         """Install the handlers where this thread may: for the buttons, and for Ctrl-C unless it is ignored."""
         self.begun = True
+        # The first registered function is called last, when all others have cleaned up.
+        atexit.register(self._leave_threads)
         try:
             for button in (_signal.SIGUSR1, _signal.SIGUSR2):
                 # The buttons must not end the process before a side has begun or after it has ended.
@@ -50,6 +55,24 @@ class Interrupts:
             os._exit(INTERRUPTED)
         self.seen = True
         raise KeyboardInterrupt
+
+    def _leave_threads(self) -> None:
+        """End the process at once if a daemon thread is left; its interpreter must not end before that thread.
+
+        A daemon thread may be in a vendor's library, for example while a device connects. When its call returns, it
+        asks for the interpreter. After the interpreter's end Python ends the thread, and C++ code below aborts the process.
+        """
+        threading = sys.modules.get("threading")
+        if threading is None or not any(thread.daemon for thread in threading.enumerate()):
+            return
+        import contextlib
+
+        for stream in (sys.stdout, sys.stderr):
+            # Closed, or its reader has gone; the status tells that already.
+            with contextlib.suppress(OSError, ValueError, AttributeError):
+                stream.flush()
+        status = self.status
+        os._exit(status & 0xFF if isinstance(status, int) else 0 if status is None else 1)
 
     def _unraisable(self, unraisable: "sys.UnraisableHookArgs") -> None:
         if issubclass(unraisable.exc_type, KeyboardInterrupt):

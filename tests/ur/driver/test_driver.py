@@ -1,6 +1,7 @@
 """The UR driver against a controller of plain objects: its calls, their order, and calls that it does not wait for."""
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -8,9 +9,11 @@ from typing import Any
 import pytest
 from tests.ur.fake_rtde import PERIOD_S, PLAYING, START_POSE, STOPPED, Arm, install
 
+from haptether.bridge import DeviceError
+from haptether.bridge.devices.standalone import StandaloneRun
 from haptether.slave import SlaveSample, UrSlave
 from haptether.slave.ur.checks import UNLOCK_AFTER_S, UrRefusedError
-from haptether.slave.ur.connection import END_S, RtdeConnectionError
+from haptether.slave.ur.connection import END_S, ClosedError, RtdeConnectionError
 from haptether.slave.ur.services import Probe
 from haptether.slave.ur.stop import REST_S, STOP_S
 
@@ -195,7 +198,7 @@ def test_a_script_that_may_start_after_the_end_is_ended(arm: Arm, monkeypatch: p
         monkeypatch.setattr("tests.ur.fake_rtde.Control.connect", lambda _: True)
         monkeypatch.setattr("tests.ur.fake_rtde.Control.reuploadScript", lambda _: True)
     driver = UrSlave(host="fake")
-    with pytest.raises(RtdeConnectionError):
+    with pytest.raises(UrRefusedError, match="control script: "):
         driver.open()
     assert arm.ends == 0
     driver.close()
@@ -236,10 +239,26 @@ def test_the_checklist_says_all_lines(arm: Arm, capsys: pytest.CaptureFixture[st
         assert f"ur fake: ok       {line}" in said, said
 
 
-def test_direct_torque_needs_its_version(arm: Arm) -> None:
-    with pytest.raises(ValueError, match=r"direct-torque': needs software 5.26 or later, the controller has 5.11.0"):
+@pytest.mark.parametrize("version", [(5, 11, 0, 0), (5, 25, 9, 0), (3, 15, 8, 0)])
+def test_the_software_line_refuses_a_mode_that_it_lacks(
+    arm: Arm, version: tuple[int, int, int, int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    arm.version = version
+    text = ".".join(map(str, version[:3]))
+    with pytest.raises(UrRefusedError, match=f"^software: {text}: mode = 'direct-torque' needs 5.26 or later"):
         Driven(arm, mode="direct-torque")
     assert arm.said == []
+    assert capsys.readouterr().err.splitlines()[-1].startswith(f"ur fake: REFUSED  software: {text}: mode = ")
+
+
+@pytest.mark.parametrize("call", ["connect", "getTCPOffset"])
+def test_a_script_that_does_not_start_or_answer_is_refused_with_a_remedy(
+    arm: Arm, call: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arm.raises.add(call)
+    with pytest.raises(UrRefusedError, match=r"control script: .*Broken pipe: does a popup or the log of the pendant"):
+        Driven(arm)
+    assert "ur fake: REFUSED  control script: " in capsys.readouterr().err
 
 
 def test_without_the_library_the_error_names_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -444,9 +463,37 @@ def test_an_arm_that_was_closed_while_it_opened_is_not_connected(arm: Arm, monke
         return arm.probe(host, limit_s)
 
     monkeypatch.setattr("haptether.slave.ur.checks.probe", slow)
-    with pytest.raises(RtdeConnectionError, match="closed before it was open"):
+    with pytest.raises(ClosedError, match="closed before it was open"):
         driver.open()
     assert arm.said == []
+
+
+class Nothing:
+    """A lead that writes nothing."""
+
+    def step(self, sample: object, at_s: float) -> None:
+        """Write nothing."""
+
+
+@pytest.mark.parametrize("call", ["probe", "connect", "getTCPOffset", "zeroFtSensor", "setWatchdog", "reuploadScript"])
+def test_an_arm_that_is_given_up_while_it_opens_reports_nothing_more_and_is_left_without_a_program(
+    arm: Arm, call: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arm.blocks.add(call)
+    arm.blocked.clear()
+    run = StandaloneRun(UrSlave(host="fake", mode="speedl"), Nothing())
+    assert arm.blocked.wait(20.0)
+    capsys.readouterr()
+    # The process of the library is killed, or the last call before it returns.
+    threading.Timer(0.05, arm.released.set).start()
+    begun_s = time.monotonic()
+    assert run.end()
+    assert time.monotonic() - begun_s < 2.5
+    assert isinstance(run.error, DeviceError)
+    assert isinstance(run.error.__cause__, ClosedError)
+    assert capsys.readouterr().err == ""
+    assert arm.runtime_state == STOPPED
+    assert call == "probe" or "kill" in arm.names
 
 
 @pytest.mark.parametrize(
@@ -640,7 +687,7 @@ def test_a_fault_stops_an_arm_that_nothing_else_would_stop(arm: Arm) -> None:
 def test_a_process_that_does_not_connect_in_time_is_ended(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("haptether.slave.ur.connection.CONNECT_S", 0.2)
     arm.blocks.add("connect")
-    with pytest.raises(RtdeConnectionError, match=r"connect \(control\): has not returned within 0.2 s"):
+    with pytest.raises(UrRefusedError, match=r"connect \(control\): has not returned within 0.2 s"):
         Driven(arm)
     # Otherwise it would upload its script once it comes through, with nobody to arm the watchdog.
     assert arm.names[-1] == "kill"

@@ -248,7 +248,7 @@ def test_a_controller_that_somebody_else_leads_is_refused() -> None:
     with emulator(host=host) as emulated:
         emulated.do("in-use on")
         with driven({"host": host, "mode": "speedl"}) as watching:
-            until_said(watching, "RtdeConnectionError: connect (control): ", 0.0, "error")
+            until_said(watching, "UrRefusedError: control script: connect (control): ", 0.0, "error")
             said = watching.wait_for("error", since_s=1e-9)
             watching.end()
     assert said is not None

@@ -9,7 +9,7 @@ from tests.ur.fake_rtde import START_Q
 
 from haptether.slave import UrKinematics, ur_model
 from haptether.slave.ur.kinematics.pose import matrix_from_rotvec, pose_from_transform
-from haptether.slave.ur.modes import JOINT_SPEED_SHARE, JointTracking, UnreachableError, check_mode, ur_mode
+from haptether.slave.ur.modes import JOINT_SPEED_SHARE, JointTracking, UnreachableError, ur_mode
 from haptether.slave.ur.options import UrOptions, ur_options
 from haptether.slave.ur.set_point import SetPoint
 from haptether.slave.ur.state import UrState
@@ -81,15 +81,6 @@ def test_near_a_singularity_the_tool_stays_behind_and_no_joint_runs_away() -> No
         fastest = np.maximum(fastest, np.abs(joints.qd))
     assert "the tool cannot follow" in message
     assert (fastest <= max_speed * (1 + 1e-9)).all()
-
-
-@pytest.mark.parametrize(("version", "good"), [((5, 11, 0, 0), False), ((5, 25, 9, 0), False), ((5, 26, 0, 0), True)])
-def test_direct_torque_is_for_new_software(version: tuple[int, ...], good: bool) -> None:
-    if good:
-        check_mode(options(mode="direct-torque"), version)
-    else:
-        with pytest.raises(ValueError, match=r"needs software 5\.26 or later"):
-            check_mode(options(mode="direct-torque"), version)
 
 
 class Said:

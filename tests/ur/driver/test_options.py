@@ -1,6 +1,7 @@
 """Options of the UR driver: a refusal names its key."""
 
 import math
+from pathlib import Path
 
 import pytest
 
@@ -54,6 +55,17 @@ def test_every_arm_has_a_most_payload() -> None:
         (HOST | {"model": "ur5", "force_source": "raw"}, "a ur5 has no sensor in its flange: must be tcp"),
         ({"host": "192.168.1.10:30004"}, "host = '192.168.1.10:30004': must be an IPv4 address or a name"),
         ({"host": ""}, "host = '': must be"),
+        ({"host": "fe80::1"}, "host = 'fe80::1': must be an IPv4 address or a name, without a port"),
+        *(
+            ({"host": host}, f"host = '{host}': is the address of no peer")
+            for host in (
+                "0.0.0.0",
+                "0",
+                "0.0.0.7",
+                "224.0.0.1",
+                "255.255.255.255",
+            )
+        ),
         ({"host": 5}, "host = 5: must be a string"),
     ],
 )
@@ -62,6 +74,25 @@ def test_wrong_options_are_refused_by_name(given: dict[str, object], said: str) 
         load_slave("ur", given)
     assert said in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (None, "No such file or directory: must be a calibration.toml"),
+        ("delta_theta = [0, 0", "device = ur: calibration = "),
+        ("delta_alpha = [0.1, 0, 0, 0, 0, 0]", "delta_alpha"),
+        ("", "is empty: must have one or more of delta_theta"),
+    ],
+)
+def test_a_calibration_is_read_before_anything_is_connected(content: str | None, said: str, tmp_path: Path) -> None:
+    file = tmp_path / "unit.toml"
+    if content is not None:
+        file.write_text(content)
+    with pytest.raises(ValueError, match="device = ur: calibration = ") as refused:
+        load_slave("ur", HOST | {"calibration": str(file)})
+    assert said in str(refused.value)
+    assert str(refused.value).count(str(file)) == 1
 
 
 @pytest.mark.parametrize("key", UrOptions.__struct_fields__)

@@ -1,6 +1,5 @@
 """The driver that a command opens, its options, and how it is opened."""
 
-import os
 import sys
 import time
 import traceback
@@ -155,7 +154,6 @@ def await_open(command: DriverOptions, run: "StandaloneRun", stopped: "Stopped")
     Raises:
         KeyboardInterrupt: Ctrl-C meanwhile; the driver is closed.
     """
-    from haptether.cli.shared.output import deliver_output
     from haptether.cli.shared.own_force import announce_end, exerts_by_itself
     from haptether.cli.shared.screen import Screen
 
@@ -164,12 +162,8 @@ def await_open(command: DriverOptions, run: "StandaloneRun", stopped: "Stopped")
         while not (run.is_open or run.finished or stopped) and time.monotonic() < end_s:
             time.sleep(0.01)
     if stopped:
-        if not run.end():
-            # A vendor's library whose threads still connect would abort an orderly exit.
-            if exerts_by_itself(run.watched.device):
-                announce_end(command.name, closed=False)
-            deliver_output()
-            os._exit(130)
+        if not run.end() and exerts_by_itself(run.watched.device):
+            announce_end(command.name, closed=False)
         raise KeyboardInterrupt
     return run.is_open
 

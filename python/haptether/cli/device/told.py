@@ -6,13 +6,12 @@ import threading
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, TextIO
 
+from haptether.printed import MIN_CHARACTERS, SEE_ABOVE
+
 if TYPE_CHECKING:
     from haptether.bridge.devices.check.finding import Finding
 
-SEE_ABOVE = "see above"
 CONTROL = frozenset("\r\x1b")
-MIN_MESSAGE = 8
-"""Least length of a message in characters; a shorter one may be a part of any text."""
 
 
 class Told:
@@ -58,7 +57,7 @@ class Told:
             found: In the order of the table.
             messages: Messages of the driver's errors and faults.
         """
-        longest = sorted({message for message in messages if len(message) >= MIN_MESSAGE}, key=len, reverse=True)
+        longest = sorted({message for message in messages if len(message) >= MIN_CHARACTERS}, key=len, reverse=True)
         seen, shown = _squeezed(self.text), []
         for finding in found:
             text = finding.text

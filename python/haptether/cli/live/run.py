@@ -17,6 +17,7 @@ from haptether.cli.live.options import marked
 from haptether.cli.shared.output import QueuedWriter
 from haptether.cli.shared.stop import Stopped, wait
 from haptether.printable import printable
+from haptether.printed import forget, printed, shortened
 from haptether.private_file import refuse_link, write_private
 
 if TYPE_CHECKING:
@@ -70,6 +71,8 @@ class SideWatch:
         self._flight = flight
         self._insecure = insecure
         self._cause: Cause | None = None
+        self._printed: Cause | None = None
+        """The cause that stands last on standard error."""
         self._ineffective_presses = 0
         self._is_engaged = False
 
@@ -91,9 +94,12 @@ class SideWatch:
                 is_over = lambda: self._is_over() or not panel.draws  # noqa: E731
                 wait("", self._status, is_over, self._stopped, None, shown=False)
             panel.end()
+            # The panel process may have lost the lines.
+            self._printed = None
+            forget()
             if self._is_over() or self._stopped:
                 return
-            # The panel process may have lost the cause: print it again.
+            # Print the cause again.
             self._cause = None
         wait("", self._status, self._is_over, self._stopped, None, shown=not quiet)
 
@@ -143,7 +149,12 @@ class SideWatch:
         self._flight.write(self._side.flight())
         if isinstance(self._side, DeviceRun) and self._side.error is not None:
             self._print_changes()
-        return self._current_cause()
+        cause = self._current_cause()
+        if cause is not None and cause == self._printed:
+            # The last line of the command does not repeat it.
+            printed(cause.text)
+            printed(cause.text.partition(": ")[2])
+        return cause
 
     def raise_error(self) -> None:
         """Raise the error that ended the loop of a driver, if there is one."""
@@ -186,7 +197,9 @@ class SideWatch:
         cause, before = self._current_cause(), self._cause
         self._cause = cause
         if cause is not None and cause != before:
-            self._print(f"{cause.state}: {cause.text}" if cause.state in self.HELD else cause.text, cause)
+            text = shortened(cause.text)
+            self._print(f"{cause.state}: {text}" if cause.state in self.HELD else text, cause)
+            self._printed = cause
         presses, why = self._side.ineffective_presses
         if presses != self._ineffective_presses:
             self._ineffective_presses = presses
@@ -198,7 +211,7 @@ class SideWatch:
                 again = f"press anew by its button or kill -{self.SIGNALS['master', 'press']} {os.getpid()}"
                 print(f"the clutch was pressed for nothing: {why}; {again}", file=sys.stderr, flush=True)
             elif cause is not None:
-                self._print(f"the clutch does nothing yet: {cause.text}", cause)
+                self._print(f"the clutch does nothing yet: {shortened(cause.text)}", cause)
         is_engaged = self._side.state == "engaged"
         if is_engaged and not self._is_engaged:
             print(f"{self._name}: engaged", file=sys.stderr, flush=True)

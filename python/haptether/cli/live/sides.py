@@ -209,7 +209,6 @@ Run = TypeVar("Run", bound="DeviceRun")
 
 def _opened(run: Run, device: object, name: str, stopped: "Stopped") -> Run:
     """Wait until the device is open."""
-    from haptether.cli.shared.output import deliver_output
     from haptether.cli.shared.own_force import announce_end, exerts_by_itself
     from haptether.cli.shared.screen import Screen
 
@@ -227,10 +226,6 @@ def _opened(run: Run, device: object, name: str, stopped: "Stopped") -> Run:
         # The device was never open: there is no run to report.
         raise run.error
     if stopped:
-        if not run.finished:
-            # A vendor's library whose threads still connect would abort an orderly exit.
-            deliver_output()
-            os._exit(130)
         raise KeyboardInterrupt
     message = f"{name}: did not open within {READY_S:g} s"
     raise RuntimeError(message)
