@@ -59,8 +59,8 @@ class Interrupts:
     def _leave_threads(self) -> None:
         """End the process at once if a daemon thread is left; its interpreter must not end before that thread.
 
-        Such a thread may be in a vendor's library, for example while a device connects. When its call returns it asks
-        for the interpreter. Once that has ended Python ends the thread, and C++ code below aborts the process.
+        A daemon thread may be in a vendor's library, for example while a device connects. Its call returns and asks for
+        the interpreter. After the interpreter's end Python ends the thread, and C++ code below aborts the process.
         """
         threading = sys.modules.get("threading")
         if threading is None or not any(thread.daemon for thread in threading.enumerate()):
