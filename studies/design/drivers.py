@@ -42,7 +42,8 @@ def _judged(
     try:
         changed, device = with_bounds(scene)
     except (ValueError, DeviceError) as error:
-        return scene, Finding(name=name, state="bad", text=" ".join(str(error).split()))
+        said = error.brief if isinstance(error, DeviceError) else str(error)
+        return scene, Finding(name=name, state="bad", text=" ".join(said.split()))
     names = " and ".join(drivers)
     text = f"{names} can be in this scene, with these options; no device was opened: `haptether check-device NAME` does"
     if getattr(device, "paces", False) and getattr(device, "period_s", None) is None:
