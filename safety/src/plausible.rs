@@ -37,9 +37,9 @@ const WRONG: [u8; 14] = [
     0b01110, 0b10110, 0b11010, 0b11100, // three
 ];
 
-/// Largest change of velocity between samples in dV, where the path goes on without wrong ones. Below 1 / 2, so that
-/// two wrong samples in a row are no motion.
-const SMOOTH: f64 = 0.4;
+/// Largest change of velocity between samples in dV, where the path goes on without wrong ones. A pair of
+/// equal wrong samples is then no motion: it is off the path by dV, and would have to be within 0.9 dV.
+const SMOOTH: f64 = 0.3;
 
 /// Return the share of dV in the limit `ticks` after the path, beside a wrong sample: the next may be wrong too.
 ///
@@ -399,7 +399,7 @@ impl<const N: usize> Guard<N> {
 
     /// Return whether the path goes on without a set of wrong samples, as bits by index, each of them off its line.
     ///
-    /// The velocity then changes by at most 0.4 dV per sample; no stop, blow or step is so smooth without a sample.
+    /// The velocity then changes by at most 0.3 dV per sample; no stop, blow or step is so smooth without a sample.
     fn is_smooth_without(&self, wrong: u8, chain: &[Knot<N>]) -> bool {
         let (point, turn) = (&self.track.bounds, &self.turn.bounds);
         // A slow device repeats its samples and has no such path.
@@ -415,7 +415,7 @@ impl<const N: usize> Guard<N> {
             // A late tick widens nothing.
             let (ticks, samples) = (other.at - one.at, (to - from) as f64);
             let limit = |of: &PerTick| {
-                0.5 * SMOOTH * of.change * (samples + span) + of.quantum * (1.0 / samples + 1.0 / span)
+                0.5 * (SMOOTH * of.change * (samples + span) + of.quantum * (1.0 / samples + 1.0 / span))
             };
             if self.excess(one, other).is_some() {
                 return false;

@@ -44,7 +44,7 @@ proptest! {
     #[test]
     fn outliers_are_replaced_and_counted(
         (v, a, tremor) in motions(),
-        size in 0.0008..0.5f64,
+        size in prop_oneof![0.0009..0.0012f64, 0.0012..0.5f64],
         signs in prop::array::uniform3(any::<bool>()),
         run in 1..=3_usize,
         quantum in prop::sample::select(vec![0.0, QUANTUM]),
