@@ -12,6 +12,8 @@ pub(crate) use sample::Parts;
 pub use sample::{Sample, Turned};
 pub use track::Track;
 
+use nalgebra::UnitQuaternion;
+
 use self::{
     bounds::{PerTick, is_short},
     track::{Change, Path},
@@ -34,6 +36,23 @@ const WRONG: [u8; 14] = [
     0b00110, 0b01010, 0b10010, 0b01100, 0b10100, 0b11000, // two
     0b01110, 0b10110, 0b11010, 0b11100, // three
 ];
+
+/// Largest change of velocity between samples in dV, where the path goes on without wrong ones. A pair of
+/// equal wrong samples is then no motion: it is off the path by dV, and would have to be within 0.9 dV.
+const SMOOTH: f64 = 0.3;
+
+/// Return the share of dV in the limit `ticks` after the path, beside a wrong sample: the next may be wrong too.
+///
+/// It follows a device that accelerates by dV / 10 per tick, 50 m/s^2 at 1 kHz. This leaves the path by
+/// `dV dT k (k + 1) / 20` in k ticks.
+fn share_after(ticks: f64) -> f64 {
+    (0.05 * ticks * (ticks + 1.0)).min(1.0)
+}
+
+/// Return the sets of wrong samples among `length` samples.
+fn sets(length: usize) -> impl Iterator<Item = u8> {
+    WRONG.into_iter().filter(move |wrong| usize::from(*wrong) < 1 << (length - 1))
+}
 
 /// Sample and its time in ticks after the last sample of the path.
 #[derive(Clone, Copy, Debug)]
@@ -83,7 +102,8 @@ impl<const N: usize> Between<N> {
 /// unchanged.
 ///
 /// - **Outlier.** A sample off the path is held and replaced by its prediction. If one of the next 3 ticks is on the
-///   path again, the held samples count as outliers. They are then interpolated between the samples around them.
+///   path again, the held samples count as outliers. They are then interpolated between the samples around them. A
+///   device that accelerates returns to the path that bends as before, or its path goes on smoothly without them.
 /// - **Change of velocity that stays**, for example at a mechanical stop. After 3 ticks off the path the samples are
 ///   accepted if the speed between them is within the bound of the device. One sample that fits neither neighbour is
 ///   left out.
@@ -192,11 +212,8 @@ impl<const N: usize> Guard<N> {
         // A held sample that repeats the last one is late, not wrong.
         let last = self.last;
         let wrong = self.held[..self.count].iter().filter(|knot| last != knot.sample).count();
-        // After a wrong sample the next may be wrong too, so the limit is tighter. It follows a device that
-        // accelerates by dV / 10 per tick, 50 m/s^2 at 1 kHz; this leaves the path by dV dT k (k + 1) / 20 in k
-        // ticks.
-        let share = if wrong == 0 { 1.0 } else { (0.05 * at * (at + 1.0)).min(1.0) };
-        if self.contains(sample.parts(), at, share) {
+        let share = if wrong == 0 { 1.0 } else { share_after(at) };
+        if self.contains(sample.parts(), at, share) || (wrong > 0 && self.bends_to(sample, at, share)) {
             self.outliers += wrong as u64;
             self.settle(&[], Knot { at, sample: *sample }, None);
             self.accept(sample.parts(), at, 1.0 + (self.count - wrong) as f64);
@@ -210,10 +227,67 @@ impl<const N: usize> Guard<N> {
             self.accept(sample.parts(), ticks + gap, 1.0);
             return Judged::Settled;
         }
-        if self.count < MAX_OUTLIERS {
-            return self.hold(Knot { at, sample: *sample });
+        let newest = Knot { at, sample: *sample };
+        let (chain, length) = self.chain(newest);
+        let chain = &chain[..length];
+        if let Some(wrong) = sets(length).find(|wrong| self.is_smooth_without(*wrong, chain)) {
+            return self.change_without(wrong, chain, |_, _| None);
         }
-        self.decide(Knot { at, sample: *sample })
+        if self.count < MAX_OUTLIERS { self.hold(newest) } else { self.decide(chain) }
+    }
+
+    /// Return the last sample of the path, the held samples and the newest one, and their number.
+    fn chain(&self, newest: Knot<N>) -> ([Knot<N>; MAX_HELD + 2], usize) {
+        let mut chain = [newest; MAX_HELD + 2];
+        chain[0] = Knot { at: 0.0, sample: self.last };
+        chain[1..=self.count].copy_from_slice(&self.held[..self.count]);
+        (chain, self.count + 2)
+    }
+
+    /// Return whether a sample is on the path of a device that accelerates on, and no held sample on the line to it.
+    ///
+    /// The path then bends by the change of the last two velocities: `x(k) = x_a + v k + (v - v') k (k + 1) / 2`.
+    fn bends_to(&self, sample: &Sample<N>, ticks: f64, share: f64) -> bool {
+        let (path, turn, gap) = &self.before;
+        // A late tick or a repeat does not show the acceleration.
+        if *gap != 1.0 || self.track.path.every.max(self.turn.every) > 1.0 {
+            return false;
+        }
+        let Some(bend) = self.track.path.rate.zip(path.rate).map(|(now, before)| now - before) else {
+            return false;
+        };
+        let rotation = self.last.rotation.zip(self.turn.rate().zip(turn.rate()));
+        let turning = rotation.map(|(_, (now, before))| now - before);
+        // The bend is rounded by up to two quanta; within them it is none.
+        let rounding = |of: &PerTick| 0.5 * of.quantum * ticks * (ticks + 1.0);
+        let limit =
+            |of: &PerTick| (of.change * share + rounding(of)).min(of.change) + of.quantum * (ticks + 1.0);
+        let faster = |of: &PerTick| (share + 2.0 * ticks * of.quantum / of.change).min(1.0);
+        let (point, turn) = (&self.track.bounds, &self.turn.bounds);
+        let is_straight = is_short(&bend, 2.0 * point.quantum, point.per_axis)
+            && turning.is_none_or(|bend| bend.norm() <= 2.0 * turn.quantum);
+        let straight = self.path_at(ticks);
+        let (after, speed) = (0.5 * ticks * (ticks + 1.0), ticks / self.period_s);
+        let [last, newest] = [(0.0, self.last), (ticks, *sample)].map(|(at, sample)| Knot { at, sample });
+        !is_straight
+            && self.excess(&last, &newest).is_none()
+            && is_short(&(sample.position - straight.position - bend * after), limit(point), point.per_axis)
+            && self
+                .last
+                .velocity
+                .zip(sample.velocity)
+                .is_none_or(|(from, to)| point.is_steady(&(from + bend * speed), &to, faster(point)))
+            && straight.rotation.zip(sample.rotation).zip(turning).is_none_or(|((from, to), bend)| {
+                let expected = UnitQuaternion::from_scaled_axis(bend * after) * from.orientation;
+                is_small(&expected.rotation_to(&to.orientation), limit(turn))
+                    && from
+                        .angular_velocity
+                        .zip(to.angular_velocity)
+                        .is_none_or(|(from, to)| turn.is_steady(&(from + bend * speed), &to, faster(turn)))
+            })
+            && self.held[..self.count]
+                .iter()
+                .all(|held| held.sample == self.last || !self.are_in_line(&last, &newest, held))
     }
 
     /// Return whether a sample is on the path without its last sample.
@@ -221,7 +295,9 @@ impl<const N: usize> Guard<N> {
         let (path, turn, ticks) = &self.before;
         let repeats = self.last == *sample && self.track.path.since + gap < self.track.path.every;
         // A path of one sample has no direction, and a repeat equals the last sample.
-        path.rate.is_some() && !repeats && self.is_on(path, turn, sample.parts(), ticks + gap, 1.0)
+        path.rate.is_some()
+            && !repeats
+            && self.is_on(path, turn, sample.parts(), ticks + gap, share_after(ticks + gap))
     }
 
     fn hold(&mut self, knot: Knot<N>) -> Judged<N> {
@@ -286,11 +362,9 @@ impl<const N: usize> Guard<N> {
     }
 
     /// Decide when more samples are off the path than may be outliers.
-    fn decide(&mut self, newest: Knot<N>) -> Judged<N> {
-        let mut chain = [newest; MAX_HELD + 2];
-        chain[0] = Knot { at: 0.0, sample: self.last };
-        chain[1..=self.count].copy_from_slice(&self.held[..self.count]);
-        let length = self.count + 2;
+    fn decide(&mut self, chain: &[Knot<N>]) -> Judged<N> {
+        let length = chain.len();
+        let newest = chain[length - 1];
         let excess = |from: usize, to: usize| self.excess(&chain[from], &chain[to]);
         let Some(first) = (1..length).find(|to| excess(to - 1, *to).is_some()) else {
             let in_line = |of: [usize; 3]| {
@@ -301,14 +375,14 @@ impl<const N: usize> Guard<N> {
                 return self.hold(newest);
             }
             if self.count == MAX_HELD && !in_line([4, 3, 2]) && in_line([4, 3, 1]) {
-                return self.change_without(1 << (length - 2), &chain[..length]);
+                return self.change_without(1 << (length - 2), chain, Self::step_of);
             }
-            return self.change(&chain[1..length]);
+            return self.change(&chain[1..], Self::step_of);
         };
         let mut waits = first == length - 1;
-        for wrong in WRONG.into_iter().filter(|wrong| usize::from(*wrong) < 1 << (length - 1)) {
-            match self.are_wrong(wrong, &chain[..length]) {
-                Some(true) => return self.change_without(wrong, &chain[..length]),
+        for wrong in sets(length) {
+            match self.are_wrong(wrong, chain) {
+                Some(true) => return self.change_without(wrong, chain, Self::step_of),
                 Some(false) => {}
                 None => waits = true,
             }
@@ -319,8 +393,61 @@ impl<const N: usize> Guard<N> {
         }
         match excess(first - 1, first) {
             Some(excess) => Judged::Stepped(excess),
-            None => self.change(&chain[1..length]),
+            None => self.change(&chain[1..], Self::step_of),
         }
+    }
+
+    /// Return whether the path goes on without a set of wrong samples, as bits by index, each of them off its line.
+    ///
+    /// The velocity then changes by at most 0.3 dV per sample; no stop, blow or step is so smooth without a sample.
+    fn is_smooth_without(&self, wrong: u8, chain: &[Knot<N>]) -> bool {
+        let (point, turn) = (&self.track.bounds, &self.turn.bounds);
+        // A slow device repeats its samples and has no such path.
+        let is_slow = self.track.path.every.max(self.turn.every) > 1.0;
+        if is_slow && chain.windows(2).any(|pair| pair[0].sample == pair[1].sample) {
+            return false;
+        }
+        let Some(mut rate) = self.track.path.rate else { return false };
+        let mut turning = self.turn.rate();
+        let (mut from, mut span, mut kept) = (0, 1.0, 0);
+        for to in (1..chain.len()).filter(|n| wrong >> n & 1 == 0) {
+            let (one, other) = (&chain[from], &chain[to]);
+            // A late tick widens nothing.
+            let (ticks, samples) = (other.at - one.at, (to - from) as f64);
+            let limit = |of: &PerTick| {
+                0.5 * (SMOOTH * of.change * (samples + span) + of.quantum * (1.0 / samples + 1.0 / span))
+            };
+            if self.excess(one, other).is_some() {
+                return false;
+            }
+            let now = (other.sample.position - one.sample.position) / ticks;
+            let is_steady = one
+                .sample
+                .velocity
+                .zip(other.sample.velocity)
+                .is_none_or(|(from, to)| point.is_steady(&from, &to, SMOOTH * samples));
+            if !is_steady || !is_short(&(now - rate), limit(point), point.per_axis) {
+                return false;
+            }
+            if let (Some(before), Some((from, to))) =
+                (turning, one.sample.rotation.zip(other.sample.rotation))
+            {
+                let now = (to.orientation * from.orientation.inverse()).scaled_axis() / ticks;
+                let is_steady = from
+                    .angular_velocity
+                    .zip(to.angular_velocity)
+                    .is_none_or(|(from, to)| turn.is_steady(&from, &to, SMOOTH * samples));
+                if !is_steady || (now - before).norm() > limit(turn) {
+                    return false;
+                }
+                turning = Some(now);
+            }
+            if (from + 1..to).any(|n| self.are_in_line(one, other, &chain[n])) {
+                return false;
+            }
+            (from, span, kept, rate) = (to, samples, kept + 1, now);
+        }
+        kept >= 2 && from + 1 == chain.len()
     }
 
     /// Return whether a sample is on the line through two others.
@@ -337,6 +464,10 @@ impl<const N: usize> Guard<N> {
         is_short(&(other.position - one.position), limit(point), point.per_axis)
             && one.rotation.zip(other.rotation).is_none_or(|(one, other)| {
                 is_small(&one.orientation.rotation_to(&other.orientation), limit(turn))
+                    && one
+                        .angular_velocity
+                        .zip(other.angular_velocity)
+                        .is_none_or(|(one, other)| turn.is_steady(&one, &other, 1.0))
             })
             && one.velocity.zip(other.velocity).is_none_or(|(one, other)| point.is_steady(&one, &other, 1.0))
     }
@@ -371,20 +502,29 @@ impl<const N: usize> Guard<N> {
     }
 
     /// Accept the samples after a change, without a set of wrong ones.
-    fn change_without(&mut self, wrong: u8, chain: &[Knot<N>]) -> Judged<N> {
+    fn change_without(
+        &mut self,
+        wrong: u8,
+        chain: &[Knot<N>],
+        step_of: impl FnOnce(&Self, &[Knot<N>]) -> Option<Sample<N>>,
+    ) -> Judged<N> {
         self.outliers += u64::from(wrong.count_ones());
         let (mut kept, mut length) = ([chain[0]; MAX_HELD + 2], 0);
         for (_, knot) in chain.iter().enumerate().filter(|(n, _)| wrong >> n & 1 == 0) {
             kept[length] = *knot;
             length += 1;
         }
-        self.change(&kept[1..length])
+        self.change(&kept[1..length], step_of)
     }
 
     /// Accept the samples after a change of the path; `knots` follow the last sample of the path.
-    fn change(&mut self, knots: &[Knot<N>]) -> Judged<N> {
+    fn change(
+        &mut self,
+        knots: &[Knot<N>],
+        step_of: impl FnOnce(&Self, &[Knot<N>]) -> Option<Sample<N>>,
+    ) -> Judged<N> {
         let [held @ .., newest] = knots else { return Judged::Settled };
-        let shift = self.step_of(knots);
+        let shift = step_of(self, knots);
         self.settle(held, *newest, shift);
         let (same_for, last) = ([self.track.path.same_for, self.turn.same_for], self.last);
         if let Some(shift) = shift {

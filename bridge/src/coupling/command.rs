@@ -19,7 +19,8 @@ pub struct CommandBounds {
     #[serde(rename = "command_speed", deserialize_with = "infinite_or")]
     #[schemars(with = "Option<f64>")]
     pub speed: f64,
-    /// Largest distance in m from the slave's position at its first tick.
+    /// Largest distance in m from the slave's start: its first sample after three accepted ones. An
+    /// acknowledged fault of the arm renews it.
     #[serde(rename = "command_reach", deserialize_with = "infinite_or")]
     #[schemars(with = "Option<f64>")]
     pub reach: f64,
@@ -60,7 +61,7 @@ pub struct RotationBounds {
     #[serde(rename = "command_angular_speed", deserialize_with = "infinite_or")]
     #[schemars(with = "Option<f64>")]
     pub speed: f64,
-    /// Largest angle in rad from the slave's orientation at its first tick.
+    /// Largest angle in rad from the slave's orientation at its start, as [`CommandBounds::reach`].
     #[serde(rename = "command_turn", deserialize_with = "infinite_or")]
     #[schemars(with = "Option<f64>")]
     pub turn: f64,

@@ -151,6 +151,7 @@ impl<const N: usize> Arm<N> {
         if let Err(fault) = checked {
             self.fault.get_or_insert(fault);
         }
+        self.translation.accepts(matches!(checked, Ok(None)));
         checked
     }
 
@@ -192,19 +193,17 @@ impl<const N: usize> Arm<N> {
     /// Return the alignment state and the next step towards the master's newest orientation, for an arm that
     /// aligns before it engages.
     ///
-    /// `before` gives state and turn flag of the last tick, and the newest frame. `checked` is true if the
-    /// sample is valid.
+    /// `before` gives state and turn flag of the last tick, and the newest frame.
     #[inline(always)] // as check
     pub(super) fn align(
         &mut self,
         now_ns: u64,
         measured: Option<&RotationState>,
-        checked: bool,
         before: impl FnOnce() -> (LadderState, bool, Option<RotationState>),
     ) -> Option<(AlignmentState, Option<AlignmentStep>)> {
         let elapsed_s = self.translation.elapsed_s(now_ns);
         let rotation = self.rotation.as_mut()?;
-        if let (Some(measured), true) = (measured, checked) {
+        if let (Some(measured), true) = (measured, self.translation.is_confirmed()) {
             rotation.begin(measured);
         }
         let alignment = rotation.alignment?;
@@ -222,7 +221,6 @@ impl<const N: usize> Arm<N> {
         &mut self,
         now_ns: u64,
         reading: &SlaveReading<N>,
-        checked: bool,
         step: Option<&AlignmentStep>,
         input: &ArmInput<'_, N>,
         outgoing: &mut PortState,
@@ -238,7 +236,7 @@ impl<const N: usize> Arm<N> {
         }
         let of_master = newest.as_ref().map(|master| [&master.position, &master.velocity]);
         let input = TranslationInput { state, stale_ns, newest: of_master };
-        if let Some(led) = self.translation.follow(now_ns, position, checked, &input) {
+        if let Some(led) = self.translation.follow(now_ns, position, &input) {
             let [speed, reach] = led.limited;
             limited = Limited { speed, reach, ..limited };
             command_velocity = led.velocity;
@@ -313,7 +311,14 @@ impl<const N: usize> Arm<N> {
     pub(crate) fn command(&mut self, command: OperatorCommand, ticks: u32) -> Result<bool, CouplingError> {
         match (command, &mut self.rotation) {
             (OperatorCommand::Acknowledge, _) => {
-                (self.fault, self.excess) = (None, None);
+                self.excess = None;
+                if self.fault.take().is_some() {
+                    // After a fault of the arm its origin may have moved.
+                    self.translation.forget_home();
+                    if let Some(rotation) = &mut self.rotation {
+                        rotation.forget_home();
+                    }
+                }
                 return Ok(true);
             }
             (OperatorCommand::RotationScale(scale), Some(rotation)) => {
@@ -340,5 +345,120 @@ impl<const N: usize> Arm<N> {
     /// Last commanded orientation; none for a point, and before the first engagement.
     pub(super) fn last_orientation(&self) -> Option<UnitQuaternion<f64>> {
         self.rotation.as_ref().and_then(|rotation| rotation.command)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        LadderSettings,
+        coupling::{CommandBounds, RotationBounds, RotationLock},
+    };
+
+    const MS: u64 = 1_000_000;
+    const REACH: f64 = 0.1;
+    const TURN: f64 = 0.2;
+
+    fn reading(x: f64, angle: f64) -> SlaveReading<3> {
+        let rotation = RotationState {
+            orientation: UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.0, 0.0, angle)),
+            angular_velocity: Axes::zeros(),
+            torque: Axes::zeros(),
+        };
+        let position = Axes::<3>::new(x, 0.0, 0.0);
+        SlaveReading {
+            rotation: Some(rotation),
+            ..SlaveReading::point([position, Axes::zeros(), Axes::zeros()])
+        }
+    }
+
+    /// An arm at rest at `at`, whose bounds on reach and turn are finite.
+    struct Rig {
+        arm: Arm<3>,
+        at: [f64; 2],
+        tick: u64,
+    }
+
+    impl Rig {
+        fn new(at: [f64; 2]) -> Self {
+            let bounds = CommandBounds { speed: 1e3, reach: REACH };
+            let ladder = LadderSettings::default();
+            let settings = SlaveSettings { period_ns: MS, run_id: 1, position_scale: 1.0, bounds, ladder };
+            let rotation = SlaveRotationSettings {
+                rotation_scale: 1.0,
+                lock: RotationLock::Free,
+                bounds: RotationBounds { speed: 1e3, turn: TURN },
+                alignment: None,
+            };
+            Self { arm: Arm::new(&settings).unwrap().turning(&rotation, 1.0).unwrap(), at, tick: 0 }
+        }
+
+        /// Step one tick with samples off by `wrong` and the master at `[x, angle]`. The arm reaches its
+        /// command.
+        fn step(&mut self, wrong: [f64; 2], state: LadderState, master: [f64; 2]) -> Option<Fault> {
+            self.tick += 1;
+            let (now_ns, [x, angle]) = (self.tick * MS, self.at);
+            let measured = reading(x + wrong[0], angle + wrong[1]);
+            let checked = self.arm.check(now_ns, &measured, false);
+            let taken = checked.ok().flatten().unwrap_or(measured);
+            self.arm.align(now_ns, taken.rotation.as_ref(), || (state, false, None));
+            let master = reading(master[0], master[1]);
+            let newest = Some(MasterState {
+                position: master.position,
+                velocity: Axes::zeros(),
+                rotation: master.rotation.as_ref(),
+            });
+            let input = ArmInput { state, turns: false, stale_ns: 0, newest };
+            self.arm.tick(now_ns, &taken, None, &input, &mut PortState::default());
+            if state == LadderState::Engaged
+                && let (Some(to), Some(turned)) = (self.arm.last_command(), self.arm.last_orientation())
+            {
+                self.at = [to[0], turned.scaled_axis()[2]];
+            }
+            checked.err()
+        }
+
+        /// Acknowledge a fault, engage and move the master far to one side and then to the other.
+        /// Return the commands.
+        fn driven(&mut self, faulted: bool) -> Vec<[f64; 2]> {
+            if faulted {
+                self.arm.command(OperatorCommand::Acknowledge, 0).unwrap();
+            }
+            let mut commands = Vec::new();
+            for n in 0..400 {
+                // Within the change of velocity that the guard allows per tick.
+                let far = 1e-4 * f64::from(if n < 200 { 20 * n } else { 20 * (400 - n) - 4000 });
+                let _ = self.step([0.0; 2], LadderState::Engaged, [far, far]);
+                commands.push(self.at);
+            }
+            commands
+        }
+    }
+
+    /// Wrong first samples do not move the bounds on reach and turn, with or without a fault.
+    #[test]
+    fn reach_is_from_where_the_arm_really_started() {
+        for size in [0.5, 0.05, 0.015, -0.01, 0.002] {
+            for run in 0..=3 {
+                for idle in [20, 300] {
+                    let mut rig = Rig::new([0.3, 0.1]);
+                    let mut faulted = false;
+                    for n in 0..idle {
+                        let wrong = if n < run { [size, size] } else { [0.0; 2] };
+                        faulted |= rig.step(wrong, LadderState::Disengaged, [0.0; 2]).is_some();
+                    }
+                    let case = format!("{run} of {size}, {faulted}");
+                    let commands = rig.driven(faulted);
+                    for (which, bound) in [(0, REACH), (1, TURN)] {
+                        let away = |of: &[f64; 2]| of[which] - [0.3, 0.1][which];
+                        let most = commands.iter().map(away).fold(0.0, f64::max);
+                        let least = commands.iter().map(away).fold(0.0, f64::min);
+                        assert!((most - bound).abs() < 1e-9, "{case}: {most} of {bound}");
+                        assert!((least + bound).abs() < 1e-9, "{case}: {least} of {bound}");
+                    }
+                }
+            }
+        }
     }
 }

@@ -41,7 +41,7 @@ pub(super) struct SlaveRotation {
     bounds: RotationBounds,
     /// Bounds with the speed that the arm's braking leaves.
     left: RotationBounds,
-    /// Orientation of the arm at its first tick.
+    /// Orientation of the arm at the sample that defines the start of its position.
     home: Option<UnitQuaternion<f64>>,
     /// Last command; none before the first engagement.
     pub(super) command: Option<UnitQuaternion<f64>>,
@@ -103,7 +103,7 @@ impl SlaveRotation {
         elapsed_s: f64,
         turns: bool,
     ) -> (AlignmentState, Option<AlignmentStep>) {
-        let home = self.home.unwrap_or(measured.orientation);
+        let Some(home) = self.home else { return (AlignmentState::Remaining, None) };
         let from = self.command.unwrap_or(measured.orientation);
         let is_within = alignment.target(&master.orientation).angle_to(&home) <= self.bounds.turn;
         let step = alignment.step(&master.orientation, &from, elapsed_s).ok().filter(|_| is_within);
@@ -135,9 +135,14 @@ impl SlaveRotation {
         Signal::EnvironmentTorque.check(torque)
     }
 
-    /// Store the orientation of the first tick as home.
+    /// Store the orientation of the first confirmed sample as home.
     pub(super) fn begin(&mut self, measured: &RotationState) {
         self.home.get_or_insert(measured.orientation);
+    }
+
+    /// Forget home: the next confirmed sample is the start.
+    pub(super) fn forget_home(&mut self) {
+        self.home = None;
     }
 
     /// Follow the master's newest rotation, extrapolated by `ahead_s`; `share` of its angular velocity

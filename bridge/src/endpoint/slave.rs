@@ -153,7 +153,7 @@ impl<const N: usize> SlaveEndpoint<N> {
             let master = exchange.link().newest().and_then(|frame| frame.rotation);
             (exchange.state(), exchange.ladder.turns(), master)
         };
-        let alignment = arm.align(now_ns, reading.rotation.as_ref(), checked.is_ok(), before);
+        let alignment = arm.align(now_ns, reading.rotation.as_ref(), before);
         if let Some((state, _)) = &alignment {
             exchange.set_alignment(*state);
         }
@@ -167,7 +167,7 @@ impl<const N: usize> SlaveEndpoint<N> {
         let turns = exchange.ladder.turns();
         let input = ArmInput { state, turns, stale_ns: exchange.ladder.stale_ns(), newest };
         let outgoing = &mut exchange.outgoing;
-        let tick = arm.tick(now_ns, reading, checked.is_ok(), step.as_ref(), &input, outgoing);
+        let tick = arm.tick(now_ns, reading, step.as_ref(), &input, outgoing);
         exchange.limited_ticks += u64::from(tick.limited.any());
         let command = arm.last_command().unwrap_or(reading.position);
         let values = [&reading.position, &command, &reading.environment_force];

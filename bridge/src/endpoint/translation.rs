@@ -11,6 +11,9 @@ use crate::{
     ladder::LadderState,
 };
 
+/// Successive accepted samples that confirm the newest: more than an outlier lasts.
+const CONFIRMING: u32 = 4;
+
 /// Inputs of a tick beside the position of the arm.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TranslationInput<'a, const N: usize, S: Real = f64> {
@@ -37,13 +40,15 @@ pub(crate) struct Led<const N: usize, S: Real = f64> {
 #[derive(Clone, Debug)]
 pub(crate) struct SlaveTranslation<const N: usize, S = f64> {
     coupling: PositionForce<N, S>,
-    /// Bounds on the command: speed in m/s, and distance in m from the first position.
+    /// Bounds on the command: speed in m/s, and distance in m from home.
     bounds: [S; 2],
     /// Speed in m/s with which the arm still brakes.
     braking: f64,
     /// Time in ns of STALE over which the commanded velocity decays.
     decay_ns: u64,
-    /// Position in m at the first valid tick.
+    /// Successive accepted samples up to the newest.
+    accepted: u32,
+    /// Position in m of the first confirmed sample since the start or an acknowledged fault of the arm.
     home: Option<Axes<N, S>>,
     command: Option<Axes<N, S>>,
     /// Time in ns of the last command.
@@ -65,6 +70,7 @@ impl<const N: usize> SlaveTranslation<N> {
             bounds: [settings.bounds.speed, settings.bounds.reach],
             braking: 0.0,
             decay_ns: settings.ladder.extrapolate_ns,
+            accepted: 0,
             home: None,
             command: None,
             commanded_ns: 0,
@@ -101,6 +107,7 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
             bounds: [pack(of, |one| one.bounds[0])?, pack(of, |one| one.bounds[1])?],
             braking,
             decay_ns,
+            accepted: 0,
             home: None,
             command: None,
             commanded_ns: 0,
@@ -140,27 +147,48 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
             }
             passes = passes & track.step(position, ticks);
         }
+        // In the other lanes the result is not used.
+        self.accepts(true);
         passes
     }
 
-    /// Step one tick of an arm at `position` in m; `checked` is true if the sample is valid.
+    /// Record whether the newest sample is accepted: valid and not held.
+    #[inline]
+    pub(super) fn accepts(&mut self, accepted: bool) {
+        self.accepted = if accepted { self.accepted.saturating_add(1) } else { 0 };
+    }
+
+    /// Return whether more successive samples up to the newest are accepted than an outlier lasts.
+    #[inline]
+    pub(super) fn is_confirmed(&self) -> bool {
+        self.accepted >= CONFIRMING
+    }
+
+    /// Forget home: the next confirmed sample is the start.
+    pub(super) fn forget_home(&mut self) {
+        self.home = None;
+    }
+
+    /// Step one tick of an arm at `position` in m.
     ///
-    /// Returns `None` unless coupled: the arm then holds the last command, and the next engagement starts
-    /// from the positions at that time.
+    /// Returns `None` unless coupled with a confirmed start: the arm then holds the last command, and the next
+    /// engagement starts from the positions at that time.
     #[inline(always)] // once per tick, from few callers
     pub(crate) fn follow(
         &mut self,
         now_ns: u64,
         position: &Axes<N, S>,
-        checked: bool,
         input: &TranslationInput<'_, N, S>,
     ) -> Option<Led<N, S>> {
         let elapsed_s = self.elapsed_s(now_ns);
         self.commanded_ns = now_ns;
-        // Home is the first valid sample, because the bounds refer to it.
-        let home = if checked { *self.home.get_or_insert(*position) } else { *position };
+        if self.home.is_none() && self.is_confirmed() {
+            self.home = Some(*position);
+        }
         let TranslationInput { state, stale_ns, newest } = *input;
-        let (LadderState::Engaged | LadderState::Stale, Some([master, velocity])) = (state, newest) else {
+        let (LadderState::Engaged | LadderState::Stale, Some([master, velocity]), Some(home)) =
+            (state, newest, self.home)
+        else {
             self.coupling.disengage();
             return None;
         };
@@ -221,7 +249,9 @@ mod tests {
         let ladder = LadderSettings { extrapolate_ns: 20_000_000, ..LadderSettings::default() };
         let bounds = CommandBounds { speed, ..CommandBounds::default() };
         let settings = SlaveSettings { period_ns: 1_000_000, run_id: 1, position_scale: 2.0, bounds, ladder };
-        SlaveTranslation::new(&settings).unwrap()
+        let mut arm = SlaveTranslation::new(&settings).unwrap();
+        (0..CONFIRMING).for_each(|_| arm.accepts(true));
+        arm
     }
 
     /// Closed form with T = 20 ms: `v / V = 1 - t / T` and `d / V = t - t² / (2 T)`, where V is twice the
@@ -237,7 +267,7 @@ mod tests {
         {
             let state = if stale_ns == 0 { LadderState::Engaged } else { LadderState::Stale };
             let input = TranslationInput { state, stale_ns, newest: Some([&x, &v]) };
-            let led = arm.follow(1_000_000 * (tick as u64 + 1), &position, true, &input).unwrap();
+            let led = arm.follow(1_000_000 * (tick as u64 + 1), &position, &input).unwrap();
             assert!((led.velocity[0] - 0.5 * share).abs() < 1e-15, "{stale_ns}: {}", led.velocity);
             let command = arm.last_command().unwrap()[0];
             assert!((command - 0.3 - 0.5 * ahead_s).abs() < 1e-15, "{stale_ns}: {command}");
@@ -246,7 +276,7 @@ mod tests {
         // The speed bound limits the velocity, like the position.
         let mut slow = translation(0.2);
         let input = TranslationInput { state: LadderState::Engaged, stale_ns: 0, newest: Some([&x, &v]) };
-        let led = slow.follow(1_000_000, &position, true, &input).unwrap();
+        let led = slow.follow(1_000_000, &position, &input).unwrap();
         assert!((led.velocity[0] - 0.2).abs() < 1e-15 && led.limited == [true, false], "{led:?}");
     }
 }

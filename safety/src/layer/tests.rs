@@ -550,3 +550,71 @@ fn motion_of_a_slow_device_is_read() {
         }
     }
 }
+
+/// One wrong sample below the speed bound, while a hand moves evenly and `F_v` is 0.5 N: it is counted, trips no
+/// controller, and changes the force by at most 0.5 N.
+#[test]
+fn a_wrong_sample_in_a_quick_motion_is_not_felt() {
+    // Mass in kg, speed bound in m/s, quantum in m, period in s, acceleration in m/s^2 and frequency in Hz.
+    let devices = [
+        (0.075, 16.0, 3e-5, 1e-3, 113.0, 20.0),
+        (0.157, 10.0, 2.3e-5, 2e-3, 38.0, 8.0),
+        (0.157, 10.0, 2.3e-5, 3e-3, 24.0, 5.0),
+        (0.157, 10.0, 2.3e-5, 5e-3, 14.0, 3.0),
+    ];
+    for (mass, speed, quantum, period_s, acceleration, frequency) in devices {
+        let damping = f64::min(5.0, 0.999 * mass / (5.0 * period_s));
+        let mut compared = 0;
+        for kind in ControllerKind::ALL {
+            let safety = SafetySettings {
+                controllers: [kind].into(),
+                damping,
+                pc_max_damping: damping,
+                hsc_force_threshold_n: 0.4,
+                energy_threshold_j: -0.03,
+                window: 50,
+                ..SafetySettings::default()
+            };
+            let estimator = EstimatorKind::DualKalman {
+                velocity_jerk_density: 1e3,
+                jerk_density: 10.0,
+                quantum_m: quantum,
+            };
+            let device = DeviceModel::uniform(mass, 0.0, 0.03).unwrap();
+            let settings = LayerSettings { device, period_s, estimator, ..settings(safety) };
+            let bounds = SampleBounds { speed, quantum, ..SampleBounds::LINEAR };
+            let run = |phase: f64, wrong: f64| {
+                let mut layer = SafetyLayer::new(&settings).unwrap().with_samples(bounds);
+                let w = std::f64::consts::TAU * frequency;
+                let ticks: Vec<_> = (0..330)
+                    .map(|n| {
+                        let x = acceleration / (w * w) * (w * f64::from(n) * period_s + phase).sin();
+                        let x = (x / quantum).round() * quantum + if n == 300 { wrong } else { 0.0 };
+                        let force = 0.5 * f64::min(1.0, 10.0 * f64::from(n) * period_s);
+                        let tick = layer.tick(&Axes::<1>::new(x), None, &Axes::<1>::new(force));
+                        (tick.device_force[0], tick.intervention.tripped.any(), tick.fault)
+                    })
+                    .collect();
+                (ticks, layer.guard().outliers())
+            };
+            for phase in 0..12 {
+                let phase = std::f64::consts::TAU / 12.0 * f64::from(phase);
+                let (clean, _) = run(phase, 0.0);
+                if clean[250..].iter().any(|tick| tick.1) {
+                    continue;
+                }
+                for share in [0.9, 0.5, -0.5, -0.9] {
+                    let (ticks, outliers) = run(phase, share * speed * period_s);
+                    let case = format!("{mass} kg, {period_s} s, {kind:?}, phase {phase}, {share}");
+                    assert_eq!(outliers, 1, "{case}");
+                    compared += 1;
+                    for (n, (one, other)) in ticks.iter().zip(&clean).enumerate().skip(296) {
+                        let off = (one.0 - other.0).abs();
+                        assert!(one.2.is_none() && !one.1 && off <= 0.5, "{case}, tick {n}: {off} N");
+                    }
+                }
+            }
+        }
+        assert!(compared >= 48, "{mass} kg, {period_s} s: {compared}");
+    }
+}

@@ -44,7 +44,7 @@ proptest! {
     #[test]
     fn outliers_are_replaced_and_counted(
         (v, a, tremor) in motions(),
-        size in 0.0008..0.5f64,
+        size in prop_oneof![0.0009..0.0012f64, 0.0012..0.5f64],
         signs in prop::array::uniform3(any::<bool>()),
         run in 1..=3_usize,
         quantum in prop::sample::select(vec![0.0, QUANTUM]),
@@ -59,6 +59,8 @@ proptest! {
             let by = if signs[(n + 3 - from % 3) % 3] { size } else { -size };
             rounded(true_x(n) + if wrong { by } else { 0.0 }, quantum)
         };
+        // A sample that repeats the last one counts as late.
+        prop_assume!((from..from + run).all(|n| measured(n) != measured(from - 1)));
         let mut guard = guard(quantum);
         let (all, ended) = taken(&mut guard, (0..100).map(measured));
         prop_assert_eq!(ended, None);
@@ -118,6 +120,32 @@ proptest! {
         for (n, x) in all.into_iter().enumerate().filter(|(n, _)| *n < 50 || *n > 64) {
             prop_assert!((x - measured(n)).abs() < 1e-12, "{n}");
         }
+    }
+
+    /// A stop or a blow that lasts for up to 3 ticks has no outliers, and its samples are accepted as measured.
+    #[test]
+    fn change_of_velocity_has_no_outliers(
+        before in -9.0..9.0f64,
+        after in -9.0..9.0f64,
+        instant in 0.0..1.0f64,
+        lasts in 0.0..3.0f64,
+        quantum in prop::sample::select(vec![0.0, QUANTUM]),
+    ) {
+        let true_x = |n: usize| {
+            let late = (n as f64 - 50.0 - instant).max(0.0);
+            let during = late.min(lasts);
+            let turned = if lasts > 0.0 { 0.5 * during * during / lasts + late - during } else { late };
+            rounded((before * n as f64 + (after - before) * turned) * PERIOD, quantum)
+        };
+        let mut guard = guard(quantum);
+        let mut held = 0;
+        for n in 0..100 {
+            prop_assert_eq!(guard.pass(&at(true_x(n)), 1.0), Ok(()), "{}", n);
+            held += u32::from(guard.holds());
+            prop_assert!(n < 60 || guard.taken() == &at(true_x(n)), "{n}");
+        }
+        prop_assert_eq!(guard.outliers(), 0);
+        prop_assert!(held <= 6, "{held}");
     }
 
     /// A lasting step beyond the speed bound is a fault at the fourth tick, with value and bound.
@@ -428,6 +456,120 @@ fn outliers_in_a_quick_motion_are_no_fault() {
                 let case = format!("{period} s, {frequency} Hz, {amplitude} m, phase {phase}, {wrong:?}");
                 assert_eq!(ended, None, "{case}");
             }
+        }
+    }
+}
+
+/// Wrong samples below the speed bound are no motion of a device that accelerates: samples of a hand or of a device
+/// that its own motors throw.
+#[test]
+fn outliers_below_the_speed_bound_are_no_motion() {
+    // Bounds, period in s, acceleration in m/s^2 (rad/s^2) and frequency in Hz; 0 Hz is a throw.
+    let point = |speed: f64, quantum: f64| SampleBounds { speed, quantum, ..SampleBounds::LINEAR };
+    let joint = SampleBounds { speed: 30.0, quantum: std::f64::consts::TAU / 4096.0, ..SampleBounds::JOINTS };
+    let motions = [
+        (point(16.0, 3e-5), 1e-3, 113.0, 20.0),
+        (point(16.0, 3e-5), 1e-3, 113.0, 0.0),
+        (point(10.0, QUANTUM), 2e-3, 38.0, 8.0),
+        (point(10.0, QUANTUM), 2e-3, 50.0, 0.0),
+        (point(10.0, QUANTUM), 3e-3, 24.0, 5.0),
+        (point(10.0, 0.0), 5e-3, 14.0, 3.0),
+        (point(10.0, QUANTUM), 5e-3, 14.0, 0.0),
+        (joint, 5e-3, 252.0, 0.0),
+        (joint, 5e-3, 151.0, 8.0),
+        (joint, 4e-3, 197.0, 10.0),
+    ];
+    for (bounds, period, acceleration, frequency) in motions {
+        // A joint moves by its limit in 2 or 3 ticks, so the last of several wrong samples may be on its path.
+        for run in 1..=if bounds.per_axis { 1 } else { 3_usize } {
+            for case in 0..24 * 8 {
+                let (phase, share) = (case / 8, [-0.9, -0.7, -0.5, -0.3, 0.3, 0.5, 0.7, 0.9][case % 8]);
+                let x = |n: usize| {
+                    let x = if frequency == 0.0 {
+                        // The wrong samples begin 1 to 13 ticks after the throw.
+                        let t = (n as f64 - 199.0 + (phase / 2) as f64).max(0.0) * period;
+                        0.5 * acceleration * t.min(18.0 * period) * (2.0 * t - t.min(18.0 * period))
+                    } else {
+                        let w = std::f64::consts::TAU * frequency;
+                        acceleration / (w * w) * (w * n as f64 * period + 0.2618 * phase as f64).sin()
+                    };
+                    rounded(x, bounds.quantum)
+                };
+                let size = share * bounds.speed * period / if run == 3 { 2.0 } else { 1.0 };
+                let wrong = |n: usize| {
+                    let sign = if case.is_multiple_of(3) && n.is_multiple_of(2) { -1.0 } else { 1.0 };
+                    if (200..200 + run).contains(&n) { sign * size } else { 0.0 }
+                };
+                let case =
+                    format!("{period} s, {acceleration}, {frequency} Hz, phase {phase}, {run} of {size}");
+                let mut guard = Guard::<1>::new(bounds, SampleBounds::UNBOUNDED, period);
+                let mut accepted = 0;
+                for n in 0..260 {
+                    assert_eq!(guard.pass(&at(x(n) + wrong(n)), 1.0), Ok(()), "{case}");
+                    if n == 199 {
+                        assert!(!guard.holds() && guard.outliers() == 0, "{case}");
+                    }
+                    if n >= 200 + run && !guard.holds() {
+                        accepted = if accepted == 0 { n } else { accepted };
+                        assert!((guard.taken().position[0] - x(n)).abs() < 1e-12, "{case}: {n}");
+                    }
+                    if let Some(between) = guard.between() {
+                        for (late, tick) in (0..=between.ticks).rev().enumerate() {
+                            let off = between.at(tick).position[0] - x(n - late);
+                            // Acceleration on a straight line over up to 4 ticks, and two quanta.
+                            let room = 2.0 * acceleration * period * period + 2.0 * bounds.quantum;
+                            assert!(off.abs() <= room, "{case}: {n} {tick}: {off}");
+                        }
+                    }
+                }
+                // A sample that repeats the last one counts as late.
+                let late = (200..200 + run).filter(|n| x(*n) + wrong(*n) == x(199)).count();
+                assert_eq!(guard.outliers(), (run - late) as u64, "{case}");
+                assert!(accepted < 200 + run + 3, "{case}: {accepted}");
+            }
+        }
+    }
+}
+
+/// The same holds for measured velocities and for rotations, whichever part is wrong.
+#[test]
+fn outliers_of_each_part_are_no_motion() {
+    // Wrong position in m, velocity in m/s, angle in rad and angular velocity in rad/s.
+    let parts = [[0.009, 0.0, 0.0, 0.0], [0.0, 9.0, 0.0, 0.0], [0.0, 0.0, 0.05, 0.0], [0.0, 0.0, 0.0, 30.0]];
+    let parts = parts.into_iter().chain([[-0.009, -9.0, 0.05, -30.0]]);
+    for wrong in parts {
+        for tick in 0..40 {
+            let mut guard =
+                Guard::<3>::new(SampleBounds::LINEAR, SampleBounds::LINEAR.at_lever(0.05), PERIOD);
+            let along = Axes::<3>::new(0.6, 0.0, 0.8);
+            // 113 m/s^2 at 20 Hz, and the same at the rim of the handle.
+            let [w, amplitude] = [40.0 * std::f64::consts::PI, 113.0 / (40.0 * std::f64::consts::PI).powi(2)];
+            let right = |n: usize| {
+                let [x, v] = [(w * n as f64 * PERIOD).sin(), w * (w * n as f64 * PERIOD).cos()];
+                let turned = Turned {
+                    orientation: UnitQuaternion::from_scaled_axis(along * (amplitude / 0.05 * x)),
+                    angular_velocity: Some(along * (amplitude / 0.05 * v)),
+                };
+                let position = along * (amplitude * x);
+                Sample { position, velocity: Some(along * (amplitude * v)), rotation: Some(turned) }
+            };
+            let [x, v, angle, rate] = wrong.map(|by| Axes::<3>::new(0.0, by, 0.0));
+            for n in 0..160 {
+                let mut sample = right(n);
+                if n == 100 + tick {
+                    sample.position += x;
+                    sample.velocity = sample.velocity.map(|of| of + v);
+                    sample.rotation =
+                        sample.rotation.map(|Turned { orientation, angular_velocity }| Turned {
+                            orientation: UnitQuaternion::from_scaled_axis(angle) * orientation,
+                            angular_velocity: angular_velocity.map(|of| of + rate),
+                        });
+                }
+                assert_eq!(guard.pass(&sample, 1.0), Ok(()), "{wrong:?} {n}");
+                let waits = (100 + tick..103 + tick).contains(&n);
+                assert!(waits || guard.taken() == &right(n), "{wrong:?}, tick {tick}: {n}");
+            }
+            assert_eq!(guard.outliers(), 1, "{wrong:?}, tick {tick}");
         }
     }
 }

@@ -7,6 +7,7 @@ use super::{
     sample::Turned,
     track::{Change, MAX_EVERY, is_gap},
 };
+use crate::Axes;
 
 /// Path of a rotation on SO(3), `R(k) = exp(w k) R_a`; as [`Track`](super::Track), with angles for lengths.
 ///
@@ -42,6 +43,11 @@ impl TurnTrack {
         let Some(rate) = self.rate else { return Some(anchor) };
         let k = self.since + ticks;
         Some(if k == 1.0 { rate } else { rate.powf(k) } * anchor)
+    }
+
+    /// Angular velocity in rad per tick; None before the second sample.
+    pub(super) fn rate(&self) -> Option<Axes<3>> {
+        self.rate.map(|rate| rate.scaled_axis())
     }
 
     fn contains(&self, orientation: &UnitQuaternion<f64>, ticks: f64, share: f64) -> bool {

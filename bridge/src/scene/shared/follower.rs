@@ -542,7 +542,7 @@ impl<const N: usize> Far<N> {
             rotation: None,
         });
         let input = ArmInput { state: step.state, turns: false, stale_ns: step.stale_ns, newest };
-        let tick = self.arm.tick(step.clock_ns, &reading, fault == 0, None, &input, &mut self.outgoing);
+        let tick = self.arm.tick(step.clock_ns, &reading, None, &input, &mut self.outgoing);
         if let Some(rest) = self.led.rest(&mut self.plant, step.state, step.state.is_coupled()) {
             self.arm.rests(&rest, None);
         }

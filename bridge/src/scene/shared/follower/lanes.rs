@@ -223,7 +223,7 @@ impl<const N: usize> LaneFollowers<N> {
         *heard = step.newest().unwrap_or(0);
         let newest = newest.map(|Sent { position, velocity, .. }| [position, velocity]);
         let input = TranslationInput { state: step.state, stale_ns: step.stale_ns, newest };
-        let command_velocity = match translation.follow(step.clock_ns, &position, true, &input) {
+        let command_velocity = match translation.follow(step.clock_ns, &position, &input) {
             Some(led) => led.velocity,
             None => Axes::zeros(),
         };
