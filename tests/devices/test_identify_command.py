@@ -92,7 +92,7 @@ def test_a_driver_that_hangs_while_it_moves_is_said_to_keep_its_command(tmp_path
         (["free", "--yes", "--axes", "1"], "axes = 1: must be of 0 to 0, each once", 2),
         (["free", "--yes", "--kind", "joints"], "kind = joints: free is a driver of linear", 2),
         (["frei", "--yes"], "did you mean free?", 2),
-        (["made", "--yes"], "RaisesWhenMade: KeyError: 'counts per turn' (", 1),
+        (["made", "--yes"], "RaisesWhenMade: KeyError: 'counts per turn'", 1),
     ],
 )
 def test_what_cannot_be_is_one_line_and_no_force(tmp_path: Path, arguments: list[str], said: str, status: int) -> None:
@@ -113,7 +113,7 @@ def test_what_cannot_be_is_one_line_and_no_force(tmp_path: Path, arguments: list
         ["master", "--peer", "127.0.0.1:9", "--insecure", "--scene", "remote_push", "--set", "master.driver=made"],
     ],
 )
-def test_a_driver_that_cannot_be_made_is_named_with_its_line_and_with_debug_its_traceback(
+def test_a_driver_that_cannot_be_made_is_named_and_with_debug_its_line(
     tmp_path: Path, command: list[str]
 ) -> None:
     for debug in (False, True):
@@ -121,7 +121,6 @@ def test_a_driver_that_cannot_be_made_is_named_with_its_line_and_with_debug_its_
         ended = run(free(tmp_path / str(debug)), *command, *(["--debug"] if debug else []))
         assert ended.returncode == 1
         assert "RaisesWhenMade: KeyError: 'counts per turn'" in ended.stderr
-        assert "drivers.py:" in ended.stderr
-        assert ", in __init__)" in ended.stderr
+        assert ("drivers.py" in ended.stderr) == debug
         assert ("Traceback" in ended.stderr) == debug
         assert ('raise KeyError("counts per turn")' in ended.stderr) == debug
