@@ -113,9 +113,7 @@ def test_what_cannot_be_is_one_line_and_no_force(tmp_path: Path, arguments: list
         ["master", "--peer", "127.0.0.1:9", "--insecure", "--scene", "remote_push", "--set", "master.driver=made"],
     ],
 )
-def test_a_driver_that_cannot_be_made_is_named_and_with_debug_its_line(
-    tmp_path: Path, command: list[str]
-) -> None:
+def test_a_driver_that_cannot_be_made_is_named_and_with_debug_its_line(tmp_path: Path, command: list[str]) -> None:
     for debug in (False, True):
         (tmp_path / str(debug)).mkdir()
         ended = run(free(tmp_path / str(debug)), *command, *(["--debug"] if debug else []))
