@@ -8,6 +8,7 @@
 
 mod drawn;
 mod gripped;
+mod homes;
 mod plant;
 mod pressed;
 mod spied;

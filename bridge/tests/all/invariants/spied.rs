@@ -18,6 +18,7 @@ use nalgebra::{Quaternion, UnitQuaternion};
 use super::{
     drawn::Drawn,
     gripped::{DrawnGripper, FingerTickSeen, FingerWatch, GripperWatch, SeenGripper},
+    homes::Homes,
     plant::Plant,
     pressed::{ButtonWatch, SeenButtons},
     turned::{OrientationWatch, SeenTurn, TorqueWatch, TurnTick, Wrong},
@@ -348,7 +349,7 @@ pub(crate) struct Far<P, const N: usize, S> {
     side: SlaveSide<Plant<P, N>, N, S>,
     watch: Watch,
     bounds: CommandBounds,
-    home: Option<Axes<N>>,
+    homes: Homes<Axes<N>>,
     command: Option<Axes<N>>,
     /// Coupled point from the tool point in m, in the tool's frame.
     reference_m: Option<Axes<3>>,
@@ -474,7 +475,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
             side,
             watch: Watch::new(1, drawn, sent),
             bounds: drawn.bounds,
-            home: None,
+            homes: Homes::new(),
             command: None,
             power_w: None,
             taken: (Axes::zeros(), None),
@@ -569,10 +570,10 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
         };
         let (side, watch) = (&mut self.side, &mut self.watch);
         let is_taken = !side.plant.is_broken(time.now_ns) && !side.endpoint.holds_sample();
-        let measured = side.plant.rotation().filter(|_| is_taken);
-        let measured = measured.map(|measured| measured.orientation);
-        if let Some(measured) = measured {
-            orientation.begin(measured);
+        let sample = side.plant.rotation().map(|sample| sample.orientation);
+        let measured = sample.filter(|_| is_taken);
+        if let Some(sample) = sample {
+            orientation.homes.see(sample, is_taken, record.fault != 0);
         }
         let newest = side.exchange().link().newest().and_then(|frame| frame.rotation);
         let turn_tick = TurnTick {
@@ -640,9 +641,9 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
             // Both sides are anchored at engagement, so motion of the hand before it has no effect.
             let jumps = !was_coupled && step > 1e-9 && limited & REACH == 0;
             self.watch.hold(!jumps, time, || format!("jumped by {step} m when it engaged"));
-            let out = self.home.map_or(0.0, |home| (command - home).norm());
+            let out = self.homes.out(|home| (command - home).norm());
             // A stop may have ended outside: the command may lead back, but not further out.
-            let was_out = self.home.map_or(0.0, |home| (before - home).norm());
+            let was_out = self.homes.out(|home| (before - home).norm());
             let most = reach.max(was_out) * (1.0 + ROUNDING);
             self.watch.hold(out <= most, time, || format!("commanded {out} m out, beyond {most}"));
         } else if !stops {
@@ -754,7 +755,8 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Side for Far<P, N, S> {
         let (gain, holds) = (ladder.gain(), ladder.holds());
         let turns = ladder.turns();
         let before = self.watch.ladder(time, record.state, gain, holds, record.clutch);
-        self.home.get_or_insert(record.position);
+        let is_taken = !self.side.plant.is_broken(time.now_ns) && !self.side.endpoint.holds_sample();
+        self.homes.see(record.position, is_taken, record.fault != 0);
         let stopped = self.side.plant.stops - stops;
         let dead = |state| matches!(state, LadderState::Stop | LadderState::Fault);
         let turned = self.turning.replace(turns);

@@ -12,6 +12,7 @@ use nalgebra::UnitQuaternion;
 
 use super::{
     drawn::{MS, Numbers, estimator, safety},
+    homes::Homes,
     spied::{ROUNDING, Watch},
 };
 
@@ -371,7 +372,7 @@ pub(crate) struct OrientationWatch {
     alignment: Option<AlignmentSettings>,
     /// Longest time in s for which one step compensates.
     max_step_s: f64,
-    home: Option<UnitQuaternion<f64>>,
+    pub(crate) homes: Homes<UnitQuaternion<f64>>,
     command: Option<UnitQuaternion<f64>>,
     was_coupled: bool,
     /// True if the bound on the angle has acted since engagement.
@@ -387,16 +388,11 @@ impl OrientationWatch {
             lock,
             alignment,
             max_step_s,
-            home: None,
+            homes: Homes::new(),
             command: None,
             was_coupled: false,
             is_led_off: false,
         }
-    }
-
-    /// Take the first valid orientation of the arm.
-    pub(crate) fn begin(&mut self, measured: UnitQuaternion<f64>) {
-        self.home.get_or_insert(measured);
     }
 
     pub(crate) fn tick(&mut self, watch: &mut Watch, time: TickTime, elapsed_s: f64, turn_tick: &TurnTick) {
@@ -429,7 +425,7 @@ impl OrientationWatch {
             watch.hold(!engages || off <= ALIGNED + ANGLE, time, || {
                 format!("engaged {off} rad off the master")
             });
-            let from_home = |of| self.home.map_or(0.0, |home| angle(&home, of));
+            let from_home = |of| self.homes.out(|home| angle(home, of));
             let (out, was_out) = (from_home(&target), from_home(&before));
             let may = was_off <= alignment.max_angle + ANGLE && out <= turn + ANGLE;
             watch.hold(!turns || may, time, || format!("turned from {was_off} off to {out} from the first"));
@@ -440,7 +436,7 @@ impl OrientationWatch {
         if state.is_coupled() {
             let most = speed * elapsed_s * (1.0 + ROUNDING) + ANGLE;
             watch.hold(step <= most, time, || format!("commanded turn {step} > {most} in {state:?}"));
-            let from_home = |of| self.home.map_or(0.0, |home| angle(&home, of));
+            let from_home = |of| self.homes.out(|home| angle(home, of));
             // As for the reach: a stop may have ended outside.
             let (out, was_out) = (from_home(&command), from_home(&before));
             let most = turn.max(was_out) + ANGLE;
