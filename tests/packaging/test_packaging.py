@@ -198,7 +198,9 @@ def interpreters() -> dict[str, str]:
 
 
 PYTHONS = interpreters()
-MAX_INSTALLED_MB = 90
+IS_RELEASE = (ROOT / ".tools" / "profile").read_text().strip() == "release"
+MAX_INSTALLED_MB = 90 if IS_RELEASE else 97
+"""A release has 7 MB less of machine code than a quick build, which is not shipped."""
 
 
 def install(version: str, wheel: Path, folder: Path) -> Path:

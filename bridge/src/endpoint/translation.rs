@@ -171,8 +171,8 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
 
     /// Step one tick of an arm at `position` in m.
     ///
-    /// Returns `None` unless coupled with a confirmed start: the arm then holds the last command, and the next
-    /// engagement starts from the positions at that time.
+    /// Returns `None` unless coupled: the arm then holds the last command, and the next engagement starts
+    /// from the positions at that time.
     #[inline(always)] // once per tick, from few callers
     pub(crate) fn follow(
         &mut self,
@@ -186,9 +186,9 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
             self.home = Some(*position);
         }
         let TranslationInput { state, stale_ns, newest } = *input;
-        let (LadderState::Engaged | LadderState::Stale, Some([master, velocity]), Some(home)) =
-            (state, newest, self.home)
-        else {
+        // No live side engages before its start is confirmed; a run in virtual time may.
+        let home = self.home.unwrap_or(*position);
+        let (LadderState::Engaged | LadderState::Stale, Some([master, velocity])) = (state, newest) else {
             self.coupling.disengage();
             return None;
         };
