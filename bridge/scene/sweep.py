@@ -508,7 +508,8 @@ def _columns(base: Checked, varied: Mapping[str, Array]) -> tuple[list[tuple[str
             together[path] = values
     if together:
         joint, wrong_rows = _joint_columns(base, expected, together)
-        columns |= joint
+        # A varied number wins over its default, which another varied number may change.
+        columns = joint | columns
         faults.append(wrong_rows)
     refused = {row: why for found in faults for row, why in found.items()}
     several = [row for row, count in Counter(row for found in faults for row in found).items() if count > 1]

@@ -73,6 +73,11 @@ def test_a_number_for_every_axis_is_spread() -> None:
     assert of_mass == {f"master.mass_kg.{axis}": [0.1, 0.02] for axis in range(3)}
 
 
+def test_a_varied_number_wins_over_its_default_from_another_varied_one() -> None:
+    found = columns({"safety.energy_threshold_j": [-0.05, -0.06], "master.mass_kg": [0.1, 0.02]}, "three_axis_box")
+    assert found["safety.energy_threshold_j"] == [-0.05, -0.06]
+
+
 def test_the_columns_are_those_of_each_scene_by_itself() -> None:
     base = load_scene("remote_push")
     rng = np.random.default_rng(3)
