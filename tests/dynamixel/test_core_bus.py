@@ -22,19 +22,16 @@ MEASURED = struct.Struct("<hii")
 
 
 @pytest.fixture(scope="module")
-def emulated() -> Iterator[EmulatedBus]:
+def shared() -> Iterator[EmulatedBus]:
     with emulated_bus("--servos", *(f"{IDS[model.name]}={model.name}" for model in MODELS)) as running:
         yield running
 
 
 @pytest.fixture
 def bus(emulated: EmulatedBus) -> Iterator[DynamixelBus]:
-    emulated.do("brown-out 0")
     opened = DynamixelBus(emulated.port, baud=BAUD, timeout_s=TIMEOUT_S)
     yield opened
     opened.close()
-    for servo_id in IDS.values():
-        emulated.do(f"silent {servo_id} off")
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
