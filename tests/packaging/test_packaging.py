@@ -1,6 +1,6 @@
 """Wheel, source distribution and lock match the tree.
 
-That maturin follows the links from python/haptether to the rooms is observed, not documented. Both archives are
+Maturin follows the links from python/haptether to the rooms; its documentation does not promise it. Both archives are
 therefore built here and compared file by file.
 """
 

@@ -1,4 +1,4 @@
-//! Many scenarios of one scene, over threads and in lanes.
+//! Sweep over scenarios of a scene, with threads and lanes.
 
 mod plan;
 
@@ -19,83 +19,83 @@ use super::{
     spec::SceneSpec,
 };
 
-/// One number of a scene that differs from scenario to scenario.
+/// Number of a scene that differs between scenarios.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Variation {
-    /// Where it is: keys and list indices, such as `operator.legs.0.end.0`.
+    /// Path of keys and list indices, such as `operator.legs.0.end.0`.
     pub path: String,
-    /// Its value in each scenario.
+    /// Value in each scenario.
     pub values: Vec<f64>,
 }
 
-/// How a sweep is run and which metrics it measures; no value depends on either.
+/// Execution of a sweep, and its metrics; neither changes a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SweepSettings {
-    /// Threads; 0 for as many as there are processors.
+    /// Number of threads; 0 for one per processor.
     pub threads: usize,
-    /// Whether scenarios that can be are advanced side by side.
+    /// True to use lanes for scenarios that fit.
     pub lanes: bool,
-    /// What is measured of each scenario; the rest is none in its outcome.
+    /// Metrics of each scenario; others are None in its outcome.
     pub metrics: Metrics,
 }
 
-/// What another thread sees of a sweep, and how it ends one.
+/// Progress of a sweep for other threads, and a request to stop it.
 #[derive(Debug, Default)]
 pub struct Progress {
-    /// Scenarios that have been run.
+    /// Number of scenarios done.
     pub done: AtomicUsize,
-    /// Set from outside: the sweep ends soon, with [`SweepError::Stopped`].
+    /// Set by another thread to end the sweep soon, with [`SweepError::Stopped`].
     pub stop: AtomicBool,
 }
 
-/// A sweep that cannot be run.
+/// Error of a whole sweep.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SweepError {
-    /// The scene is not one.
+    /// Invalid scene.
     #[error("scene: {0}")]
     Scene(String),
-    /// A path leads nowhere.
+    /// Path that does not exist.
     #[error("{0}: leads to no number of the scene")]
     Path(String),
-    /// Columns of different length.
+    /// Columns of different lengths.
     #[error("{path}: {seen} values, must have {allowed}, one per scenario")]
     Length {
         /// The column.
         path: String,
         /// Its length.
         seen: usize,
-        /// The first column's.
+        /// Length of the first column.
         allowed: usize,
     },
-    /// It was stopped from outside.
+    /// The sweep was stopped.
     #[error("stopped")]
     Stopped,
-    /// The threads could not be made.
+    /// The threads could not be created.
     #[error("threads: {0}")]
     Threads(String),
 }
 
-/// A scenario that cannot be, and why; the others of its sweep are run.
+/// Invalid scenario with the reason; the others of its sweep are run.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct Refused(pub String);
 
 type Row = Result<Outcome, Refused>;
 
-/// Scenarios of one scene.
+/// Scenarios of a scene.
 #[derive(Clone, Copy, Debug)]
 pub struct SweepPart<'a> {
     /// The scene as JSON, in the form of [`SceneSpec`].
     pub scene: &'a [u8],
-    /// What differs from scenario to scenario; one scenario without any.
+    /// Numbers that differ between scenarios; without any there is one scenario.
     pub variations: &'a [Variation],
 }
 
-/// Run every scenario of one scene, as [`sweep_parts`].
+/// Run every scenario of a scene.
 ///
 /// # Errors
 ///
-/// As there.
+/// Those of [`sweep_parts`].
 pub fn sweep(
     scene: &[u8],
     variations: &[Variation],
@@ -104,20 +104,19 @@ pub fn sweep(
     research: Option<&dyn ResearchFactory>,
 ) -> Result<Vec<Row>, SweepError> {
     let mut parts = sweep_parts(&[SweepPart { scene, variations }], settings, progress, research)?;
-    // One part has one list of rows, which are many to copy.
+    // The list of rows is moved and not copied, because it may be long.
     Ok(parts.pop().unwrap_or_default())
 }
 
 /// Run every scenario of each part.
 ///
-/// Which scenarios share a thread, lanes or the beginning of a run changes nothing, to the last bit: no operation mixes
-/// lanes, and runs share a beginning only as long as they are the same. With a controller of the caller's own none
-/// shares either.
+/// Threads, lanes and shared beginnings change no bit of a result: no operation mixes lanes, and runs share a
+/// beginning only while they are equal. Scenarios with a controller of the caller share neither lanes nor beginnings.
 ///
 /// # Errors
 ///
-/// A part that is no scene, columns of different length or of a path that is not there, threads that cannot be made, or
-/// [`SweepError::Stopped`]. A row that cannot be is refused in its place.
+/// An invalid scene, columns of different lengths, a path that does not exist, threads that cannot be created, or
+/// [`SweepError::Stopped`]. An invalid row is refused in its place.
 pub fn sweep_parts(
     parts: &[SweepPart<'_>],
     settings: SweepSettings,
@@ -142,7 +141,7 @@ pub fn sweep_parts(
         Ok((job, found))
     };
     let results: Vec<Result<(Job, Vec<Row>), SweepError>> = if settings.threads == 1 || jobs.len() == 1 {
-        // Making a thread takes longer than many a scenario.
+        // Creating a thread takes longer than many scenarios.
         jobs.into_iter().map(run).collect()
     } else {
         let pool = rayon::ThreadPoolBuilder::new()
@@ -158,12 +157,12 @@ pub fn sweep_parts(
             outcomes[part][row] = Some(outcome);
         }
     }
-    // Every row is in a job.
+    // Each row is in a job.
     let whole = outcomes.into_iter().map(|rows| rows.into_iter().collect::<Option<Vec<_>>>());
     whole.collect::<Option<_>>().ok_or(SweepError::Stopped)
 }
 
-/// Set the numbers of one row, and read again the tables that they are in.
+/// Set the numbers of a row, and parse their tables again.
 fn set_row<const N: usize>(
     spec: &mut SceneSpec<N>,
     scene: &mut Value,
@@ -210,13 +209,13 @@ fn read_table<const N: usize>(
     Ok(())
 }
 
-/// The scene of a part as numbers, and the scene as JSON that rows are set in.
+/// Scene of a part, typed and as JSON, into which rows are written.
 fn spec_of<const N: usize>(plan: &Plan<'_>, metrics: Metrics) -> Result<(SceneSpec<N>, Value), SweepError> {
     let spec = SceneSpec::deserialize(&plan.base).map_err(|error| SweepError::Scene(error.to_string()))?;
     Ok((SceneSpec { metrics, ..spec }, plan.base.clone()))
 }
 
-/// Run groups of rows that may begin alike, or share link and ladders.
+/// Run groups of rows that may share a beginning, or link and ladders.
 fn run_groups<const N: usize>(
     plans: &[Plan<'_>],
     groups: &[Vec<Place>],
@@ -288,8 +287,7 @@ fn run_block<const N: usize>(
 mod tests {
     use super::*;
 
-    /// Rows that are refused, as they are set or as they are built, keep their places among those that are run, alone or
-    /// in lanes, and count as done.
+    /// Rows that are refused when they are set or built keep their places, with and without lanes, and count as done.
     #[test]
     fn refused_rows_have_their_places() {
         let scene = include_bytes!("../../tests/press.json");

@@ -1,8 +1,8 @@
-//! Runs that differ in their controllers alone, side by side as long as none of them intervenes.
+//! Runs that differ only in their controllers share their beginning.
 //!
-//! Until the first controller intervenes, the hand feels the same in all of them: device, arm, network and ladder go the same
-//! way, to the bit. So one run leads, and of the others only what decides over their force follows it, tick by tick.
-//! Whoever intervenes, or sees the leader intervene, goes on by itself from a snapshot of the run that lies before that.
+//! Until the first controller intervenes, the hand feels the same force in all runs. Device, arm, network and ladder
+//! are then the same, bit for bit. So one run leads, and the others only compute their force from it, tick by tick. A
+//! run that intervenes, or whose leader does, continues by itself from an earlier snapshot.
 
 use std::{
     ops::ControlFlow,
@@ -30,19 +30,19 @@ use crate::{
 use haptether_safety::{Axes, Fault, controller::Intervention};
 use haptether_slave::SimulatedSlave;
 
-/// Ticks of the master between two snapshots: so few that little is done twice, so many that what is in flight is
-/// seldom copied.
+/// Ticks of the master between two snapshots. Few ticks are repeated, and packets in flight are rarely copied.
 const MAX_SINCE_SNAPSHOT: u64 = 400;
 
-/// Whether two scenes differ in nothing but their controllers.
+/// Return whether two scenes differ only in their controllers.
 pub(super) fn begins_as<const N: usize>(one: &SceneSpec<N>, other: &SceneSpec<N>) -> bool {
     let mut same = other.clone();
     same.safety.settings = one.safety.settings;
     same == *one
 }
 
-/// The outcomes of scenes that can share and begin as the first one, each as if it were run alone; of one that is not run
-/// here, none.
+/// Compute the outcomes of scenes that share the beginning of the first one, each equal to that of a separate run.
+///
+/// The outcome of a scene that is not run here is None.
 ///
 /// # Errors
 ///
@@ -59,7 +59,7 @@ pub(super) fn outcomes<const N: usize>(
             Err(error) => outcomes[row] = Some(Err(error)),
         }
     }
-    // Of one that can be built; the others differ in nothing that this makes use of.
+    // The first valid scene; the others have the same device, arm and network.
     let Some(built) = members.first().map(|member| scenes[member.row]) else {
         return Ok(vec![None; scenes.len()]);
     };
@@ -68,23 +68,23 @@ pub(super) fn outcomes<const N: usize>(
         .and_then(|group| run(built, group, stop, &mut outcomes));
     match shared {
         Err(SceneError::Stopped) => Err(SceneError::Stopped),
-        // What cannot be built is refused once for each, as alone.
+        // Each scene is then run, and refused, by itself.
         Err(_) => Ok(vec![None; scenes.len()]),
         Ok(()) => Ok(outcomes),
     }
 }
 
-/// One of the runs.
+/// Run of a group.
 #[derive(Clone)]
 struct Member<const N: usize> {
     row: usize,
-    /// What decides over its force.
+    /// Computes its force.
     hand: Hand<N>,
 }
 
 impl<const N: usize> Member<N> {
-    /// Let it decide on a tick of the leader; says whether it intervenes, or does anything else than a leader
-    /// that does not.
+    /// Compute the force at a tick of the leader. Returns whether the run intervenes or differs from a leader that
+    /// does not intervene.
     fn intervenes(&mut self, record: &MasterRecord<N>) -> bool {
         let measured = record.measured_velocity;
         let velocity = measured.iter().all(|v| !v.is_nan()).then_some(measured);
@@ -111,28 +111,28 @@ impl<const N: usize> Member<N> {
     }
 }
 
-/// To the bit: a zero of another sign would make others.
+/// Compare bits: zeros of different sign give different results.
 fn is_same<const N: usize>(one: &Axes<N>, other: &Axes<N>) -> bool {
     one.iter().zip(other).all(|(one, other)| one.to_bits() == other.to_bits())
 }
 
-/// Whether the leader does what depends on its controllers; PC damps without a trip.
+/// Return whether the controllers of the leader act; PC damps without a trip.
 fn leader_intervenes<const N: usize>(record: &MasterRecord<N>) -> bool {
     record.tripped != 0 || record.fault != 0 || record.safety_force != Axes::<N>::zeros()
 }
 
-/// Where runs stand that have been the same so far.
+/// State of runs that were equal so far.
 struct Start<M: Side, S: Side, const N: usize> {
     run: Snapshot<M, S>,
     watched: Watched<N>,
-    /// Ticks of the master that are not observed yet, in which nobody intervenes.
+    /// Ticks of the master that are not observed yet; no run intervenes in them.
     unseen: usize,
 }
 
-/// Runs that have been the same so far.
+/// Runs that were equal so far.
 struct Group<M: Side, S: Side, const N: usize> {
     start: Arc<Start<M, S, N>>,
-    /// As far as the master of the snapshot; the first one leads.
+    /// Runs at the tick of the snapshot; the first one leads.
     members: Vec<Member<N>>,
 }
 
@@ -140,7 +140,7 @@ type Master<P, const N: usize> = Timed<MasterSide<P, N>>;
 type Slave<A, const N: usize> = Timed<SlaveSide<A, N>>;
 type Running<P, A, const N: usize> = Group<Master<P, N>, Slave<A, N>, N>;
 
-/// The group of all, before the first tick; none where a run cannot be copied.
+/// Build the group of all runs before the first tick; None if a run cannot be copied.
 fn begun<P: MasterPlant<N> + Clone, const N: usize>(
     scene: &SceneSpec<N>,
     plant: P,
@@ -156,7 +156,7 @@ fn begun<P: MasterPlant<N> + Clone, const N: usize>(
     Ok(run.map(|run| Group { start: Arc::new(Start { run, watched, unseen: 0 }), members }))
 }
 
-/// Run a group, and whoever leaves it, to the end.
+/// Run a group, and the runs that leave it, to the end.
 fn run<P, A, const N: usize>(
     scene: &SceneSpec<N>,
     group: Option<Running<P, A, N>>,
@@ -171,7 +171,7 @@ where
     Groups { scene, settings, waiting: Vec::from_iter(group), stop, outcomes }.run()
 }
 
-/// Groups that are to be run, and what became of those that were.
+/// Groups to run, and the outcomes so far.
 struct Groups<'a, P: MasterPlant<N>, A: SlavePlant<N>, const N: usize> {
     scene: &'a SceneSpec<N>,
     settings: VirtualSettings,
@@ -185,7 +185,7 @@ where
     P: MasterPlant<N> + Clone,
     A: SlavePlant<N> + ModelArm + Clone,
 {
-    /// Run all, and whoever leaves one, to the end.
+    /// Run all groups, and the runs that leave them, to the end.
     fn run(mut self) -> Result<(), SceneError> {
         while let Some(group) = self.waiting.pop() {
             self.follow(group)?;
@@ -193,7 +193,7 @@ where
         Ok(())
     }
 
-    /// Follow the leader of a group to its end; who leaves it waits then.
+    /// Follow the leader of a group to its end. Runs that leave wait as groups of their own.
     fn follow(&mut self, mut kept: Running<P, A, N>) -> Result<(), SceneError> {
         let stop = self.stop;
         let mut followers = kept.members.clone();
@@ -265,7 +265,7 @@ where
         Ok(())
     }
 
-    /// Let followers go on from where `kept` stands: those that are `gone` each alone, and all others together where the
+    /// Continue followers from the snapshot `kept`: each of the `gone` ones by itself, and the others together if the
     /// leader intervenes.
     fn part(
         &mut self,
@@ -313,7 +313,7 @@ mod tests {
         }
     }
 
-    /// Outcomes do not say whether a beginning is shared: the ticks that were done do.
+    /// Outcomes do not show whether a beginning is shared; the number of ticks does.
     #[test]
     fn three_runs_take_less_than_three() {
         let mut scene: serde_json::Value =
@@ -335,14 +335,14 @@ mod tests {
             MASTER_TICKS.with(Cell::get)
         };
         let three = ticks(&[&[], &["wsc"], &["hsc"]]);
-        // Each intervenes a little after the release, some 1.1 s after the start, and goes on from a snapshot that lies no
-        // further back than two lie apart and a side is ahead.
+        // Each intervenes a little after the release, about 1.1 s after the start. It continues from a snapshot that
+        // is at most one interval of snapshots and the lead of a side old.
         let back = MAX_SINCE_SNAPSHOT + MAX_AHEAD as u64;
         assert!((2000 + 2 * 700..2000 + 2 * (900 + back)).contains(&three), "{three}");
-        // PC intervenes from the start, so it shares nothing with the others; these share with one another.
+        // PC intervenes from the start, so only the others share.
         let four = ticks(&[&["pc"], &[], &["wsc"], &["hsc"]]);
         assert!((three + 1900..=three + 2500).contains(&four), "{four}");
-        // Alone each would be counted by nobody.
+        // A single run does not come here, so nothing counts it.
         assert_eq!(ticks(&[&["wsc"]]), 0);
     }
 }

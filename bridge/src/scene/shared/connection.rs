@@ -1,5 +1,4 @@
-//! What link and ladders do in a run: the same whatever hand and arm do, as long as no force is withheld and no number is
-//! refused.
+//! Link and ladders of a run. They do not depend on hand and arm while no force is withheld and no number is refused.
 
 use std::collections::VecDeque;
 
@@ -18,7 +17,7 @@ use crate::{
     ladder::{Clutch, ClutchOperator, LAYERS, Observed},
 };
 
-/// All that decides what link and ladders do.
+/// Settings of link and ladders.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Connection {
     pub(super) settings: VirtualSettings,
@@ -29,10 +28,10 @@ pub(super) struct Connection {
 }
 
 impl Connection {
-    /// Of a scene that can share.
+    /// Read the settings of a scene that can share.
     pub(super) fn of<const N: usize>(scene: &SceneSpec<N>) -> Result<Self, SceneError> {
         bilateral::check(scene)?;
-        // What a side with buttons would refuse.
+        // Refused here as by a side with buttons.
         let buttons = scene.master.buttons.map(Buttons::new).transpose()?;
         Ok(Self {
             settings: bilateral::settings(scene)?,
@@ -44,29 +43,29 @@ impl Connection {
     }
 }
 
-/// What a tick of one side has of link and ladders.
+/// Link and ladder at a tick of a side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Step {
     /// True time in ns.
     pub(super) now_ns: u64,
-    /// On the clock of the side, in ns.
+    /// Time in ns on the clock of the side.
     pub(super) clock_ns: u64,
-    /// Which tick of the peer the newest frame is of; [`NONE`](Self::NONE) before the first.
+    /// Tick of the peer that sent the newest frame; [`NONE`](Self::NONE) before the first frame.
     newest: u64,
-    /// Ticks that were left out since the last.
+    /// Ticks skipped since the last tick.
     pub(super) missed: u64,
-    /// The ladder's share of what is requested.
+    /// Share of the requested force that the ladder leaves, 0 to 1.
     pub(super) gain: f64,
-    /// Whether the safety layer withholds its force.
+    /// True if the safety layer withholds its force.
     pub(super) withholds: bool,
-    /// For how long in ns the ladder has stood in STALE.
+    /// Time in ns in STALE.
     pub(super) stale_ns: u64,
     pub(super) state: LadderState,
-    /// Why it stands there, by its code.
+    /// Code of the reason of the state.
     pub(super) reason: u8,
-    /// Whether the loop had stalled.
+    /// True if the loop had stalled.
     pub(super) has_stalled: bool,
-    /// Whether a run of the peer began.
+    /// True if a run of the peer began.
     pub(super) peer_began: bool,
 }
 
@@ -91,29 +90,29 @@ impl Default for Step {
 impl Step {
     const NONE: u64 = u64::MAX;
 
-    /// Which tick of the peer the newest frame is of.
+    /// Return the tick of the peer that sent the newest frame.
     pub(super) fn newest(&self) -> Option<u64> {
         (self.newest != Self::NONE).then_some(self.newest)
     }
 }
 
-/// A side without hand or arm: its link, its ladder, and who works the clutch of a master.
+/// Side without hand or arm: its link, its ladder and, of a master, the operator of the clutch.
 #[derive(Clone)]
 pub(super) struct LinkSide {
     exchange: Exchange,
-    /// None of a slave.
+    /// None for a slave.
     operator: Option<ClutchOperator>,
-    /// Sequence of its first frame and of the peer's.
+    /// Sequence number of the first frame, the same for both sides.
     first: u64,
     ticks: u64,
-    /// At which ticks to come a safety layer begins to withhold its force, and whether it does; it does as long as the ladder
-    /// leaves it a share.
+    /// Later ticks at which the safety layer begins to withhold its force. It withholds while the ladder leaves it a
+    /// share.
     withholds_from: VecDeque<u64>,
     is_withholding: bool,
 }
 
 impl LinkSide {
-    /// Those of a master and a slave; `scene` is any with that connection.
+    /// Build the sides of a master and a slave; `scene` is any scene with this connection.
     pub(super) fn both<const N: usize>(
         connection: &Connection,
         scene: &SceneSpec<N>,
@@ -134,17 +133,17 @@ impl LinkSide {
         Self { exchange, operator, first, ticks: 0, withholds_from: VecDeque::new(), is_withholding: false }
     }
 
-    /// How many ticks it has done.
+    /// Return the number of ticks so far.
     pub(super) fn ticks(&self) -> u64 {
         self.ticks
     }
 
-    /// A safety layer withholds its force from its tick `tick` on, the latest so far, as long as the ladder leaves it a share.
+    /// Withhold the force of the safety layer from `tick` on, while the ladder leaves it a share. Ticks must rise.
     pub(super) fn withhold_from(&mut self, tick: u64) {
         self.withholds_from.push_back(tick);
     }
 
-    /// Whether the safety layer withholds its force at this tick, of which the ladder leaves it `gain`.
+    /// Return whether the safety layer withholds its force at this tick; `gain` is the share that the ladder leaves.
     fn withholds(&mut self, gain: f64) -> bool {
         self.is_withholding &= gain > 0.0;
         if self.withholds_from.front() == Some(&self.ticks) {
@@ -164,7 +163,7 @@ impl Side for LinkSide {
         }
     }
 
-    /// As [`MasterSide`](crate::MasterSide) and [`SlaveSide`](crate::SlaveSide), whose plants are models.
+    /// Step link and ladder as [`MasterSide`](crate::MasterSide) and [`SlaveSide`](crate::SlaveSide) do with models.
     fn tick_into(&mut self, time: TickTime, step: &mut Step) {
         let (has_stalled, peer_began) = (self.exchange.has_stalled(), self.exchange.has_peer_begun());
         let ladder = self.exchange.ladder();
@@ -174,7 +173,7 @@ impl Side for LinkSide {
         let gain = self.exchange.ladder().gain();
         let withholds = self.withholds(gain);
         if withholds {
-            // Why makes no difference to what a row comes to.
+            // The reason does not affect an outcome.
             self.exchange.withhold(time.clock_ns, false);
         }
         let zeros = Axes::<1>::zeros();

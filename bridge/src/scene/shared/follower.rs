@@ -1,4 +1,4 @@
-//! Runs whose link and ladders do the same: that is found once, and each run is hand, device and arm alone.
+//! Runs with the same link and ladders. Link and ladders are computed once; each run adds hand, device and arm.
 
 mod history;
 mod lanes;
@@ -41,7 +41,8 @@ use crate::{
     wire::unpadded,
 };
 
-/// The outcomes of scenes of one connection, each as if it were run alone; none of one that is not run here.
+/// Compute the outcomes of scenes of one connection, each equal to that of a separate run; None for a scene not run
+/// here.
 ///
 /// # Errors
 ///
@@ -57,45 +58,45 @@ pub(super) fn outcomes<const N: usize>(
     Ok(outcomes)
 }
 
-/// Least ticks of the master between two checkpoints: so few that little is done twice, so many that what is in flight is seldom
+/// Fewest ticks of the master between two checkpoints. Few ticks are repeated, and packets in flight are rarely
 /// copied.
 const TICKS_BETWEEN_CHECKPOINTS: usize = 1000;
 
-/// Where link and ladders stand, and how many ticks of the master and the slave were observed by then.
+/// Observed ticks of master and slave, and the state of link and ladders after them.
 type Checkpoint = ([u64; 2], Rc<Snapshot<LinkSide, LinkSide>>);
 
-/// A run whose link and ladders have gone another way since its master's tick `tick`.
+/// Run whose link and ladders differ from the master's tick `tick` on.
 struct Branch<const N: usize> {
     checkpoint: Checkpoint,
     tick: u64,
     follower: Follower<N>,
 }
 
-/// Scenes of one connection.
+/// Scenes of one connection, to be run.
 struct Runs<'a, const N: usize> {
     connection: &'a Connection,
     scenes: &'a [&'a SceneSpec<N>],
-    /// Whether they may stand side by side.
+    /// True if lanes may be used.
     lanes: bool,
     stop: &'a AtomicBool,
 }
 
-/// Most axes that lanes are compiled for.
+/// Largest number of axes for which lanes are compiled.
 const MAX_AXES: usize = 3;
 
-/// Fewest runs that are worth being followed side by side.
+/// Fewest runs for which lanes are faster.
 const MIN_ABREAST: usize = 3;
 
-/// A processor whose vectors lanes are compiled for: one with AVX2.
+/// Processor for which lanes are compiled: with AVX2.
 #[cfg(target_arch = "x86_64")]
 type Processor = pulp::x86::V3;
 
-/// There is none of another kind.
+/// Lanes are not compiled for other processors.
 #[cfg(not(target_arch = "x86_64"))]
 #[derive(Clone, Copy)]
 enum Processor {}
 
-/// This processor, if it is one.
+/// Return this processor if lanes are compiled for it.
 fn processor() -> Option<Processor> {
     #[cfg(target_arch = "x86_64")]
     return Processor::try_new();
@@ -103,12 +104,12 @@ fn processor() -> Option<Processor> {
     None
 }
 
-/// Runs side by side, from their first ticks on.
+/// Runs in lanes, from their first ticks on.
 type Abreast<const N: usize> = (Processor, Vec<LaneFollowers<N>>);
 
 impl<const N: usize> Runs<'_, N> {
-    /// Run the scenes to their ends, side by side if they may; there is no outcome of one that cannot be built, as alone, or
-    /// whose link and ladders would have done something else.
+    /// Run the scenes to their ends, in lanes if allowed. A scene that cannot be built, or whose link and ladders
+    /// differ, gets no outcome.
     fn follow(&self, outcomes: &mut Outcomes) -> Result<(), SceneError> {
         let built = |row: usize| Follower::new(self.connection, row, self.scenes[row]).ok();
         let mut alone = (0..self.scenes.len()).filter_map(built).collect();
@@ -121,7 +122,7 @@ impl<const N: usize> Runs<'_, N> {
         Ok(())
     }
 
-    /// Run all to their ends; return those that have left the others.
+    /// Run all to their ends; return the rows that left their lanes.
     fn follow_all(
         &self,
         abreast: Option<Abreast<N>>,
@@ -134,9 +135,9 @@ impl<const N: usize> Runs<'_, N> {
         }
         let Some(scene) = self.scenes.first() else { return Ok(departed) };
         let settings = &self.connection.settings;
-        // It was built from the same parts before.
+        // It was built from the same settings before, so it does not fail.
         let Ok([mut master, mut slave]) = LinkSide::both(self.connection, scene) else { return Ok(departed) };
-        // A network that cannot be is refused by each row, and one that changes what it carries is not shared.
+        // Each row refuses an invalid network. A network that alters packets is not shared.
         let ahead = Ahead::new(settings, &mut master, &mut slave);
         let Some(ahead) = ahead.ok().filter(|ahead| ahead.snapshot().is_some()) else { return Ok(departed) };
         let mut branches = Vec::new();
@@ -164,7 +165,7 @@ impl<const N: usize> Runs<'_, N> {
     }
 }
 
-/// Take those of some runs before their first tick that may stand side by side.
+/// Move runs that fit into lanes out of `runs`, before their first tick.
 fn side_by_side<const N: usize>(runs: &mut Vec<Follower<N>>) -> Vec<LaneFollowers<N>> {
     let (mut abreast, mut alone) = (Vec::new(), Vec::new());
     while !runs.is_empty() {
@@ -172,7 +173,7 @@ fn side_by_side<const N: usize>(runs: &mut Vec<Follower<N>>) -> Vec<LaneFollower
             let of: Vec<_> = take.iter().map(|index| &runs[*index]).collect();
             LaneFollowers::gather(&of)
         };
-        // Mostly the next ones fit. Otherwise those that fit the first one are looked for.
+        // Usually the next runs fit. Otherwise take the runs that fit the first one.
         let mut take: Vec<_> = (0..runs.len().min(WIDTH)).collect();
         let mut followers = gathered(&take);
         if followers.is_none() {
@@ -202,8 +203,7 @@ struct Group<const N: usize> {
 }
 
 impl<const N: usize> Group<N> {
-    /// Let all follow link and ladders from where these stand, after so many ticks of the master and the slave, until each has
-    /// ended or goes another way.
+    /// Follow link and ladders until each run has ended or differs. `first` has the ticks of master and slave so far.
     fn follow(
         &mut self,
         mut ahead: Ahead<'_, LinkSide, LinkSide>,
@@ -224,7 +224,7 @@ impl<const N: usize> Group<N> {
                 && let Some(snapshot) = ahead.snapshot()
             {
                 checkpoints.push_back((first, Rc::new(snapshot)));
-                // What is withheld is seen at the latest a block after the master has ticked.
+                // A withheld force is found at most one block after its tick, so two checkpoints suffice.
                 if checkpoints.len() > 2 {
                     checkpoints.pop_front();
                 }
@@ -240,7 +240,7 @@ impl<const N: usize> Group<N> {
                 })
                 .is_continue();
             let ticks = block.as_slice();
-            // Lanes of more axes are not compiled.
+            // Lanes are compiled up to MAX_AXES.
             if N <= MAX_AXES
                 && let Some((processor, abreast)) = &mut self.abreast
             {
@@ -281,8 +281,9 @@ impl<const N: usize> Group<N> {
     }
 }
 
-/// Let runs side by side take some ticks, in the instructions of the processor. No operation is across lanes, and none is
-/// fused: they are those of a run by itself, to the bit.
+/// Step runs in lanes with the vector instructions of the processor.
+///
+/// No operation mixes lanes or is fused, so each lane equals a separate run, bit for bit.
 #[cfg(target_arch = "x86_64")]
 fn take<const N: usize>(processor: Processor, followers: &mut LaneFollowers<N>, ticks: &[Tick]) {
     struct InLanes<'a, const N: usize>(&'a mut LaneFollowers<N>, &'a [Tick]);
@@ -299,57 +300,57 @@ fn take<const N: usize>(processor: Processor, followers: &mut LaneFollowers<N>, 
     pulp::Simd::vectorize(processor, InLanes(followers, ticks));
 }
 
-/// There are none.
+/// Unreachable: such a processor has no lanes.
 #[cfg(not(target_arch = "x86_64"))]
 fn take<const N: usize>(processor: Processor, _: &mut LaneFollowers<N>, _: &[Tick]) {
     match processor {}
 }
 
-/// What a tick of either side has of link and ladders.
+/// Link and ladder at a tick of either side.
 enum Tick {
-    /// Of the master.
+    /// Tick of the master.
     Near(Step),
-    /// Of the slave.
+    /// Tick of the slave.
     Far(Step),
 }
 
-/// How a follower has come out of some ticks.
+/// State of a follower after a block of ticks.
 enum Progress {
     GoesOn,
-    /// Its run ended before the last of them.
+    /// Its run ended within the block.
     Ended,
-    /// At this tick of the master it begins to withhold its force, which link and ladders do not know.
+    /// It begins to withhold its force at this tick of the master; link and ladders do not include that.
     Withholds(u64),
-    /// Link and ladders would do something else.
+    /// Its link and ladders would differ.
     Departs,
 }
 
-/// Both sides of a run without link and ladders, which do what these say.
+/// Both sides of a run, which follow shared link and ladders.
 struct Follower<const N: usize> {
     row: usize,
     near: Near<N>,
     far: Far<N>,
     watched: Watched<N>,
-    /// How many ticks of the master and the slave it has done.
+    /// Ticks of master and slave so far.
     done: [u64; 2],
-    /// What the master has decided at the next of them, where that waits for what link and ladders make of it.
+    /// Decision of the master's next tick while it waits for link and ladders.
     pending: Option<Box<Decided<N>>>,
-    /// Whether its layer may withhold the force.
+    /// True if its layer may withhold the force.
     may_withhold: bool,
 }
 
-/// The side of the hand.
+/// Side of the hand.
 struct Near<const N: usize> {
     plant: SimulatedMaster<N>,
     hand: Hand<N>,
     coupling: PositionForce<N>,
     commands: Commands,
     sent: History<N>,
-    /// The newest tick of the slave that it has heard of.
+    /// Newest received tick of the slave.
     heard: u64,
 }
 
-/// The side of the robot.
+/// Side of the robot.
 struct Far<const N: usize> {
     plant: SimulatedSlave<N>,
     arm: Arm<N>,
@@ -357,12 +358,12 @@ struct Far<const N: usize> {
     commands: Commands,
     outgoing: PortState,
     sent: History<N>,
-    /// The newest tick of the master that it has heard of.
+    /// Newest received tick of the master.
     heard: u64,
 }
 
 impl<const N: usize> Follower<N> {
-    /// Both sides before their first tick.
+    /// Build both sides before their first tick.
     fn new(
         Connection { settings, .. }: &Connection,
         row: usize,
@@ -397,7 +398,7 @@ impl<const N: usize> Follower<N> {
         Ok(Self { row, near, far, watched, done: [0, 0], pending: None, may_withhold })
     }
 
-    /// Take some ticks, of which the first are of these numbers; those that it has done it passes over.
+    /// Take a block of ticks and skip those already done. `first` has the numbers of its first ticks.
     fn take(&mut self, first: [u64; 2], ticks: &[Tick]) -> Progress {
         let [mut near, mut far] = first;
         for tick in ticks {
@@ -411,7 +412,7 @@ impl<const N: usize> Follower<N> {
                     let has_waited = waited.is_some();
                     let decided =
                         waited.map_or_else(|| self.near.decide(step, &self.far.sent), |decided| *decided);
-                    // Where link and ladders know it by now, or never will, that is seen as it acts.
+                    // `act` handles a force that link and ladders withhold already, or never will.
                     if decided.safety.intervention.withheld && !step.withholds && !has_waited {
                         self.pending = Some(Box::new(decided));
                         return Progress::Withholds(self.done[0]);
@@ -438,18 +439,18 @@ impl<const N: usize> Follower<N> {
     }
 }
 
-/// What a tick of the master has decided.
+/// Decision of a tick of the master.
 struct Decided<const N: usize> {
     position: Axes<N>,
     safety: SafetyTick<N>,
 }
 
 impl<const N: usize> Near<N> {
-    /// Read the device and decides, as [`MasterSide`](crate::MasterSide) does.
+    /// Read the device and decide as [`MasterSide`](crate::MasterSide) does.
     #[inline(always)]
     fn decide(&mut self, step: &Step, far: &History<N>) -> Decided<N> {
         while let Some(command) = self.commands.due(step.now_ns) {
-            // They were checked when the scene was built, and are all of its beginning.
+            // The commands were checked when the scene was built, and apply at its start.
             let _ = self.coupling.command_at_master(command, 0);
         }
         let MasterSample { position, velocity } = self.plant.read(step.now_ns);
@@ -467,7 +468,7 @@ impl<const N: usize> Near<N> {
         Decided { position: self.hand.taken().position, safety }
     }
 
-    /// Write the device and measures; none of what would change link and ladders in another way than `step` says.
+    /// Write the device and measure. Returns None if link and ladders would differ from `step`.
     #[inline(always)]
     fn act(
         &mut self,
@@ -495,7 +496,7 @@ impl<const N: usize> Near<N> {
         if step.state.is_coupled() {
             self.plant.set_waiting(false);
         }
-        // What is measured of it, and nothing else.
+        // Only the measured fields.
         Some(watched.measure_near(&MasterRecord::<N> {
             time_ns: step.now_ns,
             true_position: truth.position,
@@ -513,7 +514,7 @@ impl<const N: usize> Near<N> {
 }
 
 impl<const N: usize> Far<N> {
-    /// A tick, as [`SlaveSide`](crate::SlaveSide) does it; none where it would change its ladder.
+    /// Step a tick as [`SlaveSide`](crate::SlaveSide) does. Returns None if its ladder would differ.
     #[inline(always)]
     fn tick(
         &mut self,
@@ -523,7 +524,7 @@ impl<const N: usize> Far<N> {
         watched: &mut Watched<N>,
     ) -> Option<ControlFlow<()>> {
         while let Some(command) = self.commands.due(step.now_ns) {
-            // As of the master.
+            // Checked like those of the master.
             let _ = self.arm.command(command, 0);
         }
         let SlaveSample { position, velocity, environment_force, .. } = self.plant.read(step.now_ns);
@@ -564,7 +565,7 @@ impl<const N: usize> Far<N> {
                 return None;
             }
         }
-        // What is measured of it, and nothing else.
+        // Only the measured fields.
         Some(watched.measure_far(&SlaveRecord::<N> {
             time_ns: step.now_ns,
             position,

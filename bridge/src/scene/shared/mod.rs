@@ -1,4 +1,4 @@
-//! What runs of a sweep have in common is done once: their beginning, or all that link and ladders do.
+//! Shared parts of the runs of a sweep, computed once: their beginning, or link and ladders.
 
 mod beginning;
 mod connection;
@@ -10,12 +10,13 @@ use super::{assemble::SceneError, measures::Outcome, pose, spec::SceneSpec};
 use beginning::begins_as;
 use connection::Connection;
 
-/// What has become of each of some scenes; none of those that were not run.
+/// Outcome of each scene; None for a scene that was not run.
 type Outcomes = Vec<Option<Result<Outcome, SceneError>>>;
 
-/// Whether a run may share anything with others: controllers change nothing but the force on the hand, and it is worth being
-/// copied. A trigger that the finger feels has controllers that follow from those of the hand; who turns, and sessions, are
-/// not followed; what was recorded is long.
+/// Return whether a run may share parts with others.
+///
+/// Its controllers must change nothing but the force on the hand, and a copy of the run must be cheap. A felt trigger
+/// has controllers that depend on those of the hand. Rotation and sessions are not followed. Recordings are long.
 pub(super) fn can_share<const N: usize>(scene: &SceneSpec<N>) -> bool {
     let links = scene.link.iter().flat_map(|links| [&links.forward, &links.backward]).flatten();
     let is_recorded = links.clone().any(|link| link.trace.is_some() || link.opportunities.is_some())
@@ -30,8 +31,10 @@ pub(super) fn can_share<const N: usize>(scene: &SceneSpec<N>) -> bool {
         && pose::as_pose(scene).is_ok_and(|scene| scene.is_none())
 }
 
-/// The outcomes of scenes, each as if it were run alone. Those that begin as the first one share their beginning; those whose
-/// link and ladders do the same share that, side by side if `lanes` may be used.
+/// Compute the outcomes of scenes, each equal to that of a separate run.
+///
+/// Scenes with the beginning of the first one share it. Scenes with the same link and ladders share those, in lanes if
+/// `lanes` is true.
 ///
 /// # Errors
 ///
@@ -49,7 +52,7 @@ pub(super) fn outcomes<const N: usize>(
         if others.iter().all(|other| begins_as(first, other)) {
             outcomes = beginning::outcomes(scenes, stop)?;
         } else if let Ok(connection) = Connection::of(first) {
-            // What fades at a change hangs on the ladder.
+            // The fade of a change depends on the ladder.
             let never_changes = |scene: &SceneSpec<N>| {
                 scene.coupling.as_ref().is_some_and(|coupling| coupling.changes.is_empty())
             };

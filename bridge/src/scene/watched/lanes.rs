@@ -1,4 +1,4 @@
-//! What is seen of both sides of several runs that have the same link and ladders, side by side.
+//! Measures of both sides of runs in lanes that share link and ladders.
 
 use haptether_numeric::{nowhere, pack};
 use haptether_safety::{Advance, Axes, Real, norm};
@@ -12,31 +12,31 @@ use crate::{
     },
 };
 
-/// A tick of the master in each lane.
+/// Tick of the master in each lane.
 pub(in crate::scene) struct NearTick<'a, const N: usize, S: Real> {
     /// True time in ns.
     pub(in crate::scene) now_ns: u64,
     pub(in crate::scene) state: LadderState,
     pub(in crate::scene) truth: &'a Truth<N, S>,
-    /// What the safety layers decided.
+    /// Decision of the safety layers.
     pub(in crate::scene) decided: &'a Advance<N, S>,
 }
 
-/// What is seen of both sides as they run, in each lane.
+/// Measures of both sides in each lane.
 pub(in crate::scene) struct WatchedLanes<const N: usize, S: Real> {
     judged: Vec<MeasureSettings>,
     measures: Measures<N, S>,
     tracking: Tracking<N, S>,
-    /// Of the arm in m, beyond which the loop has diverged.
+    /// Distance of the arm in m beyond which the loop has diverged.
     max_distance: S,
-    /// Of the master and the slave.
+    /// States of master and slave.
     states: [LadderState; 2],
     has_engaged: bool,
     ticks: u64,
 }
 
 impl<const N: usize, S: Real> WatchedLanes<N, S> {
-    /// Of runs before their first tick; lanes that are left over repeat the last one. None where they are not measured alike,
+    /// Gather runs before their first tick; surplus lanes repeat the last one. None if they measure different metrics
     /// or turn.
     pub(in crate::scene) fn gather(of: &[&Watched<N>]) -> Option<Self> {
         if of.iter().any(|one| one.rotation.is_some() || one.ticks > 0) {
@@ -57,7 +57,7 @@ impl<const N: usize, S: Real> WatchedLanes<N, S> {
         self.states.iter().all(|state| state.is_coupled())
     }
 
-    /// Take what the operator has changed by then; says whether it could be.
+    /// Apply the operator's changes up to this time; return whether they are valid.
     #[inline(always)] // most ticks have none due
     fn change(&mut self, now_ns: u64) -> bool {
         if !self.tracking.coupling.is_due(now_ns) {
@@ -82,8 +82,8 @@ impl<const N: usize, S: Real> WatchedLanes<N, S> {
         }
     }
 
-    /// Take a tick of the master as [`Watched::measure_near`]; return where the loop has not diverged, and where nothing more
-    /// will happen. What has diverged is not to be looked at any more.
+    /// Take a tick of the master as [`Watched::measure_near`]. Return the masks of lanes that have not diverged, and
+    /// of lanes that have settled. The measures of a diverged lane are invalid.
     #[inline(always)] // once a tick, from one place
     pub(in crate::scene) fn near(&mut self, tick: &NearTick<'_, N, S>) -> [S::SimdBool; 2] {
         let NearTick { now_ns, state, truth, decided } = *tick;
@@ -98,7 +98,7 @@ impl<const N: usize, S: Real> WatchedLanes<N, S> {
         let (x, v, force) = (&truth.position, &truth.velocity, &decided.device_force);
         let mut stays = !nowhere::<S>();
         if self.measures.may_have_diverged(x, v, force) {
-            // A copy, for what a call gets the address of.
+            // A copy, so that the call does not force the original into memory.
             let measures = self.measures;
             stays = !measures.diverged(x, v, force);
         }
@@ -111,7 +111,7 @@ impl<const N: usize, S: Real> WatchedLanes<N, S> {
         [stays, settled.filter(|_| self.has_engaged).unwrap_or(nowhere::<S>())]
     }
 
-    /// Take a tick of the slave as [`Watched::measure_far`], with x and `F_e`; return where the loop has not diverged.
+    /// Take a tick of the slave as [`Watched::measure_far`], with x and `F_e`; return the mask of lanes not diverged.
     #[inline(always)] // as of the master
     pub(in crate::scene) fn far(
         &mut self,
@@ -128,7 +128,7 @@ impl<const N: usize, S: Real> WatchedLanes<N, S> {
         norm(position).simd_le(self.max_distance)
     }
 
-    /// What the run of one lane has come to: all of it, or where it has settled.
+    /// Return the outcome of a lane, of the whole run or up to where it has settled.
     pub(in crate::scene) fn outcome(&self, lane: usize, has_settled: bool) -> Outcome {
         let apart = self.states.iter().find(|state| !state.is_coupled());
         let ending = match apart {

@@ -1,9 +1,9 @@
-//! What the frames of a side say that its peer may still hear of, of one run or of several side by side.
+//! Frames of a side that its peer may still receive, for one run or for one run per lane.
 
 use haptether_numeric::nowhere;
 use haptether_safety::{Axes, Real, Signal, is_within};
 
-/// What a frame says of a tick.
+/// Content of the frame of a tick.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sent<const N: usize, S: Real = f64> {
     pub(super) position: Axes<N, S>,
@@ -17,10 +17,10 @@ impl<const N: usize, S: Real> Sent<N, S> {
     }
 }
 
-/// Most ticks of a side that are kept for a peer that hears nothing.
+/// Largest number of ticks kept for a peer that receives nothing.
 const MAX_HISTORY: usize = 8192;
 
-/// The ticks of a side since the newest that its peer has heard of.
+/// Ticks of a side since the newest one that its peer has received.
 pub(super) struct History<const N: usize, S: Real = f64> {
     pub(super) sent: Vec<Sent<N, S>>,
     next: u64,
@@ -31,8 +31,10 @@ impl<const N: usize, S: Real> History<N, S> {
         Self { sent: vec![Sent::nothing(); 64], next: 0 }
     }
 
-    /// Keeps that of the next tick; returns where the peer would take it, nowhere if it has not heard of any for too long.
-    /// `force` is the signal that its force is, `heard` the newest tick that the peer has heard of.
+    /// Store the next tick. Returns the mask of lanes whose frame the peer accepts; empty if the peer has received
+    /// nothing for too long.
+    ///
+    /// `force` is the signal of the force, `heard` the newest tick that the peer has received.
     #[inline(always)]
     pub(super) fn push(&mut self, sent: Sent<N, S>, force: Signal, heard: u64) -> S::SimdBool {
         if self.next - heard >= self.sent.len() as u64 && !self.grow() {
@@ -46,14 +48,14 @@ impl<const N: usize, S: Real> History<N, S> {
             & is_within(&sent.force, force.bound())
     }
 
-    /// Where that of a tick is kept: its last bits, for there is room for a power of two.
+    /// Return the slot of a tick: its last bits, since the number of slots is a power of two.
     #[inline(always)]
-    #[allow(clippy::cast_possible_truncation)] // of bits that are masked
+    #[allow(clippy::cast_possible_truncation)] // the bits are masked
     fn slot(&self, tick: u64) -> usize {
         tick as usize & (self.sent.len() - 1)
     }
 
-    /// Room for twice as many, unless they are [`MAX_HISTORY`].
+    /// Double the number of slots, up to [`MAX_HISTORY`].
     #[inline(never)]
     fn grow(&mut self) -> bool {
         if self.sent.len() >= MAX_HISTORY {

@@ -1,5 +1,5 @@
-//! Runs of one connection side by side, in lanes, as long as each takes the way that nearly all take: whoever meets a fault,
-//! withholds its force or diverges leaves, and is run by itself.
+//! Runs of one connection in lanes. A run that has a fault, withholds its force or diverges leaves its lane and runs
+//! by itself.
 
 use haptether_master::{MasterLanes, MasterLanesSample};
 use haptether_numeric::{Lanes, WIDTH, lanes_of};
@@ -24,43 +24,43 @@ use crate::{
     side::{LeadTransition, is_stopped},
 };
 
-/// Both sides of some runs without link and ladders, which do what these say.
+/// Both sides of runs in lanes, which follow shared link and ladders.
 pub(super) struct LaneFollowers<const N: usize> {
-    /// The run of each lane.
+    /// Row of each lane.
     rows: Vec<usize>,
-    /// A bit for each lane that is still run, and for each that has left.
+    /// Bit masks of running lanes, and of lanes whose run has left.
     running: u64,
     left: u64,
     near: Near<N>,
     far: Far<N>,
     watched: WatchedLanes<N, Lanes>,
-    /// Of lanes that have settled.
+    /// Outcomes of settled lanes.
     settled: Vec<Option<Outcome>>,
 }
 
-/// The sides of the hands.
+/// Sides of the hands.
 struct Near<const N: usize> {
     plants: MasterLanes<N, Lanes>,
     hands: HandLanes<N, Lanes>,
     coupling: PositionForce<N, Lanes>,
     commands: Commands,
     sent: History<N, Lanes>,
-    /// The newest tick of the slave that they have heard of.
+    /// Newest received tick of the slave.
     heard: u64,
 }
 
-/// The sides of the robots.
+/// Sides of the robots.
 struct Far<const N: usize> {
     plants: SlaveLanes<N, Lanes>,
     translation: SlaveTranslation<N, Lanes>,
     led: LeadTransition,
     commands: Commands,
     sent: History<N, Lanes>,
-    /// The newest tick of the master that they have heard of.
+    /// Newest received tick of the master.
     heard: u64,
 }
 
-/// What decides over hands and arms, and measures.
+/// Safety layers, couplings and measures.
 struct Deciding<const N: usize> {
     hands: HandLanes<N, Lanes>,
     coupling: PositionForce<N, Lanes>,
@@ -69,7 +69,7 @@ struct Deciding<const N: usize> {
 }
 
 impl<const N: usize> Deciding<N> {
-    /// Of some followers before their first tick; None where it differs in more than numbers.
+    /// Gather followers before their first tick; None if they differ in more than numbers.
     fn gather(of: &[&Follower<N>]) -> Option<Self> {
         let hands: Vec<_> = of.iter().map(|one| &one.near.hand).collect();
         let couplings: Vec<_> = of.iter().map(|one| &one.near.coupling).collect();
@@ -85,8 +85,7 @@ impl<const N: usize> Deciding<N> {
 }
 
 impl<const N: usize> LaneFollowers<N> {
-    /// Those of some followers before their first tick, at most as many as there are lanes; None where they differ in more than
-    /// numbers.
+    /// Gather followers before their first tick. None if they are more than the lanes, or differ in more than numbers.
     pub(super) fn gather(of: &[&Follower<N>]) -> Option<Self> {
         let count = of.len();
         if count > WIDTH {
@@ -119,17 +118,17 @@ impl<const N: usize> LaneFollowers<N> {
         })
     }
 
-    /// Whether two followers are decided over alike: all that it takes.
+    /// Return whether two followers fit into lanes: they differ only in numbers.
     pub(super) fn fit(one: &Follower<N>, other: &Follower<N>) -> bool {
         Deciding::<N>::gather(&[one, other]).is_some()
     }
 
-    /// Whether any lane is still run.
+    /// Return whether any lane runs.
     pub(super) fn is_running(&self) -> bool {
         self.running != 0
     }
 
-    /// What each run has come to, none of one that has left.
+    /// Return the outcome of each run; None for a run that has left.
     pub(super) fn outcomes(self) -> impl Iterator<Item = (usize, Option<Outcome>)> {
         let Self { rows, watched, left, settled, .. } = self;
         rows.into_iter().zip(settled).enumerate().map(move |(lane, (row, settled))| {
@@ -138,7 +137,7 @@ impl<const N: usize> LaneFollowers<N> {
         })
     }
 
-    /// Take some ticks, in the instructions of the function that it is compiled into.
+    /// Take a block of ticks, inlined into the vector instructions of the caller.
     #[inline(always)]
     pub(super) fn take(&mut self, ticks: &[Tick]) {
         for tick in ticks {
@@ -152,14 +151,14 @@ impl<const N: usize> LaneFollowers<N> {
         }
     }
 
-    /// Those of these lanes that are still run leave.
+    /// Let the running ones of these lanes leave.
     #[inline(always)]
     fn leave(&mut self, lanes: u64) {
         self.left |= self.running & lanes;
         self.running &= !lanes;
     }
 
-    /// A tick of the master, as [`super::Near`] does it.
+    /// Step a tick of the master as [`super::Near`] does.
     #[inline(always)]
     fn near(&mut self, step: &Step) {
         if step.missed != 0 || step.has_stalled || step.withholds {
@@ -168,7 +167,7 @@ impl<const N: usize> LaneFollowers<N> {
         let running = self.running;
         let Near { plants, hands, coupling, commands, sent, heard } = &mut self.near;
         while let Some(command) = commands.due(step.now_ns) {
-            // They were checked when the scene was built, and are all of its beginning.
+            // The commands were checked when the scene was built, and apply at its start.
             let _ = coupling.command_at_master(command, 0);
         }
         let MasterLanesSample { position, velocity } = plants.read(running, step.now_ns);
@@ -204,13 +203,13 @@ impl<const N: usize> LaneFollowers<N> {
         }
     }
 
-    /// A tick of the slave, as [`super::Far`] does it.
+    /// Step a tick of the slave as [`super::Far`] does.
     #[inline(always)]
     fn far(&mut self, step: &Step) {
         let running = self.running;
         let Far { plants, translation, led, commands, sent, heard } = &mut self.far;
         while let Some(command) = commands.due(step.now_ns) {
-            // As of the master.
+            // Checked like those of the master.
             let _ = translation.coupling().command_at_slave(command, 0);
         }
         let SlaveLanesSample { position, velocity, environment_force: force } =
@@ -228,7 +227,7 @@ impl<const N: usize> LaneFollowers<N> {
             None => Axes::zeros(),
         };
         if led.step(step.state, step.state.is_coupled()).is_some() {
-            // Of a model a stop is a hold.
+            // The stop of a model is a hold.
             let rests = plants.stop(running);
             stays = stays & is_within(&rests, Signal::Position.bound());
             translation.rests(Some(rests));

@@ -12,24 +12,24 @@ thread_local! {
     static ABREAST: Cell<usize> = const { Cell::new(0) };
 }
 
-/// Some runs were followed side by side to their ends.
+/// Count runs followed in lanes to their ends.
 pub(super) fn count_abreast(rows: usize) {
     ABREAST.with(|count| count.set(count.get() + rows));
 }
 
-/// A run goes its own way.
+/// Count a run that leaves the shared link and ladders.
 pub(super) fn count_withheld() {
     WITHHELD.with(|count| count.set(count.get() + 1));
 }
 
 static NO_STOP: AtomicBool = AtomicBool::new(false);
 
-/// What stands at a path of keys and indices, separated by dots.
+/// Return the value at a path of keys and indices, separated by dots.
 fn at<'v>(scene: &'v mut Value, path: &str) -> &'v mut Value {
     scene.pointer_mut(&format!("/{}", path.replace('.', "/"))).unwrap_or_else(|| panic!("{path}"))
 }
 
-/// A scene with what stands at these paths changed.
+/// Change the values at these paths of a scene.
 fn changed(changes: &[(&str, Value)]) -> Value {
     let mut scene: Value =
         serde_json::from_slice(include_bytes!("../../../../tests/remote_push.json")).unwrap();
@@ -40,7 +40,7 @@ fn changed(changes: &[(&str, Value)]) -> Value {
     scene
 }
 
-/// Rows of the scene of so many axes with the numbers at `path`.
+/// Build rows of a scene with these numbers at `path`.
 fn rows<const N: usize>(scene: &Value, path: &str, values: &[f64]) -> Vec<SceneSpec<N>> {
     let row = |value: &f64| {
         let mut scene = scene.clone();
@@ -50,21 +50,21 @@ fn rows<const N: usize>(scene: &Value, path: &str, values: &[f64]) -> Vec<SceneS
     values.iter().map(row).collect()
 }
 
-/// How rows were followed.
+/// How many rows were followed, and how.
 struct Followed {
     outcomes: Vec<Outcome>,
-    /// How often one went its own way.
+    /// Number of runs that left.
     branched: u64,
-    /// How many of them were side by side with others to their ends.
+    /// Number of runs in lanes to their ends.
     abreast: usize,
 }
 
-/// How many of so many rows can be side by side on this processor.
+/// Return how many rows this processor runs in lanes.
 fn here(rows: usize) -> usize {
     if processor().is_some() { rows } else { 0 }
 }
 
-/// Run rows together, each by itself and side by side; each must be run so, and be as alone.
+/// Run rows together, separately and in lanes; each must equal its separate run.
 fn followed<const N: usize>(rows: &[SceneSpec<N>]) -> Followed {
     let connection = Connection::of(&rows[0]).unwrap();
     assert!(rows.iter().all(|row| Connection::of(row).unwrap() == connection));
@@ -75,7 +75,7 @@ fn followed<const N: usize>(rows: &[SceneSpec<N>]) -> Followed {
         ABREAST.with(|count| count.set(0));
         let found = outcomes(&connection, &rows.iter().collect::<Vec<_>>(), lanes, &NO_STOP).unwrap();
         for (outcome, alone) in found.into_iter().zip(&alone) {
-            // To the bit, and NaN is none.
+            // Bit for bit; NaN is None.
             let outcome = outcome.expect("run together").unwrap();
             assert_eq!(format!("{outcome:?}"), format!("{alone:?}"), "in lanes: {lanes}");
         }
@@ -95,7 +95,7 @@ fn rows_of_one_connection_are_as_alone() {
         let times = json!({"kind": "periodic", "at_s": 0.95, "period_s": 4.0, "duration_s": duration_s});
         json!([{"times": times, "effect": "drop"}])
     };
-    // In contact when it holds: where the arm has come to rest is felt once the two have engaged again.
+    // In contact at the hold: after the next engagement the hand feels where the arm has come to rest.
     let long = [
         ("run.duration_s", json!(3.5)),
         ("operator.release.at_s", json!(3.0)),
@@ -158,7 +158,7 @@ fn rows_of_one_connection_are_as_alone() {
         let scene = changed(&[&short[..], &changes].concat());
         let found = followed(&rows::<1>(&scene, "slave.bandwidth_hz", &bandwidths));
         assert_eq!(found.branched, 0, "{name}");
-        // Whose loops stall or leave ticks out, who diverges, and who meets a stop fast enough to leave its path, is run by itself.
+        // Runs that stall, skip ticks, diverge or leave their path at a stop are run separately.
         let abreast = match name {
             "clocks" | "stalls" | "leaves" | "too fast" | "meets a stop" => 0,
             "arm" => found.outcomes.iter().filter(|one| one.diverged.is_none()).count(),
@@ -193,7 +193,7 @@ fn rows_of_three_axes_are_as_alone() {
     let found = followed(&rows::<3>(&scene, path, &[50.0, 100.0, 200.0]));
     assert!(found.outcomes.iter().all(|one| one.ending == Ending::Complete), "{:?}", found.outcomes);
     assert_eq!(found.abreast, here(3));
-    // Along the axes and turned, with joints that rub each by itself.
+    // Along the axes and rotated, with friction per joint.
     scene["environment"]["objects"][0]["shape"]["normal"] = json!([0.0, 1.0, 0.0]);
     scene["master"]["friction"] = json!("axis");
     scene["coupling"]["quat_wxyz"] = json!([0.96, 0.0, 0.28, 0.0]);
@@ -201,7 +201,7 @@ fn rows_of_three_axes_are_as_alone() {
     assert_eq!(followed(&rows::<3>(&scene, path, &[50.0, 200.0])).abreast, 0, "too few");
 }
 
-/// Whatever rows differ in: what lanes cannot share is run by itself, the rest side by side, in more than one group.
+/// Rows may differ in anything: those that do not fit into lanes run separately, the others in several groups.
 #[test]
 fn rows_that_differ_in_anything_are_as_alone() {
     let scene = changed(&[
@@ -237,7 +237,7 @@ fn rows_that_differ_in_anything_are_as_alone() {
         ("safety.damping", ramp(0.0, 9.0), 11),
         ("safety.hold_off_s", ramp(0.0, 0.3), 11),
         ("safety.limiter.max_force_n", ramp(1.0, 9.0), 11),
-        // Each has a window of its own, or one of two.
+        // Each row has its own window, or one of two.
         ("safety.window", (0..11).map(|row| json!(100 + row)).collect(), 0),
         ("safety.window", (0..11).map(|row| json!(100 + row % 2)).collect(), 11),
     ] {
@@ -251,8 +251,7 @@ fn rows_that_differ_in_anything_are_as_alone() {
     }
 }
 
-/// The layer gives up, the ladders hold, the operator presses anew, and so on: each time link and ladders go another way
-/// than those of the others.
+/// Layers withhold, ladders hold and operators press again: link and ladders then differ from those of the other rows.
 #[test]
 fn rows_whose_force_is_withheld_are_as_alone() {
     let scene = changed(&[
@@ -264,7 +263,7 @@ fn rows_whose_force_is_withheld_are_as_alone() {
     let found = followed(&rows::<1>(&scene, "operator.stiffness", &[200.0, 300.0, 400.0]));
     assert!(found.branched >= 6, "{}: more than once each", found.branched);
     assert_eq!(found.abreast, 0);
-    // Beside rows that never do, and with ticks left out.
+    // Beside rows without it, and with skipped ticks.
     let mut with_clocks = scene;
     *at(&mut with_clocks, "link.master_clock") =
         json!({"offset_s": 0.0, "drift_ppm": 150.0, "step_s": 0.004, "step_at_s": 3.0});
@@ -295,7 +294,7 @@ fn a_fault_ends_a_row_as_alone() {
         one.diverged.is_some_and(|diverged| matches!(diverged.cause, DivergenceCause::Fault(..)))
     };
     assert!(found.iter().any(is_fault), "{found:?}");
-    // Of more than one group under a push, the first ones leave.
+    // In several groups under a push, the first rows leave.
     let mut pushed = scene;
     pushed["environment"]["pushers"] = json!([{"shape": "ramp", "at_s": 0.6, "duration_s": 2.0, "rise_s": 1.0,
         "frequency_hz": 0.0, "force_n": [0.05], "recorded": null}]);
@@ -312,7 +311,7 @@ fn what_changes_its_frames_or_cannot_be_built_is_run_alone() {
     let connection = Connection::of(&rows[0]).unwrap();
     let all = rows.iter().collect::<Vec<_>>();
     assert!(outcomes(&connection, &all, true, &NO_STOP).unwrap().iter().all(Option::is_none));
-    // A slave that hears nothing for so long that more is not kept.
+    // A slave that receives nothing for longer than the history.
     let scene = changed(&[("link.forward.loss", json!(1.0)), ("run.duration_s", json!(9.0))]);
     let rows = self::rows::<1>(&scene, "operator.stiffness", &[200.0, 300.0]);
     let connection = Connection::of(&rows[0]).unwrap();
@@ -327,7 +326,7 @@ fn what_changes_its_frames_or_cannot_be_built_is_run_alone() {
     assert_eq!(outcomes(&connection, &all, true, &AtomicBool::new(true)), Err(SceneError::Stopped));
 }
 
-/// What fades at a change hangs on the ladder of each.
+/// The fade of a change depends on the ladder of each row.
 #[test]
 fn what_changes_its_coupling_is_run_alone() {
     let change = |key: &str, value: Value| {
@@ -346,7 +345,7 @@ fn what_changes_its_coupling_is_run_alone() {
     assert_eq!(format!("{found:?}"), format!("{alone:?}"));
 }
 
-/// What no row can have is refused of each, and ends no sweep.
+/// An invalid value is refused in each row and does not end the sweep.
 #[test]
 fn what_no_row_can_have_is_refused_of_each() {
     for changes in [
@@ -371,7 +370,7 @@ fn a_history_goes_back_as_far_as_it_must_and_takes_no_number_that_cannot_be() {
     };
     let mut history = History::new();
     for n in 0..2000_u64 {
-        // A peer that hears nothing for a while.
+        // A peer that receives nothing for a while.
         let heard = if n < 900 { n.saturating_sub(20) } else { n.saturating_sub(300).max(880) };
         assert!(history.push(sent(n as f64 * 1e-3), Signal::EnvironmentForce, heard));
         for tick in heard..=n {
