@@ -155,18 +155,16 @@ class DynamixelMaster:
 
     def _check_speed(self) -> None:
         """End all torque if a joint is too fast at four reads in a row: fewer may be wrong."""
-        is_fast = any(abs(speed) > most for speed, most in zip(self._w, self.max_speed, strict=True))
-        self._fast_reads = self._fast_reads + 1 if is_fast else 0
-        if self._fast_reads <= MAX_DOUBTFUL:
-            return
-        for joint, speed, most in zip(self.arm.joints, self._w, self.max_speed, strict=True):
-            if abs(speed) > most:
-                text = (
-                    f"joint {joint.name} (servo {joint.servo}) moved at {speed:+.2f} rad/s: must be within {most:.2f}:"
-                    " support the arm, see what threw it, then acknowledge"
-                )
-                self.servos.stop(FaultKind.OVER_SPEED, text)
-                return
+        speeds = zip(self.arm.joints, self._w, self.max_speed, strict=True)
+        fast = next(((joint, speed, most) for joint, speed, most in speeds if abs(speed) > most), None)
+        self._fast_reads = 0 if fast is None else self._fast_reads + 1
+        if fast is not None and self._fast_reads > MAX_DOUBTFUL:
+            joint, speed, most = fast
+            text = (
+                f"joint {joint.name} (servo {joint.servo}) moved at {speed:+.2f} rad/s: must be within {most:.2f}:"
+                " support the arm, see what threw it, then acknowledge"
+            )
+            self.servos.stop(FaultKind.OVER_SPEED, text)
 
     def _measured(self) -> MasterSample:
         position, velocity = self.servos.position.tolist(), self.servos.velocity.tolist()
