@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from haptether.cli.live.options import LiveOptions
+from haptether.cli.live.options import Controller, LiveOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from haptether.cli.shared.screen import Screen
     from haptether.studies import LinkSummary, PushResult
 
-Controller = Literal["none", "vfc", "hsc", "wsc", "pc"]
-
+TRACE_S = 600.0
+"""Time in s at the end of a run that is kept if its ticks are written."""
 ALONE_S = 0.2
 """A slave that ends at most this long before the master has ended with it, in s."""
 
@@ -83,7 +83,7 @@ class Master(LiveOptions):
         from haptether.cli.live.options import handed_over, live_arguments, session_key
         from haptether.cli.live.panel_process import panel_process
         from haptether.cli.live.run import OLD_START, FlightFile, SideWatch, print_kept
-        from haptether.cli.live.sides import live_scene, start_master, with_clutch
+        from haptether.cli.live.sides import baseline_scene, live_scene, start_master, with_clutch
         from haptether.cli.shared.numbers import check_duration
         from haptether.cli.shared.output import check_distinct, check_target
         from haptether.cli.shared.stop import Stopped
@@ -94,14 +94,20 @@ class Master(LiveOptions):
         check_distinct(key=self.key, json=self.json, trace=self.trace, flight=self.flight, record=self.record)
         key = session_key(self.key, insecure=self.insecure)
         flight = FlightFile(self.flight)
-        arguments = live_arguments(self, key)
-        scene = live_scene(self, ("controller", "depth", "release_at_s", "force_scale", "encoder_quantum"))
-        if scene is not None:
-            scene = with_clutch(scene, self.clutch)
-        controller, release_at_s = _protection(scene) if scene is not None else (self.controller, self.release_at_s)
-        is_of_joints = scene is not None and scene.master.kind == "joints"
+        arguments = {
+            **live_arguments(self, key),
+            "listen": self.listen,
+            "peer": self.peer,
+            "duration_s": self.duration_s,
+            "patience_s": self.patience_s,
+            "keep_s": TRACE_S if self.keep_s is None and self.trace is not None else self.keep_s,
+        }
+        options = ("controller", "depth", "release_at_s", "force_scale", "encoder_quantum")
+        scene = live_scene(self, options) or baseline_scene(**{name: getattr(self, name) for name in options})
+        scene = with_clutch(scene, self.clutch)
+        controller, release_at_s = _protection(scene)
         with panel_process(arguments["telemetry"], quiet=self.quiet) as panel, Stopped() as stopped:
-            master = start_master(self, scene, stopped, arguments)
+            master = start_master(scene, self.clutch, (self.scene, self.set), stopped, arguments)
             handed_over(key)
             press = None if self.clutch == "open" else master.press_clutch
             watch = SideWatch("master", master, stopped, flight, insecure=self.insecure, press=press)
@@ -110,7 +116,9 @@ class Master(LiveOptions):
             cause = watch.after_end(report)
         result = measure_push(controller, trace, report, release_at_s)
         answered = bool(np.isfinite(trace.age_s).any())
-        self._report(result, summarise_link(trace, report), cause, answered=answered, joints=is_of_joints)
+        self._report(
+            result, summarise_link(trace, report), cause, answered=answered, joints=scene.master.kind == "joints"
+        )
         print_kept(trace, report)
         if self.trace is not None:
             save_master_trace(trace, self.trace)

@@ -3,20 +3,16 @@
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from haptether.cli.shared.output import FileOptions
 
-if TYPE_CHECKING:
-    from haptether.cli.live.master import Master
-    from haptether.cli.live.slave import Slave
+Controller = Literal["none", "vfc", "hsc", "wsc", "pc"]
 
 INSECURE = "INSECURE: frames are neither encrypted nor authenticated, anybody who can send can steer"
 """Warning on the screen for a run in the clear."""
-TRACE_S = 600.0
-"""Time in s at the end of a run that is kept if its ticks are written."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +54,8 @@ class LiveOptions(FileOptions):
     docs/console.md."""
 
 
-def live_arguments(command: "Master | Slave", key: bytearray | None) -> dict[str, Any]:
-    """Return the options of both sides as keyword arguments of `LiveMaster` and `LiveSlave`.
+def live_arguments(command: LiveOptions, key: bytearray | None) -> dict[str, Any]:
+    """Return the common options as keyword arguments of `LiveMaster` and `LiveSlave`.
 
     Raises:
         ValueError: A number out of its bounds.
@@ -84,10 +80,6 @@ def live_arguments(command: "Master | Slave", key: bytearray | None) -> dict[str
         "run_id": secrets.randbits(64),
         "key": key,
         "insecure": command.insecure,
-        "listen": command.listen,
-        "duration_s": command.duration_s,
-        "patience_s": command.patience_s,
-        "keep_s": TRACE_S if command.keep_s is None and getattr(command, "trace", None) else command.keep_s,
         "realtime": command.realtime,
         "priority": command.priority,
         "cpu": command.cpu,
@@ -98,7 +90,7 @@ def live_arguments(command: "Master | Slave", key: bytearray | None) -> dict[str
     }
 
 
-def telemetry_of(command: "Master | Slave") -> Path | None:
+def telemetry_of(command: LiveOptions) -> Path | None:
     """Return the telemetry socket of a side; None for none."""
     from haptether.cli.live.run_folder import default_telemetry
 

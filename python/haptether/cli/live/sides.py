@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, TypeVar
 
 from haptether.cli.interrupts import INTERRUPTS
 from haptether.cli.shared.design import design_lines
@@ -22,11 +22,8 @@ if TYPE_CHECKING:
         Scene,
         SlaveRun,
     )
-    from haptether.cli.live.check_link import CheckLink
-    from haptether.cli.live.master import Controller, Master
-    from haptether.cli.live.slave import Slave
+    from haptether.cli.live.options import Controller
     from haptether.cli.shared.stop import Stopped
-    from haptether.cli.view.console import Console
 
 READY_S = 60.0
 """Time in s that a driver may take to open its device."""
@@ -36,7 +33,21 @@ LOADED_S = time.monotonic()
 """Load time of this module, where the system does not tell when the process began."""
 
 
-def live_scene(command: "Master | Slave | CheckLink | Console", instead: Iterable[str]) -> "Scene | None":
+class SceneOptions(Protocol):
+    """Command that may name a scene."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def scene(self) -> str | None:
+        """Name or file of the scene."""
+
+    @property
+    def set(self) -> tuple[str, ...]:
+        """Changes of its fields, as KEY=VALUE."""
+
+
+def live_scene(command: SceneOptions, instead: Iterable[str]) -> "Scene | None":
     """Return the scene of a live command, if it names one; then its options `instead` must not be given.
 
     Raises:
@@ -88,15 +99,20 @@ def with_clutch(scene: "Scene", clutch: str) -> "Scene":
 
 
 def start_master(
-    command: "Master", scene: "Scene | None", stopped: "Stopped", arguments: dict[str, Any]
+    scene: "Scene",
+    clutch: Literal["once", "open", "auto"],
+    named: tuple[str | None, tuple[str, ...]],
+    stopped: "Stopped",
+    arguments: dict[str, Any],
 ) -> "LiveMaster | MasterRun":
-    """Start the master of a scene, or without one, of the command's options.
+    """Start the master of a scene.
 
     Args:
-        command: Its `clutch` is that of a real device without a button.
         scene: The result of `with_clutch`.
+        clutch: That of a real device without a button.
+        named: Name of the scene, if it has one, and its changes, for the remedy of the design check.
         stopped: Stops the loop, which is attached to it.
-        arguments: The result of `live_arguments`.
+        arguments: Keyword arguments of `LiveMaster`, from `live_arguments`.
 
     Raises:
         ValueError: No such driver or option.
@@ -107,58 +123,35 @@ def start_master(
     from haptether.bridge import LiveMaster, MasterLoop, MasterRun, scene_json, unusual_numbers
     from haptether.bridge.devices.scene import master_driver
 
-    arguments = {**arguments, "peer": command.peer, "started_s": started_s()}
-    clutch: Literal["once", "auto"] = "auto" if command.clutch == "auto" else "once"
-    if command.clutch == "open":
+    arguments = {**arguments, "started_s": started_s()}
+    if clutch == "open":
         # A start that is too old to be a press.
         arguments["started_s"] = max(0.0, time.monotonic() - OLD_START_S)
-    if scene is None:
-        scene = baseline_scene(
-            controller=command.controller,
-            depth=command.depth,
-            release_at_s=command.release_at_s,
-            force_scale=command.force_scale,
-            encoder_quantum=command.encoder_quantum,
-            clutch=clutch,
-        )
     if scene.master.driver is not None and arguments["started_s"] is None:
         # A driver may take long to load: the start counts from here.
         arguments["started_s"] = time.monotonic()
     scene, device = master_driver(scene)
     spec = scene_json(scene)
-    said = [*unusual_numbers(scene), *announcement(scene), *design_lines(scene, command.scene, command.set)]
+    said = [*unusual_numbers(scene), *announcement(scene), *design_lines(scene, *named)]
     if device is None:
         master = stopped.attached(LiveMaster(spec, **arguments))
         _say(said)
         return master
-    loop = stopped.attached(MasterLoop(spec, clutch=clutch, **arguments))
+    loop = stopped.attached(MasterLoop(spec, clutch="auto" if clutch == "auto" else "once", **arguments))
     _say(said)
     _announce(f"[master] driver = {scene.master.driver}", device)
     run = MasterRun(device, loop, period_s=scene.run.period_s)
-    if command.clutch == "auto":
+    if clutch == "auto":
         message = "--clutch auto: a simulated person presses the clutch of this device: it couples anew after each hold"
         print(message, file=sys.stderr, flush=True)
     return _opened(run, device, f"[master] driver = {scene.master.driver}", stopped)
 
 
-def start_slave(
-    command: "Slave", scene: "Scene | None", stopped: "Stopped", arguments: dict[str, Any]
-) -> "LiveSlave | SlaveRun":
-    """Start the slave of a scene, or without one, of the command's options; see `start_master`."""
+def start_slave(scene: "Scene", stopped: "Stopped", arguments: dict[str, Any]) -> "LiveSlave | SlaveRun":
+    """Start the slave of a scene; see `start_master`."""
     from haptether.bridge import LiveSlave, SlaveLoop, SlaveRun, scene_json, unusual_numbers
     from haptether.bridge.devices.scene import slave_drivers, slave_period_s
 
-    if scene is None:
-        scene = baseline_scene(
-            wall_stiffness=command.wall_stiffness,
-            push_at_s=command.push_at_s,
-            push_force_n=command.push_force_n,
-            push_duration_s=command.push_duration_s,
-        )
-        for flag in ("push_force_n", "push_duration_s"):
-            if command.push_at_s is None and getattr(command, flag) != getattr(type(command), flag):
-                message = f"{flag} = {getattr(command, flag):g}: nothing pushes: give --push-at-s, or leave it out"
-                raise ValueError(message)
     _say(unusual_numbers(scene))
     scene, device, gripper = slave_drivers(scene)
     if device is None:

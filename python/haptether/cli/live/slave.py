@@ -55,12 +55,19 @@ class Slave(LiveOptions):
 
     def run(self) -> int:
         """Run until it is stopped."""
-        from haptether.cli.live.sides import live_scene
+        from haptether.cli.live.sides import baseline_scene, live_scene
 
-        return self.run_scene(live_scene(self, ("wall_stiffness", "push_at_s", "push_force_n", "push_duration_s")))
+        options = ("wall_stiffness", "push_at_s", "push_force_n", "push_duration_s")
+        if (scene := live_scene(self, options)) is None:
+            scene = baseline_scene(**{name: getattr(self, name) for name in options})
+            for name in ("push_force_n", "push_duration_s"):
+                if self.push_at_s is None and getattr(self, name) != getattr(Slave, name):
+                    message = f"{name} = {getattr(self, name):g}: nothing pushes: give --push-at-s, or leave it out"
+                    raise ValueError(message)
+        return self.run_scene(scene)
 
-    def run_scene(self, scene: "Scene | None") -> int:
-        """Run a loaded scene; without one, the options define it."""
+    def run_scene(self, scene: "Scene") -> int:
+        """Run a scene."""
         import numpy as np
 
         from haptether.cli.live.options import handed_over, live_arguments, session_key
@@ -75,9 +82,15 @@ class Slave(LiveOptions):
         check_distinct(key=self.key, json=self.json, flight=self.flight, record=self.record)
         key = session_key(self.key, insecure=self.insecure)
         flight = FlightFile(self.flight)
-        arguments = live_arguments(self, key)
+        arguments = {
+            **live_arguments(self, key),
+            "listen": self.listen,
+            "duration_s": self.duration_s,
+            "patience_s": self.patience_s,
+            "keep_s": self.keep_s,
+        }
         with panel_process(arguments["telemetry"], quiet=self.quiet) as panel, Stopped() as stopped:
-            slave = start_slave(self, scene, stopped, arguments)
+            slave = start_slave(scene, stopped, arguments)
             handed_over(key)
             watch = SideWatch("slave", slave, stopped, flight, insecure=self.insecure)
             watch.until_end(f"slave listens on {slave.address}{self._ending()}", panel, quiet=self.quiet)
