@@ -237,9 +237,9 @@ impl HandshakePayload {
 
 /// Cause of a rejected datagram, roughly in the order of the checks; see [`super::Session::open`].
 ///
-/// A rejected datagram changes only the count of its cause, except [`Rejection::Unable`], see
-/// [`super::Handshake::receive`]. [`Rejection::Forged`] also counts towards the limit on forgeries, and
-/// [`Rejection::Repeated`] shows that the sender's address is alive.
+/// A rejected datagram changes only the count of its cause, except an authentic handshake message that fails
+/// later: see [`super::Handshake::receive`]. [`Rejection::Forged`] also counts towards the limit on
+/// forgeries, and [`Rejection::Repeated`] shows that the sender's address is alive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Rejection {
     /// Length that no datagram of this session has.
