@@ -181,7 +181,7 @@ pub enum HandshakeDecision {
 /// | 0 | `u64` | run: drawn by the sender at its start |
 /// | 8 | `u16` | form of its payloads, [`FrameForm`] |
 /// | 10 | `u8` | decision: 0 accepted, 1 leased, 2 payload form; 0 in a first message |
-/// | 11 | `[u8; 5]` | ticket: drawn by the slave when it refuses another master; echoed in the next first messages; else 0 |
+/// | 11 | `[u8; 5]` | ticket: drawn by the slave when it refuses another master; echoed by later first messages; else 0 |
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct HandshakePayload {
     pub(super) run: u64,
