@@ -58,7 +58,7 @@ fn datagrams(criterion: &mut Criterion) {
             }
             group.bench_function(BenchmarkId::new(name, payload.len()), |bencher| {
                 bencher.iter(|| {
-                    // A forgery that is decrypted is overwritten: each try needs it anew.
+                    // A forgery that is decrypted is overwritten: each try needs a fresh copy.
                     buffer[..bad.len()].copy_from_slice(&bad);
                     black_box(slave.session.open(MS, &mut buffer[..bad.len()]).is_err())
                 });

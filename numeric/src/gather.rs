@@ -7,7 +7,8 @@ pub fn padded<T>(of: &[T], lanes: usize) -> impl Iterator<Item = &T> {
     (0..lanes).filter_map(|lane| of.get(lane).or(of.last()))
 }
 
-/// Pack a value of each instance into lanes, as [`padded`]; return None if there are none, or more than lanes.
+/// Pack a value of each instance into lanes, as [`padded`]. Return None if there are no instances, or more instances
+/// than lanes.
 pub fn pack<T, P: SimdValue>(of: &[T], value: impl Fn(&T) -> P::Element) -> Option<P> {
     if of.len() > P::LANES {
         return None;

@@ -49,14 +49,14 @@ impl<const N: usize> DeviceModel<N> {
         self.mass.min()
     }
 
-    /// Return the largest Coulomb friction in N; a smaller force moves nothing.
+    /// Return the largest Coulomb friction of any axis in N; a larger force overcomes friction on every axis.
     pub fn largest_coulomb(&self) -> f64 {
         self.coulomb.max()
     }
 }
 
 impl<const N: usize, S: Real> DeviceModel<N, S> {
-    /// Gather one device per lane; return None if there are more than lanes.
+    /// Gather one device per lane; return None if there are more devices than lanes.
     pub fn gather(of: &[&DeviceModel<N>]) -> Option<Self> {
         Some(Self {
             mass: pack(of, |device| device.mass)?,

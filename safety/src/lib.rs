@@ -5,6 +5,8 @@
 //! rotation, [`WrenchLayer`] for both on one hand. Everything is a pure state machine: no clock, no lock, no
 //! allocation after construction. The code of a point is generic over [`Real`]: an `f64`, or lanes of several
 //! scenarios that are stepped at once.
+//!
+//! "The paper" is *Safety Control for Impedance Haptic Interfaces*: see `docs/paper.md`.
 
 pub mod controller;
 pub mod estimator;

@@ -39,8 +39,8 @@ impl LimiterSettings {
 impl Default for LimiterSettings {
     /// Return 7.9 N of a PHANTOM Desktop, 1000 N/s, 20 W and 0.2 s.
     ///
-    /// The force then rises from zero to 7.9 N in 8 ms. An unprotected ejection of the paper reaches 11 W (7.8 N at
-    /// 1.4 m/s), so the power limit acts on faults only.
+    /// After the ramp-in of 0.2 s the force can rise from zero to 7.9 N in 8 ms. The unprotected ejection in the
+    /// paper reaches 11 W (7.8 N at 1.4 m/s), so the power limit acts on faults only.
     fn default() -> Self {
         Self { max_force_n: 7.9, max_slew_n_per_s: 1000.0, max_power_w: 20.0, ramp_in_s: 0.2 }
     }
@@ -129,7 +129,8 @@ impl<const N: usize, S: Real> SaturatedForce<N, S> {
 /// 3. The growth from the last force is limited to `max_slew dT`; the part of the change that only unloads is free.
 /// 4. The component along V is reduced so that `F·V <= max_power`.
 ///
-/// Norm and power therefore hold at every tick. Only the power limit can cause a larger growth.
+/// The limits on norm and power therefore hold at every tick. Step 4 comes last and may change the force by more than
+/// step 3 allows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Limiter<const N: usize, S = f64> {
     max_force_n: S,
@@ -167,7 +168,7 @@ impl<const N: usize> Limiter<N> {
     }
 }
 
-/// Change a force in the lanes of a mask, which is empty at most ticks.
+/// Change a force in the lanes of a mask, which is empty in most ticks.
 macro_rules! change {
     ($S:ty, $force:ident, $place:expr, $changed:expr) => {
         if $place.any() {
@@ -178,7 +179,7 @@ macro_rules! change {
 }
 
 impl<const N: usize, S: Real> Limiter<N, S> {
-    /// Gather one limiter per lane; return None if there are more than lanes.
+    /// Gather one limiter per lane; return None if there are more limiters than lanes.
     pub fn gather(of: &[&Limiter<N>]) -> Option<Self> {
         Some(Self {
             max_force_n: pack(of, |one| one.max_force_n)?,
@@ -190,9 +191,9 @@ impl<const N: usize, S: Real> Limiter<N, S> {
         })
     }
 
-    /// Return the share `gain` of a force, at most of the largest force.
+    /// Scale a force by `gain` (0 to 1). If `gain` < 1, first clip its norm to `max_force_n`.
     ///
-    /// A larger request would else reach the largest force before the fade has ended.
+    /// Without the clip, a larger request would reach `max_force_n` before the fade has ended.
     #[inline(always)]
     pub(crate) fn faded(&self, requested_force: &Axes<N, S>, gain: f64) -> Axes<N, S> {
         let mut force = *requested_force;
@@ -207,8 +208,8 @@ impl<const N: usize, S: Real> Limiter<N, S> {
     /// Limit the requested force in each lane at this tick, with V in m/s.
     #[inline(always)]
     pub fn limit(&mut self, requested_force: &Axes<N, S>, velocity: &Axes<N, S>) -> SaturatedForce<N, S> {
-        // Copies: an argument passed by address would be kept in memory at every tick, with all that the caller
-        // stores next to it, even without the call.
+        // Copy the arguments: passed by address, they and the caller's values next to them would be stored
+        // to memory every tick, even when this call is inlined.
         let (mut force, velocity) = (*requested_force, *velocity);
         let Self { max_force_n, max_power_w, step_n: most_growth, ramp_ticks, ticks, .. } = *self;
         // A comparison with NaN is false, so the limits below would let a NaN pass.
@@ -230,7 +231,8 @@ impl<const N: usize, S: Real> Limiter<N, S> {
         let length = norm(&force);
         let long = is_finite & length.simd_gt(max_force_n);
         change!(S, force, long, force * (max_force_n / length));
-        // The nearest point between the last force and zero; reaching it only unloads.
+        // Point between zero and the last force that is nearest to the request; reducing the last force to
+        // it is pure unloading.
         let unloaded = self.last * nearest_share(&self.last, &force);
         let growth = force - unloaded;
         let step_n = norm(&growth);

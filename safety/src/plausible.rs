@@ -37,11 +37,16 @@ const WRONG: [u8; 14] = [
     0b01110, 0b10110, 0b11010, 0b11100, // three
 ];
 
-/// Largest change of velocity between samples in dV, where the path goes on without wrong ones. A pair of
-/// equal wrong samples is then no motion: it is off the path by dV, and would have to be within 0.9 dV.
+/// Largest change of velocity per sample, as a fraction of dV, for a path to count as smooth once its wrong samples
+/// are left out.
+///
+/// Two equal wrong samples thus cannot pass as motion: they deviate by at least dV, and the limit is 0.9 dV. With the
+/// first left out, the second may deviate by `0.3 dV (2 + 1) / 2` per tick over 2 ticks
+/// ([`Guard::is_smooth_without`]).
 const SMOOTH: f64 = 0.3;
 
-/// Return the share of dV in the limit `ticks` after the path, beside a wrong sample: the next may be wrong too.
+/// Return the fraction of dV by which a sample `ticks` after the path may deviate while a wrong sample is held; the
+/// next may be wrong too.
 ///
 /// It follows a device that accelerates by dV / 10 per tick, 50 m/s^2 at 1 kHz. This leaves the path by
 /// `dV dT k (k + 1) / 20` in k ticks.
@@ -68,7 +73,7 @@ pub(crate) enum Judged<const N: usize> {
     Passed,
     /// Held: off the path, perhaps an outlier. [`Guard::taken`] is the prediction for this time in ticks.
     Held(f64),
-    /// Accepted, after ticks since the last accepted sample that must be caught up with.
+    /// Accepted; the ticks since the last accepted sample must be caught up ([`Guard::between`]).
     Settled,
     /// Refused: the device cannot move so fast.
     Stepped(Excess),
@@ -102,13 +107,14 @@ impl<const N: usize> Between<N> {
 /// unchanged.
 ///
 /// - **Outlier.** A sample off the path is held and replaced by its prediction. If one of the next 3 ticks is on the
-///   path again, the held samples count as outliers. They are then interpolated between the samples around them. A
-///   device that accelerates returns to the path that bends as before, or its path goes on smoothly without them.
+///   path again, the held samples count as outliers. They are then interpolated between the samples around them. For
+///   an accelerating device the path may also continue with its last acceleration, or be smooth without the held
+///   samples.
 /// - **Change of velocity that stays**, for example at a mechanical stop. After 3 ticks off the path the samples are
 ///   accepted if the speed between them is within the bound of the device. One sample that fits neither neighbour is
 ///   left out.
-/// - **Step.** A speed beyond the bound that does not revert is a fault. A step within the bound, after which the
-///   device moves on as before, moves the origin and adds no velocity.
+/// - **Step.** A displacement faster than the bound is a fault if the samples do not return. A step within the bound,
+///   after which the device moves on as before, moves the origin and adds no velocity.
 ///
 /// Source: derived here.
 #[derive(Clone, Debug)]
@@ -171,7 +177,7 @@ impl<const N: usize> Guard<N> {
         self.outliers
     }
 
-    /// Return the path of the positions, for lanes.
+    /// Return the path of the positions, from which lanes are gathered.
     pub fn track(&self) -> &Track<N> {
         &self.track
     }
@@ -220,7 +226,7 @@ impl<const N: usize> Guard<N> {
             return Judged::Settled;
         }
         if self.count == 0 && self.returns(sample, gap) {
-            // The last sample was off the path, by less than the limit.
+            // The last accepted sample was wrong by less than the limit; drop it.
             let (path, turn, ticks) = self.before;
             (self.track.path, self.turn) = (path, turn);
             self.settle(&[], Knot { at, sample: *sample }, None);
@@ -244,7 +250,8 @@ impl<const N: usize> Guard<N> {
         (chain, self.count + 2)
     }
 
-    /// Return whether a sample is on the path of a device that accelerates on, and no held sample on the line to it.
+    /// Return whether a sample is on the path of a device that keeps accelerating, and no held sample is on the line
+    /// from the last sample to it.
     ///
     /// The path then bends by the change of the last two velocities: `x(k) = x_a + v k + (v - v') k (k + 1) / 2`.
     fn bends_to(&self, sample: &Sample<N>, ticks: f64, share: f64) -> bool {
@@ -258,7 +265,7 @@ impl<const N: usize> Guard<N> {
         };
         let rotation = self.last.rotation.zip(self.turn.rate().zip(turn.rate()));
         let turning = rotation.map(|(_, (now, before))| now - before);
-        // The bend is rounded by up to two quanta; within them it is none.
+        // Rounding changes the bend by up to two quanta; a smaller bend counts as zero.
         let rounding = |of: &PerTick| 0.5 * of.quantum * ticks * (ticks + 1.0);
         let limit =
             |of: &PerTick| (of.change * share + rounding(of)).min(of.change) + of.quantum * (ticks + 1.0);
@@ -290,7 +297,7 @@ impl<const N: usize> Guard<N> {
                 .all(|held| held.sample == self.last || !self.are_in_line(&last, &newest, held))
     }
 
-    /// Return whether a sample is on the path without its last sample.
+    /// Return whether a sample is on the path as it was before its last sample.
     fn returns(&self, sample: &Sample<N>, gap: f64) -> bool {
         let (path, turn, ticks) = &self.before;
         let repeats = self.last == *sample && self.track.path.since + gap < self.track.path.every;
@@ -361,7 +368,7 @@ impl<const N: usize> Guard<N> {
         self.since_shift = self.since_shift.saturating_add(1);
     }
 
-    /// Decide when more samples are off the path than may be outliers.
+    /// Decide, once more samples are off the path than can be outliers.
     fn decide(&mut self, chain: &[Knot<N>]) -> Judged<N> {
         let length = chain.len();
         let newest = chain[length - 1];
@@ -370,7 +377,7 @@ impl<const N: usize> Guard<N> {
             let in_line = |of: [usize; 3]| {
                 self.are_in_line(&chain[length - of[0]], &chain[length - of[1]], &chain[length - of[2]])
             };
-            // The newest sample, or the one before, may be wrong by less than the speed bound.
+            // The newest sample, or the one before, may be wrong although all speeds are within the bound.
             if self.count < MAX_HELD && !in_line([3, 2, 1]) {
                 return self.hold(newest);
             }
@@ -397,9 +404,11 @@ impl<const N: usize> Guard<N> {
         }
     }
 
-    /// Return whether the path goes on without a set of wrong samples, as bits by index, each of them off its line.
+    /// Return whether the path continues smoothly without the samples in `wrong` (bits by index), each of which is
+    /// off the line between its neighbours.
     ///
-    /// The velocity then changes by at most 0.3 dV per sample; no stop, blow or step is so smooth without a sample.
+    /// The velocity then changes by at most 0.3 dV per sample; leaving samples out never makes a stop, blow or step
+    /// that smooth.
     fn is_smooth_without(&self, wrong: u8, chain: &[Knot<N>]) -> bool {
         let (point, turn) = (&self.track.bounds, &self.turn.bounds);
         // A slow device repeats its samples and has no such path.
@@ -531,13 +540,13 @@ impl<const N: usize> Guard<N> {
             self.track.step_to(&newest.sample.position);
             self.turn.step_to(newest.sample.rotation.map(|turned| turned.orientation));
             (self.last, self.count) = (newest.sample, 0);
-            // The path without its last sample is that before the step.
+            // The path before the step is no longer valid, so `returns` must not use it.
             self.before.0.rate = None;
             (self.shift, self.since_shift) = (shift, 0);
         } else {
             self.track.restart();
             self.turn.restart();
-            // Two samples define a path; the third defines the path without its last sample.
+            // Accept the last three: two define the path; with the third, `before` is a path too.
             let path = &knots[knots.len().saturating_sub(3)..];
             let mut at = path[0].at - 1.0;
             for knot in path {
@@ -571,8 +580,8 @@ impl<const N: usize> Guard<N> {
         knots.iter().all(is_same).then_some(shift).filter(|shift| self.may_step(shift))
     }
 
-    /// Return whether a shift is a step: the first for a while, or the way back of the last one. A slow device that
-    /// moves shifts again and again; its motion must be read.
+    /// Return whether a shift is a step: no step in the last 100 samples, or the reverse of the last one. Repeated
+    /// shifts of a slow device are motion and are not removed.
     fn may_step(&self, shift: &Sample<N>) -> bool {
         let limit = |of: PerTick| of.change + 2.0 * of.quantum;
         let (point, turn) = (self.track.bounds, self.turn.bounds);

@@ -1,4 +1,4 @@
-//! Safety layer of a rotation: the layer of a point, applied to body increments.
+//! Safety layer of a rotation: [`SafetyLayer`], applied to orientation increments in the body frame.
 
 use nalgebra::UnitQuaternion;
 
@@ -82,8 +82,8 @@ pub struct RotationSettings {
     pub limiter: LimiterSettings,
 }
 
-/// Largest accumulated angle in rad of one axis; beyond it the origin moves by the same amount. A power of two, so
-/// that the subtraction is exact.
+/// Bound in rad on each component of x. Beyond it, that component and the estimators' positions are moved by 8 rad
+/// towards zero. A power of two, so that the subtraction is exact.
 const REBASE: f64 = 8.0;
 
 /// Largest turn in rad between two samples. Near pi the sense of rotation is ambiguous.
@@ -98,12 +98,13 @@ const MAX_TURN: f64 = 3.0;
 /// term of the Magnus expansion. The layer keeps x within 8 rad by moving the origin of the estimators with it.
 ///
 /// Orientations R are `base_from_body`. Angular velocities and torques enter and leave **in the base frame**; R of
-/// the tick converts them. A held torque keeps its direction in the base frame. Eq. 4 uses the torque relative to the
-/// body in the middle of the tick; its growth is measured relative to the body at the end.
+/// the tick converts them. A held torque keeps its direction in the base frame. Eq. 4 uses the held torque in the
+/// body frame at mid-tick. The limiter measures its growth in the body frame at the end of the tick.
 ///
-/// **Gyroscopic torque.** `w x I w` must have the lag of A. If V belongs to the newest sample, `w x I w` passes
-/// through the kernel of A together with the device torque, as the mean over the tick. If V is filtered too, A is the
-/// difference of V, and `w x I w` is evaluated at that difference. Both cases use the mean of two successive V.
+/// **Gyroscopic torque.** `w x I w` must have the lag of A, and is evaluated at the mean of two successive V. If V
+/// belongs to the newest sample, `w x I w` passes through the kernel of A together with the device torque, as the
+/// mean over the tick. If V is filtered too, A is the difference of two successive V, and `w x I w` is evaluated at
+/// their mean, without the kernel.
 ///
 /// Source: increments, Bullo and Murray 1999, section 2; Iserles et al. 2000, section 4 (Magnus); the rest as
 /// [`SafetyLayer`].
@@ -190,7 +191,8 @@ impl RotationLayer {
         }
     }
 
-    /// Compute a tick whose sample is held, as [`SafetyLayer::hold`], at the last accepted orientation.
+    /// Compute a tick whose sample is held, as [`SafetyLayer::hold`], with the last accepted orientation. `at`: ticks
+    /// since that sample.
     pub(crate) fn hold(&mut self, at: f64, requested_torque: &Axes<3>, authority: f64) -> SafetyTick<3> {
         let orientation = self.orientation.unwrap_or_default();
         let torque = orientation.inverse_transform_vector(requested_torque);
@@ -209,7 +211,7 @@ impl RotationLayer {
         self.layer.recall(between.ticks);
     }
 
-    /// Apply a step of the orientation that is not a velocity; increments continue after it.
+    /// Apply a step of the orientation without adding velocity: the next increment starts at the stepped orientation.
     ///
     /// Stored torques keep their direction in the base frame.
     pub(crate) fn shift<const N: usize>(&mut self, by: Option<&Sample<N>>) {
@@ -223,7 +225,7 @@ impl RotationLayer {
         }
     }
 
-    /// Return the speed beyond the bound of the device that caused the fault.
+    /// Return the speed that exceeded the device's bound and caused the fault, if any.
     pub fn excess(&self) -> Option<Excess> {
         self.layer.excess()
     }

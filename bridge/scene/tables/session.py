@@ -108,7 +108,7 @@ class ChangeTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
 
 
 class AlignmentTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[coupling.alignment]`: after a press the slave turns to the master, `R_s -> C R_m C'`, before they engage.
+    """`[coupling.alignment]`: the slave rotates to the master's orientation, `R_s -> C R_m C'`, before they engage.
 
     The tool point does not move, and the hand feels no force.
     """

@@ -1,4 +1,4 @@
-//! Alignment: the slave turns to the master before they engage.
+//! Alignment: the slave rotates to the master's orientation before they engage.
 
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
@@ -36,7 +36,7 @@ pub enum AlignmentError {
         "rotation_scale = {0}: must be 1 with an alignment, which would not last; leave one of the two out"
     )]
     Scale(f64),
-    /// A locked rotation cannot turn to the master.
+    /// A locked rotation cannot reach the master's orientation.
     #[error(
         "locks_rotation and rotation_axis: must be left out with an alignment, which turns about any axis"
     )]

@@ -5,8 +5,8 @@ use super::AlignmentError;
 /// Invalid parameter of a coupling.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum CouplingError {
-    /// Scale or bound that is not above 0, or not finite where it must be.
-    #[error("{name} ({symbol}) = {seen}: must be finite and above 0")]
+    /// Scale or bound that is not above 0; or not finite, unless it bounds commands.
+    #[error("{name} ({symbol}) = {seen}: must be above 0, and finite unless it bounds commands")]
     Scale {
         /// Name of the parameter.
         name: &'static str,
@@ -37,13 +37,13 @@ pub enum CouplingError {
     #[error("{0}: only a side of kind \"pose\" has it")]
     NoScale(&'static str),
     /// Matrix that is not a rotation.
-    #[error("rotation: R' R differs from the identity by {0}, must be by at most 1e-9")]
+    #[error("rotation: R' R differs from the identity by {0}: must differ by at most 1e-9")]
     Orthonormal(f64),
     /// Quaternion that is not a unit quaternion.
     #[error("quat_wxyz has a norm of {0}: must be 1 to within 1e-6")]
     Quaternion(f64),
     /// Quaternion whose rotation leaves the space of the axes.
-    #[error("quat_wxyz: a rotation of {0} axes, must be of 3 axes, or of 2 about z")]
+    #[error("quat_wxyz with {0} axes: needs 3 axes, or 2 axes and a rotation about z")]
     Turn(usize),
     /// Rotation of more than three axes.
     #[error("rotation of {0} axes: must be of at most 3")]

@@ -57,7 +57,8 @@ impl ReferencePoint {
         }
     }
 
-    /// Position and velocity of the tool point for a command of this point.
+    /// Position and velocity of the tool point for a command of this point; `None` without a command or an
+    /// orientation.
     #[must_use]
     pub fn commanded<const N: usize>(&self, tick: &SlaveTick<N>) -> Option<[Axes<N>; 2]> {
         let by = tick.orientation? * self.0;
@@ -90,7 +91,8 @@ mod tests {
     };
     use proptest::prelude::*;
 
-    /// Sums of products of numbers up to 10 with 10 and 2 over 9 terms, with one ulp each.
+    /// Rounding bound: sums of up to 9 terms, each a product of factors up to 10, 10 and 2, one ulp per
+    /// operation.
     const ROUNDING: f64 = 1800.0 * 18.0 * f64::EPSILON;
 
     proptest! {

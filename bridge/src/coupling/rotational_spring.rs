@@ -16,9 +16,9 @@ pub const FULL_SPRING_RAD: f64 = 5.0 * PI / 6.0;
 /// minus the gradient of the potential `U = k |phi|² / 2`: `dU/dt = tau·(w_s - w_m)`, so the power of both
 /// torques is `-dU/dt`.
 ///
-/// At `|phi| = pi` the shorter way changes its side, and k phi would reverse from one tick to the next with
-/// its full `k pi`. A torque of uncertain direction must be zero. So beyond [`FULL_SPRING_RAD`] (a, 150
-/// degrees) `|tau| = k a (pi - |phi|) / (pi - a)`, which is zero at pi. Its potential is
+/// At `|phi| = pi` the shortest rotation changes direction, so k phi would reverse from one tick to the next
+/// at its full magnitude `k pi`. A torque of uncertain direction must be zero. So beyond [`FULL_SPRING_RAD`]
+/// (a, 150 degrees) `|tau| = k a (pi - |phi|) / (pi - a)`, which is zero at pi. Its potential is
 /// `U = k (a² + a (|phi| - a) (1 + (pi - |phi|) / (pi - a))) / 2`.
 ///
 /// Torque and potential are continuous everywhere; `|tau| <= k a`, `U <= k a pi / 2`. No spring on SO(3) can

@@ -30,7 +30,7 @@ pub(crate) struct MasterState<'a, const N: usize> {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArmInput<'a, const N: usize> {
     pub(crate) state: LadderState,
-    /// True if the arm may turn to the master before the two engage.
+    /// True if the arm may rotate to the master's orientation before the two engage.
     pub(crate) turns: bool,
     /// Time in ns that the ladder has been in STALE.
     pub(crate) stale_ns: u64,
@@ -42,7 +42,8 @@ pub(crate) struct ArmInput<'a, const N: usize> {
 pub(crate) struct ArmTick<const N: usize> {
     /// Velocity in m/s of the commanded position; zero unless engaged.
     pub(crate) command_velocity: Axes<N>,
-    /// Angular velocity in rad/s of the commanded orientation; zero unless engaged or turning to the master.
+    /// Angular velocity in rad/s of the commanded orientation; zero unless engaged or rotating to the
+    /// master's orientation.
     pub(crate) angular_velocity: Axes<3>,
     pub(crate) limited: Limited,
 }
@@ -262,8 +263,8 @@ impl<const N: usize> Arm<N> {
 
     /// Fill the next frame's report of the arm. The energy is that of the whole wrench, `f·v + tau·w`.
     ///
-    /// While the arm turns to the master (`turns`) the wrench is zero. A force that still fades on the hand
-    /// must not contain forces of that motion.
+    /// While the arm rotates to the master's orientation (`turns`) the wrench is zero. A force that still
+    /// fades on the hand must not contain forces of that motion.
     #[inline(always)] // as check
     fn report(
         &self,

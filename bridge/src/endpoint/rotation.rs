@@ -26,7 +26,7 @@ pub struct SlaveRotationSettings {
     pub lock: RotationLock,
     /// Bounds on a remote command.
     pub bounds: RotationBounds,
-    /// Settings of the turn to the master before the two engage; without them, they engage in any
+    /// Settings of the alignment with the master before the two engage; without them, they engage in any
     /// orientation.
     pub alignment: Option<AlignmentSettings>,
 }

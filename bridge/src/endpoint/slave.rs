@@ -58,9 +58,10 @@ pub struct SlaveTick<const N: usize> {
     pub command_velocity: Axes<N>,
     /// Commanded orientation of the tool; none for a point, and before the first engagement.
     pub orientation: Option<UnitQuaternion<f64>>,
-    /// Angular velocity in rad/s of the commanded orientation; zero unless engaged or turning to the master.
+    /// Angular velocity in rad/s of the commanded orientation; zero unless engaged or rotating to the
+    /// master's orientation.
     pub angular_velocity: Axes<3>,
-    /// True if the arm follows commands: it is engaged, or turns to the master before that.
+    /// True if the arm follows commands: it is engaged, or rotates to the master's orientation before that.
     pub is_led: bool,
     /// State of the ladder.
     pub state: LadderState,

@@ -29,7 +29,8 @@ pub struct Diagnosis {
     pub role: Role,
     /// State of the side.
     pub state: LadderState,
-    /// Reason of its first hold.
+    /// Reason for which it left the states that are not held; outside HOLD and STOP, that of the last
+    /// transition.
     pub reason: Option<Reason>,
     /// Its fault as [`Fault::code`]; 0 without one.
     pub fault: u8,
@@ -147,7 +148,7 @@ impl Diagnosis {
         }
         let (at, text) = match self.turn_end() {
             Some(Reason::TurnRefused) => {
-                let text = "the slave is turned further from the master than it may turn before it engages";
+                let text = "the angle between slave and master is larger than the slave may turn to align";
                 let turn = "turn the master's device until it points as the arm does".to_owned();
                 let step = Step { at: Role::Master.name(), remedy: Remedy::Turn, text: turn };
                 return self.explanation(Role::Slave.name(), text.to_owned(), vec![step]);
@@ -169,7 +170,8 @@ impl Diagnosis {
         self.explanation(at, text, steps)
     }
 
-    /// Reason for which the slave did not turn to the master, or stopped turning; either side may know it.
+    /// Reason for which the slave did not rotate to the master's orientation, or stopped; either side may
+    /// know it.
     fn turn_end(&self) -> Option<Reason> {
         let reason = match self.role {
             Role::Slave => self.reason,
@@ -208,21 +210,23 @@ impl Diagnosis {
             }
             Some(Reason::PeerEnded) => (other, format!("the {other} had ended")),
             Some(Reason::OwnDelay) => (own, format!("the {own}'s own loop was late")),
-            Some(Reason::PeerRestarted) => (other, format!("the {other} was started anew")),
+            Some(Reason::PeerRestarted) => (other, format!("the {other} was restarted")),
             Some(Reason::PeerSilent | Reason::SilentTooLong) => (LINK, format!("the {other} fell silent")),
             Some(Reason::PeerDeaf) => (LINK, format!("the {other} does not hear the {own}")),
             Some(Reason::NewsOld) => {
-                (LINK, format!("what arrives from the {other} is older than the link is used to"))
+                (LINK, format!("the newest state from the {other} is older than normal for this link"))
             }
             Some(reason) => (own, reason.text().to_owned()),
-            None => (own, format!("the {own} stands in {}", self.state.name())),
+            None => (own, format!("the {own} is in {}", self.state.name())),
         }
     }
 
     /// Location and text for a peer that is disengaged while this side is coupled.
     fn peer_left(&self, own: &'static str, other: &'static str) -> (&'static str, String) {
         match self.peer.and_then(|peer| Reason::from_code(peer.reason)) {
-            Some(Reason::PeerEnded) => (LINK, format!("the {other} took the {own} for ended")),
+            Some(Reason::PeerEnded) => {
+                (LINK, format!("the {other} received a message that the {own} has ended"))
+            }
             _ => (other, format!("the {other} is disengaged")),
         }
     }
@@ -232,15 +236,15 @@ impl Diagnosis {
         match Reason::from_code(code) {
             Some(Reason::BadNumber) => (other, format!("the {other} had a fault")),
             Some(Reason::OwnDelay) => (other, format!("the {other} held: its own loop was late")),
-            Some(Reason::PeerRestarted) => (other, format!("the {other} held: the {own} was started anew")),
+            Some(Reason::PeerRestarted) => (other, format!("the {other} held: the {own} was restarted")),
             Some(Reason::PeerSilent | Reason::SilentTooLong) => {
-                (LINK, format!("the {other} held: the {own} fell silent there"))
+                (LINK, format!("the {other} held: it no longer heard the {own}"))
             }
             Some(Reason::PeerDeaf) => (LINK, format!("the {other} held: the {own} did not hear it")),
             Some(Reason::NewsOld) => (
                 LINK,
                 format!(
-                    "the {other} held: what arrives there from the {own} is older than the link is used to"
+                    "the {other} held: the newest state from the {own} is older than normal for this link"
                 ),
             ),
             Some(reason) => (other, format!("the {other} held: {}", reason.text())),
@@ -251,8 +255,9 @@ impl Diagnosis {
         }
     }
 
-    /// Build the explanation and add the last step. A started master needs no press, because its start is
-    /// one.
+    /// Build the explanation and add the last step. The start of a master without a button counts as a press,
+    /// so it needs no further one. A device with a button needs one, but a diagnosis does not know of
+    /// buttons.
     fn explanation(&self, at: &'static str, text: String, mut steps: Vec<Step>) -> Explanation {
         let is_started = |step: &Step| step.remedy == Remedy::Start && step.at == Role::Master.name();
         if !steps.iter().any(is_started) {
@@ -404,7 +409,7 @@ mod tests {
                     ..HELD
                 },
                 "link",
-                "the slave held: the master fell silent there",
+                "the slave held: it no longer heard the master",
                 vec![("link", Wait), ("master", Press)],
             ),
             (
@@ -437,7 +442,7 @@ mod tests {
                     ..HELD
                 },
                 "link",
-                "the slave took the master for ended",
+                "the slave received a message that the master has ended",
                 vec![("link", Wait), ("master", Press)],
             ),
             (
@@ -460,7 +465,7 @@ mod tests {
                     ..HELD
                 },
                 "slave",
-                "the slave is turned further from the master than it may turn before it engages",
+                "the angle between slave and master is larger than the slave may turn to align",
                 vec![("master", Turn), ("master", Press)],
             ),
             (
@@ -473,7 +478,7 @@ mod tests {
                     ..HELD
                 },
                 "slave",
-                "the slave is turned further from the master than it may turn before it engages",
+                "the angle between slave and master is larger than the slave may turn to align",
                 vec![("master", Turn), ("master", Press)],
             ),
             (

@@ -9,11 +9,12 @@ pub struct PeerReport {
     pub state: LadderState,
     /// True if the peer hears this run of this side.
     pub hears: bool,
-    /// True if the peer, when it sent the frame, knew why this side last needed a release: a hold, a fault,
-    /// an ended peer or an unanswered press. An earlier report cannot confirm a later press or release.
+    /// True if the peer sent this frame after it heard of the event for which this side last required a
+    /// release: a hold, a fault, an ended peer or an unanswered press. An earlier report cannot confirm a
+    /// later press or release.
     pub answers: bool,
-    /// True if the report may align this side. At the master, the peer knew of the last press; at the slave,
-    /// the report is at most `LadderSettings::align_ns` old.
+    /// True if the report is recent enough to let this side engage. At the master, the peer knew of the last
+    /// press; at the slave, the report is at most `LadderSettings::align_ns` old.
     pub is_current: bool,
 }
 
@@ -37,9 +38,9 @@ pub enum AlignmentState {
 pub struct LadderInput {
     /// Age in ns of the newest frame of the peer; none before the first.
     pub age_ns: Option<u64>,
-    /// Age in ns to be expected of a good link; silence counts from it.
+    /// Age in ns of the newest frame on a good link. Only age beyond this counts as silence.
     pub expected_age_ns: u64,
-    /// Largest possible age in ns of the newest frame beyond the baseline of the link; none until the
+    /// Upper bound in ns on the age of the newest frame, less the link's baseline age; none until the
     /// baseline is known.
     pub over_baseline_ns: Option<u64>,
     /// Round trip in ns on this side's clock, from the newest echo; 0 before the first echo.
@@ -49,8 +50,8 @@ pub struct LadderInput {
     /// True if the clutch is closed: at the master its button, at the slave the clutch in the master's frame.
     /// The clutch of a disengaged master counts as open.
     pub clutch: bool,
-    /// True if an open clutch counts as a release only once the peer knows why one was necessary. HOLD and
-    /// STOP always require this. A slave also requires it in DISENGAGED, because its newest frame may be old.
+    /// True to require, outside HOLD and STOP too, that the peer knows the cause before an open clutch counts
+    /// as a release. True for a slave after its first such event, because its newest frame may be old.
     pub needs_answer: bool,
     /// True if a press begins at this tick: at the master the edge of the button, at the slave a master that
     /// aligns.
@@ -72,7 +73,8 @@ pub struct PeerFrame {
     pub hears: bool,
     /// Sequence of the frame of this run that the peer echoes.
     pub echo: Option<u64>,
-    /// Time in ns since that frame was sent, on this side's clock. The peer sent its own frame after it.
+    /// Time in ns since that frame was sent, on this side's clock. The peer's frame is younger than this, so
+    /// this bounds its age.
     pub echo_age_ns: Option<u64>,
 }
 

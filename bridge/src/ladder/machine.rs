@@ -17,7 +17,8 @@ pub struct Ladder {
     state: LadderState,
     gain: f64,
     last_ns: Option<u64>,
-    /// Time in ns at which this side last heard the peer, and the peer was sound.
+    /// Time in ns at which this side last heard a peer that heard this side and was neither in STOP nor in
+    /// FAULT; until then the first tick.
     last_sound_ns: Option<u64>,
     hears: bool,
     ready: bool,
@@ -35,7 +36,7 @@ pub struct Ladder {
     /// Arrival in ns of the first of the newest consecutive frames in ALIGNING that all say STOP or that the
     /// peer is deaf.
     apart_since_ns: Option<u64>,
-    /// True if the arm is to turn to the master, as of the last tick.
+    /// True if the arm is to rotate to the master's orientation, as of the last tick.
     turns: bool,
     holds: u64,
     /// Number of times that a release of the clutch became necessary.
@@ -314,8 +315,8 @@ impl Ladder {
         self.gain
     }
 
-    /// Return whether the arm is to turn to the master: in ALIGNING, while both sides hear each other and the
-    /// peer is aligned.
+    /// Return whether the arm is to rotate to the master's orientation: in ALIGNING, while both sides hear
+    /// each other and the peer is aligned.
     pub fn turns(&self) -> bool {
         self.turns
     }

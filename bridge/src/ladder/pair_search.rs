@@ -9,10 +9,10 @@
 //!
 //! - The link stores a frame for any time.
 //! - A side restarts, ends in an orderly way, sleeps for any time, or has a fault.
-//! - An attacker sends one side a false end of the other.
+//! - An attacker forges a message to one side that the other has ended.
 //!
-//! A side that has ended may be restarted without an event. If the slave turns to its master before it
-//! engages, each tick chooses one result: still to turn, aligned, or too far.
+//! Restarting a side that has ended uses up no event. If the slave rotates to the master's orientation before
+//! it engages, each tick chooses one result: still to turn, aligned, or too far.
 //!
 //! Time is unbounded. The search measures ages from the present and saturates them where they make no
 //! difference, so the states are finite. Without events the search visits all states; with one event it
@@ -28,8 +28,8 @@ use super::{
 use crate::wire::Role;
 
 const TICK_NS: u64 = 100_000_000;
-/// Short times keep the number of states small. Two missing frames lead to HOLD, three to STOP. A press waits
-/// for five ticks: the fewest in which a direction can be cut for two round trips and return.
+/// Short times keep the number of states small. Two missing frames lead to HOLD, three to STOP. `align` is
+/// five ticks: the shortest in which one direction can be cut for two round trips and recover.
 const SETTINGS: LadderSettings = LadderSettings {
     stale_after_ns: 5_000_000,
     hold_after_ns: 50_000_000,
@@ -40,10 +40,11 @@ const SETTINGS: LadderSettings = LadderSettings {
     align_ns: 5 * TICK_NS,
 };
 const ALIGN: u64 = SETTINGS.align_ns / TICK_NS;
-/// Measured round trip in ticks: the shortest for which an answer arrives within twice its value.
+/// Assumed round trip in ticks. An answer takes two ticks, and must arrive within two round trips; 1 is the
+/// smallest such value.
 const ROUND_TRIP: u64 = 1;
 /// Largest age in ticks of a press by which a slave may engage. The master reports ALIGNING for `align`, and
-/// its last such frame may be as old again.
+/// its last such frame may itself be `align` old, plus one tick.
 const SLAVE_PRESS: u64 = 2 * ALIGN + 1;
 /// Age in ticks from which on ages make no difference.
 const OLD: u64 = SLAVE_PRESS + 1;
@@ -142,7 +143,9 @@ impl Side {
 #[derive(Clone, Copy, Debug)]
 struct Press {
     tick: u64,
-    /// Per side: false after a hold, a fault, an end, or a restart of the peer that it knew.
+    /// Per side: true while the press may still couple it. False after a hold, a fault, an end, an unanswered
+    /// press, a restart of its known peer, or a refusal for two round trips. A restarted slave takes the
+    /// master's value; a slave that meets a new master takes `of_this_life`.
     counts: [bool; 2],
     /// True if it happened in this run of the master.
     of_this_life: bool,
@@ -153,8 +156,8 @@ struct Press {
 struct Shown {
     /// True if the peer has said, in the present runs of both, that it hears this side.
     was_heard: bool,
-    /// Tick since which every frame that arrived during a waiting press says that the peer is in STOP or
-    /// FAULT, or deaf.
+    /// First tick of an unbroken series of frames, during a waiting press, in which the peer is in STOP or
+    /// FAULT or does not hear this side.
     apart: Option<u64>,
 }
 
@@ -171,7 +174,7 @@ struct Pair {
     events: u8,
     press: Press,
     shown: [Shown; 2],
-    /// True if the slave turns to the master before it engages.
+    /// True if the slave rotates to the master's orientation before it engages.
     aligns: bool,
 }
 
@@ -252,7 +255,7 @@ impl Pair {
         };
         for forward in fates(MASTER) {
             for backward in fates(SLAVE) {
-                // Storing both frames at once costs two events.
+                // Not searched: storing both frames in one tick.
                 if forward == Fate::Kept && backward == Fate::Kept {
                     continue;
                 }
@@ -288,7 +291,7 @@ impl Pair {
         moves
     }
 
-    /// Change a side between two ticks, and record whether that made a release necessary.
+    /// Change a side, and clear its press if that made a release necessary.
     fn at(&mut self, side: usize, does: impl FnOnce(&mut Side)) {
         let before = self.sides[side].ladder.closings();
         does(&mut self.sides[side]);
@@ -297,7 +300,7 @@ impl Pair {
 
     fn does(&mut self, what: Move) -> Result<(), String> {
         let now_ns = self.now * TICK_NS;
-        // Restarting an ended side costs no event.
+        // Restarting a side that has ended uses up no event.
         let is_free = match what {
             Move::Acknowledge(_) => true,
             Move::Restart(side, _) => self.sides[side].ended,
@@ -318,7 +321,8 @@ impl Pair {
                 self.sides[MASTER] = Side::new(Role::Master, session);
                 self.shown[MASTER] = Shown::default();
                 (self.button, self.level) = (Button::default(), pressed);
-                // Frames of the old master may still be in flight: for the slave it lives until it is silent.
+                // Frames of the old master may still be in flight: the slave takes the old master for alive
+                // until it falls silent.
                 (self.press.counts[MASTER], self.press.of_this_life) = (false, false);
                 if pressed {
                     self.presses();
@@ -361,7 +365,7 @@ impl Pair {
                 self.press.counts = [false; 2];
             }
             if to == SLAVE && begins && self.sides[SLAVE].ladder.state() != LadderState::Fault {
-                // It may follow any press of the new master's operator.
+                // The slave may follow any press made in the new master's run.
                 self.press.counts[SLAVE] = self.press.of_this_life;
             }
         }
@@ -460,7 +464,7 @@ impl Pair {
             let apart = frame.state.is_held() || frame.state == LadderState::Disengaged || open;
             hold(!moves || !apart, "coupled to an uncoupled peer")?;
             let gone = missing && self.now - arrived > 1 + SETTINGS.stop_after_ns.div_ceil(TICK_NS);
-            // A press into a dead link shows for one tick.
+            // A press while the peer is silent stays in ALIGNING for one tick.
             let goes_on = state == LadderState::Aligning && before == state;
             hold(!goes_on || !gone, "aligns with a silent peer")?;
         } else {
@@ -474,7 +478,8 @@ impl Pair {
     fn key(&self) -> Vec<u8> {
         let mut key = Vec::with_capacity(64);
         let age = |tick: u64, most: u64| (self.now - tick).min(most) as u8;
-        // Sequences are compared with the necessary release, with the waiting press and with the present.
+        // The ladder compares a sequence with the last event that required a release, with the waiting press
+        // and with the current tick.
         let number = |side: usize, number: u64| {
             let Side { ladder, inputs, .. } = &self.sides[side];
             let pressed = ladder.state == LadderState::Aligning && number >= inputs.pressed_sequence;
@@ -534,7 +539,7 @@ impl Pair {
             };
             key.push(apart(apart_since_ns.map(|since| since / TICK_NS)) << 4 | apart(shown.apart));
             key.push(flags.iter().fold(0, |bits, flag| bits << 1 | u8::from(*flag)));
-            // It matters only for HOLD to STOP, and restarts on engaging.
+            // `last_sound_ns` matters only for HOLD to STOP, and is set again on engaging.
             let sound = last_sound_ns.filter(|_| state.is_coupled() || *state == LadderState::Hold);
             key.push(sound.map_or(0xFF, |at| age(at / TICK_NS, 3)));
             key.push(if *state == LadderState::Aligning { age(aligning_ns / TICK_NS, ALIGN) } else { 0 });
@@ -586,8 +591,8 @@ fn search(events: u8, most: usize, aligns: bool) -> [[u64; 7]; 2] {
             }
         }
     }
-    let all = if left.is_empty() { "all" } else { "not all" };
-    println!("{} states, {all} that there are, {steps} steps, {events} events, {deepest} moves", seen.len());
+    let all = if left.is_empty() { "complete" } else { "incomplete" };
+    println!("{} states ({all}), {steps} steps, {events} events, {deepest} moves", seen.len());
     reached
 }
 
@@ -604,11 +609,13 @@ fn no_reachable_state_couples_without_a_recent_press() {
     // states that few moves reach.
     for aligns in [false, true] {
         let reached = search(0, usize::MAX, aligns);
+        // DISENGAGED, ALIGNING, ENGAGED, HOLD and STOP.
         assert!(
             reached.iter().all(|states| [0, 1, 2, 4, 5].iter().all(|state| states[*state] > 0)),
             "{reached:?}"
         );
         let reached = search(1, 250_000, aligns);
+        // DISENGAGED, ALIGNING, ENGAGED and FAULT.
         assert!(
             reached.iter().all(|states| [0, 1, 2, 6].iter().all(|state| states[*state] > 0)),
             "{reached:?}"

@@ -14,21 +14,23 @@ use Reason::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LadderState {
-    /// Not coupled: the master moves freely and the slave holds. State before the first press, while the
-    /// clutch is open, and after an unanswered press.
+    /// Not coupled: the master moves freely and the slave holds. State before the first press, after a
+    /// release while coupled or aligning, and after an unanswered press. Also after the end of the peer while
+    /// coupled, an acknowledged fault, and in HOLD or STOP of a slave a restart of the master.
     Disengaged,
     /// The clutch is pressed. The side waits until the other side is aligned too, for at most
-    /// `LadderSettings::align_ns`. An arm that aligns its orientation turns to the master meanwhile.
+    /// `LadderSettings::align_ns`. Meanwhile an arm that aligns rotates to the master's orientation.
     Aligning,
     /// Coupled.
     Engaged,
     /// Coupled, but the peer's frames are late: the slave continues with a velocity that decays to zero.
     Stale,
-    /// The peer is silent: the slave holds, the master's force fades to zero. Ends with a new press of the
-    /// clutch only.
+    /// Uncoupled for a reason in [`TABLE`], for example a silent peer: the slave holds, the master's force
+    /// fades to zero. Ends with a new press of the clutch, in STOP or in FAULT; at a slave also when the
+    /// master is restarted.
     Hold,
-    /// The peer is silent for too long. Latched: ends with a new press of the clutch, or at a slave with a
-    /// restarted master.
+    /// The peer is silent for too long. Latched: ends with a new press of the clutch or in FAULT; at a slave
+    /// also when the master is restarted.
     Stop,
     /// An invalid number, or a failed device. Latched: ends with an acknowledgement at this side only.
     Fault,
@@ -108,7 +110,8 @@ pub enum Reason {
     FramesLate,
     /// The peer's frames are in time again.
     FramesBack,
-    /// No sound peer for longer than `stop_after`.
+    /// For longer than `stop_after`, the peer was silent, did not hear this side, or was in STOP or FAULT. In
+    /// ALIGNING only silence counts.
     SilentTooLong,
     /// A person restarted the master.
     MasterStartedAnew,
@@ -124,8 +127,8 @@ pub enum Reason {
     PeerDisengaged,
     /// The slave's orientation differs from the master's by more than the alignment allows.
     TurnRefused,
-    /// While the slave turned to the master, one side no longer heard the other, or the master stopped
-    /// waiting.
+    /// While the slave rotated to the master's orientation, one side no longer heard the other, or the master
+    /// stopped waiting.
     TurnCut,
     /// After a trip, no hand answered a probe or moved the device in any try.
     HandGone,
@@ -224,14 +227,14 @@ const fn row(from: LadderState, reason: Reason, to: LadderState) -> Row {
 /// In HOLD and STOP a press counts only while both sides hear each other and the peer knows of the hold. A
 /// press into a dead link must not couple when the link returns.
 ///
-/// In DISENGAGED a press waits visibly as ALIGNING. It ends there, back to DISENGAGED, if the peer is silent
-/// for `stop_after`, restarts, faults, ends, or does not align within `align`. It also ends if the peer
+/// A press in DISENGAGED leads to ALIGNING. It expires, back to DISENGAGED, if the peer is silent for
+/// `stop_after`, restarts, faults, ends, or does not align within `align`. It also expires if the peer
 /// refuses it: a peer that has heard this side reports STOP or deafness for two round trips. A release and
 /// another press start again.
 ///
-/// If the slave turns to the master before it engages, three more events end the press. These are a late
-/// loop, silence for the time that leads to HOLD elsewhere, and too large an angle. A moving arm must not
-/// depend on a press that can no longer be revoked.
+/// If the slave rotates to the master's orientation before it engages, three more events end the press. These
+/// are a late loop, silence for the time that leads to HOLD elsewhere, and too large an angle. A moving arm
+/// must not depend on a press that can no longer be revoked.
 ///
 /// The end of a peer only reduces the force, so a false end gains nothing. A fault of an ending peer takes
 /// precedence over its end, and its end over the silence that follows.
@@ -326,7 +329,7 @@ impl Facts {
     }
 }
 
-/// For each state, the set of reasons with a row. At most ticks none of them applies.
+/// For each state, the set of reasons with a row. In most ticks none of them applies.
 const LEAVING: [Facts; LadderState::ALL.len()] = {
     let mut leaving = [Facts(0); LadderState::ALL.len()];
     let mut index = 0;

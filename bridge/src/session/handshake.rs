@@ -1,8 +1,8 @@
 //! Handshakes, off the tick: they take a millisecond and allocate.
 //!
-//! [`Handshake`] holds the shared key and makes keys; [`super::Session`] holds the keys and seals. Only
-//! values pass between them: a [`Standing`] and a datagram in, an [`Outcome`] out. So they may live on two
-//! threads.
+//! [`Handshake`] holds the shared key and derives epoch keys. [`super::Session`] holds those keys and seals
+//! with them. [`Handshake`] takes a [`Standing`] and a datagram and returns an [`Outcome`], so the two may
+//! run on different threads.
 
 use std::net::SocketAddr;
 
@@ -39,7 +39,8 @@ pub struct Outcome {
 /// Handshake without resulting keys, for the screen and the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HandshakeEvent {
-    /// There will be no session. Both sides report differing payloads; the master reports any reason.
+    /// The slave refused the handshake. The slave reports this only for differing payload forms. The master
+    /// reports every reason, except a lease that may be its own.
     Refused {
         /// Reason of the refusal.
         decision: HandshakeDecision,
@@ -47,7 +48,7 @@ pub enum HandshakeEvent {
         form: FrameForm,
     },
     /// The slave refused another master with the key, because a master holds the lease. The other master is
-    /// live: it returned the ticket of its first refusal, which no recorded message can.
+    /// live: it returned the ticket of an earlier refusal; a recorded message cannot.
     SecondMaster {
         /// Run id of that master, drawn at its start.
         run: u64,
@@ -114,8 +115,11 @@ impl Handshake {
         Ok(Self { role: settings.role, side, rejections: Rejections::default() })
     }
 
-    /// Take a datagram from [`super::Session::open`] that was sent from `from`. A rejected datagram changes
-    /// nothing but a counter.
+    /// Take a datagram from [`super::Session::open`] that was sent from `from`.
+    ///
+    /// A rejected datagram changes only a counter, except an authentic one that fails after that. At a slave
+    /// this is [`Rejection::Unable`]: budget, `seen` and possibly a ticket are then used up. At a master it
+    /// is an answer with an invalid payload, which leaves the pending handshake unusable.
     pub fn receive(
         &mut self,
         now_ns: u64,
@@ -157,8 +161,8 @@ impl Handshake {
     }
 }
 
-/// First timeout in ns for an answer; the operator waits for it. A longer round trip costs some retries but
-/// no time: every retry is the same message, and any answer to it is valid.
+/// First retry interval in ns: short, because an operator is waiting. A longer round trip costs some retries
+/// but no time: every retry is the same message, and any answer to it is valid.
 const RETRY_NS: u64 = 250 * MS;
 /// Largest timeout in ns; it doubles up to this. A missing slave is not flooded, and a slave that starts is
 /// found soon.
@@ -166,7 +170,8 @@ const MAX_RETRY_NS: u64 = 2000 * MS;
 /// Time in ns after which a handshake without an answer is dropped and one with new keys begins. It covers
 /// seven sendings, and any round trip in teleoperation.
 const ATTEMPT_NS: u64 = 8000 * MS;
-/// Wait in ns after a refusal, because the operator at the slave has to act first.
+/// Wait in ns after a refusal before the next request for a new session. Usually a person must act first: end
+/// the lease, or change a scene.
 const REFUSED_NS: u64 = 1000 * MS;
 
 /// Handshake that waits for its answer.
@@ -190,10 +195,11 @@ pub(super) struct Initiator {
     /// Newest requested epoch; every handshake has its own number.
     newest: Option<EpochId>,
     refused_until_ns: u64,
-    /// True if the live slave has refused a new session because of a lease. If that lease is ours, the slave
-    /// renews its keys.
+    /// True if the slave refused a new session because of a lease while this side still has its session. If
+    /// the slave has used the present keys, the next attempt is a renewal, which succeeds only if the lease
+    /// is ours.
     renews: bool,
-    /// True if such a renewal has failed before: the lease belongs to another master.
+    /// True if that renewal got no answer: the lease belongs to another master, so the refusal is reported.
     has_failed: bool,
     /// Ticket of the last refusal.
     ticket: Ticket,
@@ -219,12 +225,13 @@ impl Initiator {
     fn wanted(&self, standing: &Standing) -> Option<Wish> {
         let Some(live) = &standing.live else { return Some(Wish::Session) };
         if standing.silent_ns >= self.settings.silence_ns {
-            // The slave may have restarted without this session. A slave that still has it refuses the
-            // request, or is heard again.
+            // The slave may have restarted without this session. A slave that still has it answers `Leased`,
+            // unless its frames arrive again first.
             return Some(if self.renews && live.confirmed { Wish::Keys } else { Wish::Session });
         }
         let is_due = standing.due || live.age_ns >= self.settings.rekey_ns;
-        // The slave binds the next handshake to keys that it has used; unconfirmed keys may not be those.
+        // A renewal is keyed by the chain of the live keys. Until the slave has used them, it may still have
+        // older ones.
         (is_due && live.confirmed).then_some(Wish::Keys)
     }
 
@@ -337,19 +344,20 @@ enum Wish {
 
 const MS: u64 = 1_000_000;
 
-/// Time in ns per answer: one budget for all requests of new sessions, one for the partner of the present
-/// session. An answer costs the slave one multiplication on the curve.
+/// Refill interval in ns of two answer budgets: all requests for new sessions, and the peer of the present
+/// session. A new answer costs the slave two multiplications on the curve, a repeated one none.
 const ANSWER_NS: u64 = 250 * MS;
-/// Largest bursts of answers to the partner: to new messages, and to retries.
+/// Burst of the renewal budget: for a new first message, and for a repeated one (lower).
 const RENEWALS: u64 = 8;
 const REPEATS: u64 = 4;
 /// Time in ns for which a master retries one first message, with a margin.
 const REPEATED_NS: u64 = 10_000 * MS;
-/// Capacity in answers for retries: those that new sessions can get within [`REPEATED_NS`].
+/// Number of stored answers: the most that the budget grants to new sessions within [`REPEATED_NS`], a burst
+/// of 8 and 40 more.
 const ANSWERS: usize = 48;
 /// Capacity in ephemeral keys remembered against replay.
 const SEEN: usize = 256;
-/// Capacity in tickets of refusals that have not been returned.
+/// Number of issued tickets remembered; the oldest is overwritten first.
 const TICKETS: usize = 4;
 
 /// Answer that is sent again if its first message is repeated.
@@ -370,7 +378,7 @@ pub(super) struct Responder {
     /// Answers to first messages of new sessions; the oldest is overwritten first.
     answered: Vec<Answered>,
     next_answer: usize,
-    /// Answer to the newest first message of the present session's partner; a flood of other messages cannot
+    /// Answer to the peer's last renewal request. Stored apart, so that requests for new sessions cannot
     /// overwrite it.
     renewed: Option<Answered>,
     /// Ephemeral keys of authentic first messages; the oldest is overwritten first.
@@ -413,7 +421,7 @@ impl Responder {
     ) -> Result<Outcome, Rejection> {
         let id = EpochId { session: header.session, epoch: header.epoch };
         let is_renewal = standing.is_renewal(id)?;
-        // While the partner is heard, or was heard recently, the answer goes to the partner's address.
+        // While the peer is heard, or was heard recently, the answer goes to the address of its frames.
         let to_peer = is_renewal && standing.silent_ns < self.settings.silence_ns;
         let (ephemeral, said) = parts(datagram);
         if let Some(answered) = self.answered(datagram, is_renewal) {
@@ -424,8 +432,8 @@ impl Responder {
             self.spend(now_ns, from, is_renewal, REPEATS)?;
             return Ok(Outcome { reply, to_peer, ..Outcome::default() });
         }
-        // A master requests epochs once and in increasing order; a lower one is a recording of an abandoned
-        // request.
+        // A master requests each epoch once, in increasing order; a lower or equal one in another message is
+        // a recording of an abandoned request.
         let is_given_up = self.renewed.is_some_and(|renewed| {
             is_renewal && renewed.id.session == id.session && id.epoch <= renewed.id.epoch
         });
@@ -443,7 +451,7 @@ impl Responder {
         })?;
         let payload = noise.read(said).map_err(|_| Rejection::Forged)?;
         let payload = HandshakePayload::from_bytes(payload).ok_or(Rejection::Forged)?;
-        // The message is authentic from here on, but may be recorded; so rate and memory are bounded below.
+        // From here the message is authentic but may be a replay, so rate and memory are bounded.
         self.spend(now_ns, from, is_renewal, RENEWALS)?;
         self.seen[self.next_seen].copy_from_slice(ephemeral);
         self.next_seen = (self.next_seen + 1) % SEEN;
@@ -501,7 +509,7 @@ impl Responder {
         }
     }
 
-    /// Take one answer, also for a retry, from the budget of the sender.
+    /// Charge one answer, first or repeated, to the sender's budget. `burst` applies to renewals only.
     fn spend(
         &mut self,
         now_ns: u64,

@@ -30,7 +30,7 @@ pub enum KeyError {
 pub struct PreSharedKey(Box<Zeroizing<[u8; KEY_BYTES]>>);
 
 impl PreSharedKey {
-    /// Build a key from 32 random bytes; this makes the only copy.
+    /// Build a key from 32 random bytes. It copies the bytes once; the caller wipes its own.
     pub fn new(bytes: &[u8]) -> Result<Self, KeyError> {
         if bytes.len() != KEY_BYTES {
             return Err(KeyError::Length(bytes.len()));
@@ -191,8 +191,8 @@ pub(super) const TAG: usize = 16;
 
 /// Key of one direction of one epoch.
 ///
-/// The nonce is four zero bytes and the counter, little-endian. Sealing never uses a counter twice: only the
-/// session counts, and new keys begin with a new count.
+/// The nonce is four zero bytes and the counter, little-endian. No counter is used twice: only the session
+/// assigns counters, and each key starts at 0.
 ///
 /// Source: RFC 8439, section 2.8; Noise Protocol Framework rev. 34, section 12.3 (the nonce).
 ///

@@ -181,7 +181,7 @@ pub enum HandshakeDecision {
 /// | 0 | `u64` | run: drawn by the sender at its start |
 /// | 8 | `u16` | form of its payloads, [`FrameForm`] |
 /// | 10 | `u8` | decision: 0 accepted, 1 leased, 2 payload form; 0 in a first message |
-/// | 11 | `[u8; 5]` | ticket: in a refusal drawn by the slave; in a first message that of the last refusal, or zero |
+/// | 11 | `[u8; 5]` | ticket: drawn by the slave when it refuses another master; echoed by later first messages; else 0 |
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct HandshakePayload {
     pub(super) run: u64,
@@ -190,7 +190,8 @@ pub(super) struct HandshakePayload {
     pub(super) ticket: Ticket,
 }
 
-/// Proof of liveness: a recorded message has the ticket of another refusal.
+/// Random ticket of a refusal. A first message that returns an unused ticket is live: a replay has a used or
+/// unknown one.
 pub(super) type Ticket = [u8; 5];
 /// Ticket before any refusal.
 pub(super) const NO_TICKET: Ticket = [0; 5];
@@ -234,10 +235,11 @@ impl HandshakePayload {
     }
 }
 
-/// Cause of a rejected datagram, in the order of the checks.
+/// Cause of a rejected datagram, roughly in the order of the checks; see [`super::Session::open`].
 ///
-/// A rejected datagram changes only its counter; [`Rejection::Forged`] also counts towards the limit on
-/// forgeries.
+/// A rejected datagram changes only the count of its cause, except an authentic handshake message that fails
+/// later: see [`super::Handshake::receive`]. [`Rejection::Forged`] also counts towards the limit on
+/// forgeries, and [`Rejection::Repeated`] shows that the sender's address is alive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Rejection {
     /// Length that no datagram of this session has.

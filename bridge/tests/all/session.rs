@@ -309,7 +309,7 @@ fn the_holder_goes_on_after_its_keys_have_grown_too_old() {
     assert_eq!((pair.master.poll_event(), pair.slave.poll_event()), (None, None));
 }
 
-/// After the keys have grown too old, the slave starts anew, or a person there lets another master begin.
+/// After the keys have grown too old, the slave restarts, or a person there lets another master begin.
 #[test]
 fn a_slave_that_forgot_the_session_gets_a_new_one_after_the_keys_grew_too_old() {
     for restarts in [true, false] {

@@ -254,7 +254,7 @@ fn a_false_end_of_one_side_holds_the_other() {
     assert_eq!(pair.slave.exchange().state(), Disengaged);
     pair.run(100, |_| (true, true));
     assert_eq!(pair.states(), (Hold, Disengaged));
-    assert_eq!(explained(&pair.master).1, "the slave took the master for ended");
+    assert_eq!(explained(&pair.master).1, "the slave received a message that the master has ended");
     pair.press();
     assert_eq!(pair.states(), (Engaged, Engaged));
 

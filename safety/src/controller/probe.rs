@@ -16,7 +16,7 @@ const EDGE_S: f64 = 0.01;
 /// Start in s of the evaluation of a half. Earlier, `F_h` lags, and a wrong model mass causes an error while the
 /// device accelerates.
 const JUDGED_FROM_S: f64 = 0.03;
-/// End in s of the evaluation of the second half, before the device can reach a stop that it leaned on.
+/// End in s of the evaluation of the second half; later, the device may be back at the stop it was leaning on.
 const BACK_S: f64 = 0.08;
 /// Damping during the probe in units of mu. It reduces the speed of a free device by this factor, but not the force
 /// of a hand.
@@ -31,14 +31,14 @@ const STILL_SHARE: f64 = 0.2;
 const INTERVAL_S: f64 = 1.0;
 /// Assumed error of the Coulomb friction model as a factor of c, with room for other errors.
 pub const FRICTION_ROOM: f64 = 2.0;
-/// Limit in s of the net time in which the hand bears no more of the returning force. Time in which it bears more is
-/// subtracted.
+/// Limit in s on the time in which the hand takes up no further force, less the time in which it does.
 const UNBORNE_S: f64 = 0.5;
 /// The force returns up to this share of the power at which a controller trips.
 const TAKEN_SHARE: f64 = 0.9;
-/// Slope of the ease: the return slows down within the last quarter of its limit.
+/// Slope of the ease, a factor from 0 to 1 on the speed of the release ramp: the ramp slows down within the last
+/// quarter of its limit.
 const EASE_SLOPE: f64 = 4.0;
-/// Ease below which the hand counts as bearing no more of the force.
+/// Ease below which the hand counts as taking up no further force.
 const LEAST_EASE: f64 = 0.05;
 /// Ease without a felt hand: no force returns.
 pub(crate) const NOT_FELT: f64 = f64::NEG_INFINITY;
@@ -51,28 +51,32 @@ pub(crate) const NOT_FELT: f64 = f64::NEG_INFINITY;
 /// each half, `r = mean |F_h . d| / A` is the share that a hand adds. The mean starts after 30 ms; in the second half
 /// it ends at 80 ms.
 ///
-/// A free device has r = 0 except for model errors, `|eps| + (|c - c^| + gravity + 3 sigma_F) / A`. A hand adds its
-/// mass, damping and stiffness, or its present motion. It is felt if `r > r_th`; each half is judged separately.
+/// A free device has r = 0 except for model errors, `|eps| + (|c - c^| + gravity + 3 sigma_F) / A`: eps is the
+/// relative error of the mass, c the friction, c^ that of the model, sigma_F the noise of `F_h`. A hand adds its
+/// mass, damping and stiffness, or its present motion. It is felt if `r > r_th` in the first half, or `r > 2 r_th` in
+/// the second.
 ///
 /// **Moving hand: drive.** With `F_v` removed and damping on, a free device slows down. A hand drives it if
 /// `F_h . V / |V| > r_th A + mu |V| / 2` for 60 ms without interruption. A stop does not deliver energy for so long.
-/// On a free device, `F_h` is at most `|eps| mu |V|` beyond the part that `r_th A` covers. Without a probe (A = 0), c
-/// replaces `r_th A`: a free device shows at most `c^ - c + |eps| (mu |V| + c)`, a hand `c^ + mu |V|`.
+/// On a free device, `F_h` is at most `|eps| mu |V|` beyond the part that `r_th A` covers. Without a probe (A = 0), c^
+/// replaces `r_th A`: a free device shows at most `c^ - c + |eps| (mu |V| + c)`; a hand that drives the device shows
+/// `c^ + mu |V|`.
 ///
 /// **The hand must bear the returning force.** After a hand is felt, the force returns over the ramp while the hand
 /// takes it up. P is the force let through. The unborne part is `U = P - max(0, -F_h . F_v / |F_v|)`; it accelerates
-/// the device, `U = m A + mu V` with A the acceleration. The ramp slows down from U = three quarters of `A / 1.25`
-/// (of 4 c without a probe) and stops at `A / 1.25`. A device that nobody holds therefore becomes no faster than by
-/// the probe. The ramp also stops if the hand yields so far that a spring of `mu / HALF_S` in N/m would bear
-/// `P + A / 1.25`. A softer grip is not a hand.
+/// the device, `U = m dV/dt + mu V`. The ramp slows down from U = three quarters of `A / 1.25` (of 4 c^ without a
+/// probe) and stops at `A / 1.25`. A device that nobody holds therefore becomes no faster than by the probe. The ramp
+/// also stops if the hand yields so far that a spring of `mu / HALF_S` in N/m would bear `P + A / 1.25`. A softer
+/// grip is not a hand.
 ///
 /// The ramp slows down likewise as `P . V` nears 0.9 of the power at which an active controller trips: `V_t F_t` of
-/// VFC, `-delta / w dT` of WSC. If the hand bears no more for 0.5 s, it was not a hand.
+/// VFC, `-delta / (w dT)` of WSC, with the energy threshold delta and the window w. If the hand takes up no further
+/// force for a net 0.5 s, it counts as no hand.
 ///
-/// Nothing fades before a hand is felt. Tries are 1 s apart; a force that is back for 1 s clears their count. After
-/// `release_tries` the force is withheld until the authority has been zero, as in a hold of the ladder, or until a
-/// [`reset`](Self::reset). The probe moves a free device by less than `A / 1.25 mu` in speed and `A HALF_S / 1.25 mu`
-/// in distance.
+/// The intervention does not fade before a hand is felt. Tries are 1 s apart; a force that is back for 1 s clears
+/// their count. After `release_tries` the force is withheld until the authority has been zero, as in a hold of the
+/// ladder, or until a [`reset`](Self::reset). The probe moves a free device by less than `A / (1.25 mu)` in speed and
+/// `A HALF_S / (1.25 mu)` in distance.
 ///
 /// Source: derived here; the trials of `safety/tests/all/probe.rs` and `benches/regrasp.py` state its error rates.
 #[derive(Clone, Debug, PartialEq)]
@@ -81,8 +85,7 @@ pub(super) struct GraspProbe<const N: usize> {
     force_n: f64,
     /// `r_th`.
     threshold: f64,
-    /// Largest force along its motion that a free, slowing device shows, apart from the part that grows with its
-    /// speed.
+    /// Largest `F_h . V / |V|` in N that a free, slowing device shows, without the term that grows with speed.
     free_n: f64,
     /// Unborne force in N that makes a free device as fast as the probe does.
     bear_n: f64,
@@ -120,11 +123,11 @@ enum Phase {
     Settling,
     /// The probe acts.
     Probing,
-    /// No hand was felt; the next try follows.
+    /// The last try failed (no hand felt, or the hand did not bear the force); the next follows.
     Waiting,
     /// A hand was felt; the force may return.
     Felt,
-    /// No hand was felt in all tries.
+    /// All tries are used up; the last may have felt a hand that did not bear the force.
     Withheld,
 }
 
@@ -176,7 +179,7 @@ impl<const N: usize> GraspProbe<N> {
         Ok(Some(Self {
             force_n,
             threshold,
-            // Friction of the model that the device does not have looks like a hand of force c.
+            // If the device has less friction than the model, the difference, up to c^, looks like a hand.
             free_n: if probes { threshold * force_n } else { device.largest_coulomb() },
             bear_n: if probes {
                 force_n / PROBED_DAMPING
@@ -225,7 +228,7 @@ impl<const N: usize> GraspProbe<N> {
     /// Compute the ease, 0 to 1, with which the force may return, or [`NOT_FELT`].
     fn ease(&mut self, seen: &Observation<N>, let_through: f64) -> f64 {
         let push_n = norm(&seen.rendered_force);
-        // Without friction and damping the borne part cannot be measured.
+        // No push, or neither a probe nor friction: there is no limit to compare the borne part with.
         if push_n == 0.0 || self.bear_n == 0.0 {
             return 1.0;
         }
@@ -263,7 +266,7 @@ impl<const N: usize> GraspProbe<N> {
         self.ticks = self.ticks.saturating_add(1);
         match self.phase {
             Phase::Idle | Phase::Felt if is_unsafe => self.begin(seen),
-            // Without a peer, the operator restarts; all tries are then available again.
+            // Zero authority is a hold of the ladder. The operator must press again, so all tries become available.
             Phase::Withheld if authority <= 0.0 => {
                 self.tries = 0;
                 // Without a probe, the press of the operator confirms the hand.
@@ -432,7 +435,7 @@ impl<const N: usize> GraspProbes<N, f64> {
 }
 
 impl<const N: usize, S: Real> GraspProbes<N, S> {
-    /// Gather one probe per lane; return None if there are more than lanes.
+    /// Gather one probe per lane; return None if there are more probes than lanes.
     pub(super) fn gather(of: &[&GraspProbes<N, f64>]) -> Option<Self> {
         let lanes = padded(of, S::LANES).flat_map(|one| one.lanes.iter().cloned()).collect();
         let force = pack(of, |one| one.force)?;

@@ -1,4 +1,5 @@
-//! Research controller: a controller of the caller that sees the same signals as the others and adds a force.
+//! Research controller: a controller supplied by the caller. It sees the signals of the built-in controllers and adds
+//! a force.
 
 use std::fmt::{self, Debug, Formatter};
 
@@ -56,12 +57,13 @@ impl Research {
         Self(controller)
     }
 
-    /// Add its force, scaled by the share `let_through` that the intervention of the others leaves, as for PC.
+    /// Add the controller's force, scaled by `let_through`: the share of `F_v` that the built-in controllers let
+    /// through. PC is scaled in the same way.
     ///
     /// `authority` scales the part that does not cancel `F_v`. If the controller fails or returns an invalid force,
     /// the device renders no force.
     ///
-    /// Used with one scenario only: lanes have no research controller.
+    /// Scalar layers only; a layer with several lanes has no research controller.
     pub(crate) fn add<const N: usize, S: Real>(
         &mut self,
         seen: &Observation<N, S>,
@@ -102,7 +104,7 @@ impl Research {
 
 /// Scale the part of a safety force beyond `-F_v` by `authority`.
 ///
-/// The cancelling part only removes a force, which has already faded with the authority.
+/// The part that cancels `F_v` is not scaled, because `F_v` is already scaled by `authority`.
 fn with_authority<const N: usize>(force: &Axes<N>, rendered: &Axes<N>, authority: f64) -> Axes<N> {
     let squared = rendered.norm_squared();
     if authority == 1.0 || squared == 0.0 {

@@ -25,7 +25,7 @@ impl HandGraspObserver {
 }
 
 impl<S: Real> HandGraspObserver<S> {
-    /// Gather one observer per lane; return None if there are more than lanes.
+    /// Gather one observer per lane; return None if there are more observers than lanes.
     pub fn gather(of: &[&HandGraspObserver]) -> Option<Self> {
         Some(Self { grasp_floor_n: pack(of, |one| one.grasp_floor_n)? })
     }

@@ -36,7 +36,8 @@ impl<const N: usize, S: Real> Default for PassivityObserver<N, S> {
 }
 
 impl<const N: usize, S: Real> PassivityObserver<N, S> {
-    /// Gather one observer per lane, all before their first position or all after it; else return None.
+    /// Gather one observer per lane. Return None if some have a position and others have none, or if there are more
+    /// observers than lanes.
     pub fn gather(of: &[&PassivityObserver<N>]) -> Option<Self> {
         Some(Self {
             energy_j: pack(of, |one| one.energy_j)?,

@@ -59,7 +59,7 @@ impl<S: Real> VelocityForceObserver<S> {
         })
     }
 
-    /// Compute `S_vf`, without unit. Above 1 is unsafe; it is negative while the hand pushes against the force.
+    /// Compute `S_vf`, without unit. Above 1 is unsafe; it is negative while the hand moves against the force.
     #[inline(always)]
     pub fn observe<const N: usize>(&self, seen: &Observation<N, S>) -> S {
         let power = seen.velocity.dot(&seen.rendered_force);

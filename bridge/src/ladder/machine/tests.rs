@@ -5,7 +5,8 @@ use proptest::prelude::*;
 
 const MS: u64 = 1_000_000;
 
-/// Input with a sound, engaged peer that was heard `age` ms ago over a link with a smallest age of 1 ms.
+/// Input with an engaged peer that hears this side and was heard `age` ms ago, over a link with a smallest
+/// age of 1 ms.
 fn sound(age: u64) -> LadderInput {
     LadderInput {
         age_ns: Some(age * MS),
@@ -97,7 +98,8 @@ fn peer_report_holds_this_side() {
         let input = LadderInput { peer: Some(peer), ..sound(1) };
         ladder.step(301 * MS, &input);
         assert_eq!((ladder.state(), ladder.history().last().unwrap().reason), (Hold, reason));
-        // A peer that is not sound stops this side in the end; a peer in HOLD may hold for any time.
+        // A peer that is deaf, in STOP or in FAULT stops this side in the end; a peer in HOLD may hold for
+        // any time.
         for now in 302..600 {
             ladder.step(now * MS, &input);
         }
@@ -502,8 +504,8 @@ proptest! {
                 5 => ladder.acknowledge(now),
                 _ => {}
             }
-            // Mostly sound, so that the ladder often stays engaged; otherwise sound but for one field, or
-            // arbitrary.
+            // Mostly the input of a working peer, so that the ladder often stays engaged; otherwise the same
+            // but for one field, or arbitrary.
             let input = match which {
                 0 => any,
                 1 => LadderInput { age_ns: any.age_ns, ..sound(1) },

@@ -41,8 +41,8 @@ fn assert_says_where(error: &serde_json::Error) {
     assert!(said.contains("line ") && said.contains("column "), "{said}");
 }
 
-/// Stopped before it begins: a scene is built and not run. By its bytes, so that the engine is not compiled anew here for
-/// each number of axes.
+/// Stopped before it begins: a scene is built and not run. By its bytes, so that the engine is not compiled again here
+/// for each number of axes.
 fn build(bytes: &[u8]) {
     if let Err(error) = simulate(bytes, &AtomicBool::new(true)) {
         let said = error.to_string();

@@ -85,7 +85,8 @@ impl<const N: usize> Deciding<N> {
 }
 
 impl<const N: usize> LaneFollowers<N> {
-    /// Gather followers before their first tick. None if they are more than the lanes, or differ in more than numbers.
+    /// Gather followers before their first tick. None if there are more followers than lanes, or if they differ in
+    /// more than numbers.
     pub(super) fn gather(of: &[&Follower<N>]) -> Option<Self> {
         let count = of.len();
         if count > WIDTH {
