@@ -379,7 +379,7 @@ def test_the_end_of_a_master_is_said_at_the_screen_of_the_slave(tmp_path: Path, 
     slave, master = begun(tmp_path, screens, secure=True, words="none")
     master.process.send_signal(signal.SIGINT)
     assert slave.until("the master has ended") == "the master has ended"
-    assert slave.until("  1.") == "  1. start the master again"
+    assert slave.until("  1.").startswith("  1. start the master again, and press the clutch")
     said = master.end()
     assert master.process.returncode == 0, said
     slave.process.send_signal(signal.SIGINT)

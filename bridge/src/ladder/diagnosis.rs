@@ -256,8 +256,7 @@ impl Diagnosis {
     }
 
     /// Build the explanation and add the last step. The start of a master without a button counts as a press,
-    /// so it needs no further one. A device with a button needs one, but a diagnosis does not know of
-    /// buttons.
+    /// so it needs no further one.
     fn explanation(&self, at: &'static str, text: String, mut steps: Vec<Step>) -> Explanation {
         let is_started = |step: &Step| step.remedy == Remedy::Start && step.at == Role::Master.name();
         if !steps.iter().any(is_started) {
@@ -273,7 +272,12 @@ fn acknowledge(at: &'static str) -> Step {
 }
 
 fn start(at: &'static str, how: &str) -> Step {
-    Step { at, remedy: Remedy::Start, text: format!("{how} the {at} again") }
+    let then = if at == Role::Master.name() {
+        ", and press the clutch if its device has a button for it"
+    } else {
+        ""
+    };
+    Step { at, remedy: Remedy::Start, text: format!("{how} the {at} again{then}") }
 }
 
 #[cfg(test)]
