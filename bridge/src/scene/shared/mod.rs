@@ -33,8 +33,8 @@ pub(super) fn can_share<const N: usize>(scene: &SceneSpec<N>) -> bool {
 
 /// Compute the outcomes of scenes, each equal to that of a separate run.
 ///
-/// Scenes with the beginning of the first one share it. Scenes with the same link and ladders share those, in lanes if
-/// `lanes` is true.
+/// If all scenes begin as the first one does, they share the beginning. Otherwise scenes with the same link and ladders
+/// share those, in lanes if `lanes` is true.
 ///
 /// # Errors
 ///
