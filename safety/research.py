@@ -19,10 +19,13 @@ class ResearchController(Protocol):
     """Controller in Python, called once per tick after the controllers of the scene.
 
     An instance is created for each run, with the options of `[safety.research]` as keyword arguments. It also receives
-    `axes` and `period_s` if its parameters include them. An optional method `reset` is called when the layer clears its
-    past after a fault.
+    `axes` and `period_s` if its parameters include them. An optional method `reset` is called when the layer resets its
+    state after a fault.
     """
 
     def step(self, observation: ResearchObservation) -> SafetyForce:
-        """Return F_c in N, which is added to the rendered force, scaled by the share that other interventions leave."""
+        """Return F_c in N.
+
+        It is added to F_v, scaled by the share of F_v that the other controllers let through.
+        """
         ...

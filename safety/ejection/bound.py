@@ -71,19 +71,19 @@ class EjectionSettings(Struct, frozen=True, kw_only=True):
     vfc_force_threshold_n: float = 1.0
     """F_t in N, of VFC."""
     vfc_form: Literal["product", "both"] = "product"
-    """Form of the threshold of VFC."""
+    """Trip of VFC: the product F_v V exceeds F_t V_t ("product"), or F_v and V exceed F_t and V_t ("both")."""
     release_ramp_s: float = 0.0
     """Fade-out time of an intervention in s."""
     damping: float = 5.0
     """mu in N s/m."""
     probe_force_n: float = 0.0
-    """A in N of the probe for a hand; 0 is no probe."""
+    """A in N: force of the probe, which tests whether a hand is on the device; 0 is no probe."""
     release_tries: int = 0
     """Number of tries before the force is withheld; 0 is no limit. The bound holds for any number."""
     travel_m: float | None = None
     """X in m: distance between the mechanical stops; None without stops."""
     free_s: float = inf
-    """T in s: longest time for which a free device moves, as a run ends; infinite on a real device."""
+    """T in s: longest time for which a free device moves, until the end of a run; infinite on a real device."""
     fades: bool = True
     """True if the damping may fade while the device moves, as the ladder requires after a loss of the link."""
     ramp_in_s: float = 0.0
@@ -92,7 +92,7 @@ class EjectionSettings(Struct, frozen=True, kw_only=True):
     hand_speed: float = 0.0
     """V0 in m/s: speed of the hand at the release."""
     hand_power_w: float | None = None
-    """P_h in W: largest power of the hand before the release; default: that of a hand of speed V0 against the cap."""
+    """P_h in W: largest power of the hand before the release; default: V0 times the larger of the cap and mu V0."""
     held_force_n: float | None = None
     """F_0 in N: force that the hand held at the release; default: the cap."""
     late_s: float = 0.0
@@ -155,7 +155,7 @@ class ControllerBound(Struct, frozen=True, kw_only=True):
 
 
 class EjectionBound(Struct, frozen=True, kw_only=True):
-    """Bound of all controllers together: the smallest single bound, since any controller trips."""
+    """Bound of all controllers together: the smallest of their bounds, since the trip of one suffices."""
 
     speed: float | None
     """Largest |V| in m/s after a release; None without a bound."""
@@ -237,7 +237,8 @@ def ejection_bound(
 def rising_push(of: EjectionSettings | HasEjectionSettings) -> tuple[float, ...]:
     """Return the force of each tick, oldest first, that maximises V - V^; in shares of the cap, -1 to 1.
 
-    It is the argument of the maximum of Eq. 6a. It is empty if V is measured, or if the estimator has no kernel.
+    It is the argument of the maximum of Eq. 6a. It is empty if V is measured, if the force has no cap, or if the
+    estimator has no kernel.
 
     Args:
         of: Scene or settings.
@@ -353,7 +354,7 @@ class _Model:
         per_axis = axes > 1 and settings.friction == "axis"
         coulomb = np.broadcast_to(settings.coulomb, axes)
         self.coulomb = float(np.linalg.norm(coulomb) if per_axis else coulomb.max())
-        # With several axes, friction that differs between them, or acts on each, does not cancel in direction.
+        # With several axes the direction of friction varies, so negative parts of the kernel count in full too.
         self.kernel_of_friction = known.acceleration if axes == 1 else np.abs(known.acceleration)
         self.is_modelled = not per_axis
         self.wrong_force = 0.5 * settings.force_quantum_n * sqrt(axes) * known.gain
@@ -381,7 +382,7 @@ class _Model:
         return (self.force * self.lag_s + friction) / self.mass + late + self.velocity_noise
 
     def rise(self, speed: float) -> float:
-        """Return r of Eq. 6a in m/s: largest difference of the greatest speed and the estimate of the tick before."""
+        """Return r of Eq. 6a in m/s: largest excess of the greatest speed over the estimate of the tick before."""
         late = self.acceleration(speed) * self.late_s
         friction = self.coulomb + self.viscous * speed
 
@@ -400,7 +401,7 @@ class _Model:
     def probed(self, speed: float) -> float:
         """Return the speed in m/s to which a probe drives a free device that stays below `speed`; 0 without a probe.
 
-        `(A + 1.25 mu e) / (1.25 mu - d) + a (dT + J)`; the damping acts on V^.
+        `(A + q_F/2 + 1.25 mu e) / (1.25 mu - d) + (A + q_F/2 + d V) (dT + J) / m`; the damping acts on V^.
         """
         settings = self.settings
         if settings.probe_force_n == 0.0:
@@ -415,10 +416,12 @@ class _Model:
         return max(0.0, self.drives * speed - self.least_coulomb)
 
     def driven(self, start: float, speed: float) -> tuple[float, str | None]:
-        """Return the largest speed in m/s after a trip at `start`, below `speed`, and the end of its growth.
+        """Return the largest speed in m/s after a trip at speed `start`, and the condition that ends its growth.
 
-        It is the smallest of three bounds: over the travel (Eq. 18a), within the time (18b) and under damping that
-        never fades (18c).
+        The speed is assumed to stay below `speed`. Without growth there is no condition.
+
+        The result is the smallest of three bounds: over the travel (Eq. 18a), within the time (18b) and under damping
+        that never fades (18c).
         """
         settings, top = self.settings, max(start, speed)
         if self.driven_n(start) == 0.0:
@@ -437,7 +440,10 @@ class _Model:
         return start + (start - self.least_coulomb / self.drives) * expm1(rate) if rate < MOST_RATE else inf
 
     def _driven_against(self, start: float, top: float) -> float:
-        """Return the speed in m/s under damping that never fades (Eq. 18c); infinite if below the friction."""
+        """Return the speed in m/s under damping that never fades (Eq. 18c).
+
+        It is infinite if damping or the cap is too small to outweigh negative friction.
+        """
         settings, lag, rounded = self.settings, self.lag(top), self.rounded
         if settings.damping <= self.drives:
             return inf
@@ -461,7 +467,8 @@ class _Model:
     def phantom_energy(self, speed: float) -> float:
         """Return the apparent energy in J of a hand that is long gone, in a window below that speed (Eq. 9).
 
-        Friction contributes only while its kernel contains the other direction, noise of readings only where V^ bends.
+        Friction of the kind that the safety layer assumes contributes only while its kernel spans a reversal. Noise of
+        readings contributes only where the slope of V^ changes.
         """
         known, settings = self.kernel, self.settings
         window_s, mass = settings.window * settings.period_s, self.heaviest
@@ -479,7 +486,7 @@ class _Model:
         return (friction + viscous + wrong) * window_s + noise + both
 
     def _viscous(self, speed: float) -> float:
-        """Return the remainder of viscous friction in F_h^ in N; V^ and the V of the friction differ by lag only."""
+        """Return the remainder of viscous friction in F_h^ in N: b times a bound of `|V^ - g * V|`."""
         known = self.kernel
         lagging = self.acceleration(speed) * known.viscous_lag_s + self.velocity_noise
         return self.viscous * min((1.0 + known.gain) * speed, lagging)
@@ -505,12 +512,12 @@ class _Model:
         """Return the energy in J of the hand that A still contains after the release (Eq. 9a).
 
         The hand held against the push, so a motion with the push takes energy out. A motion against the push puts
-        energy in; its force has to grow from zero first.
+        energy in, but the force must first reverse and grow from zero.
         """
         settings = self.settings
         friction = (self.coulomb + self.viscous * speed) / self.mass
         drives = self.drives * speed / self.mass
-        # Stiction may have held too; the force then starts beyond zero by that amount.
+        # Stiction may have held the push too; the force may then begin up to c beyond zero.
         way = (self.force * self.tail_way) / self.mass + (2.0 * friction + drives) * self.free_tail_way
         moved = (settings.hand_speed + self.velocity_noise) * self.kernel.tail_s
         return self.held * (1.0 + settings.mass_error) * (way + moved)
@@ -523,7 +530,7 @@ class _Model:
         return self._of_energy("wsc", lambda threshold, speed: threshold + self.rise(speed))
 
     def of_wsc_and_vfc(self) -> ControllerBound | None:
-        """Return the joint bound of WSC and VFC, Eq. 15; None if it equals that of WSC."""
+        """Return the joint bound of WSC and VFC, Eq. 15; None if Eq. 15 does not apply or WSC has no bound."""
         settings = self.settings
         watched = {"wsc", "vfc"} <= set(settings.controllers) and settings.wsc_force_threshold_n == 0.0
         if not watched or settings.vfc_form != "product" or len(settings.mass_kg) > 1 or settings.late_s > 0.0:
@@ -531,7 +538,7 @@ class _Model:
         alone = self.of_wsc()
         if alone.speed is None or alone.terms is None or alone.terms.threshold_speed is None:
             return None
-        # V^ at a tick and the greatest speed after it. V^ was at most this much lower some ticks ago, which limits F_v.
+        # Grid of V^. The growth of V^ is limited, so VFC limited F_v in the ticks before as well.
         estimated = float(self._allowed(alone.speed)[1].max()) * np.sqrt(np.linspace(0.0, 1.0, GRID))
         most, norm_s = self._limited_rises(estimated[:-1], alone.speed)
 
@@ -545,9 +552,9 @@ class _Model:
         return self._of_energy("wsc and vfc", passes)
 
     def _limited_rises(self, estimated: Array, speed: float) -> tuple[Array, Array]:
-        """Return `max sum w f` in s after each V^ in m/s, with `F_v V^ <= V_t F_t` at each tick before (Eq. 15).
+        """Return `max sum w f` in s for each newest V^ in m/s, with `F_v V^ <= V_t F_t` at each tick before (Eq. 15).
 
-        The second result is the factor of friction in s.
+        The second result in s multiplies the acceleration by friction.
         """
         settings, known = self.settings, self.kernel
         since, freely = known.rises_since(self.growth)
@@ -565,7 +572,7 @@ class _Model:
         most, norm_s = np.full(len(estimated), np.inf), np.zeros(len(estimated))
         lifts = [np.zeros(len(weights))]
         if self.driven_n(speed) == 0.0:
-            # With a limited force another lift is the best; that of the greatest V^ is tried for all.
+            # With a limited force another lift is the best. That of the greatest V^ is searched, and tried at every V^.
             of_greatest = best_rising_push(weights, self.growth, highest=highest[-1]).lift
             lifts += [share * self.rising.lift for share in (0.5, 1.0, 1.5)]
             lifts += [share * of_greatest for share in (0.5, 0.75, 1.0)]
@@ -577,13 +584,13 @@ class _Model:
         return most, norm_s
 
     def _allowed(self, speed: float) -> tuple[float, Array]:
-        """Return the apparent energy W of a hand in J below that speed, and v_th at each tick since (Eq. 9, 10)."""
+        """Return W in J below that speed (Eq. 9), and v_th in m/s at each tick since the release (Eq. 10)."""
         settings = self.settings
         power = settings.hand_power_w
         if power is None:
             power = max(self.force, settings.damping * settings.hand_speed) * settings.hand_speed
             power *= 1.0 + settings.mass_error
-        # The force that is held longer differs from the next by at most its growth beyond zero.
+        # The force of a late tick differs from the next by at most the cap plus the growth beyond zero.
         late = (1.0 + min(self.growth, 1.0)) * self.kernel.gain * self.force * self.late_s
         energy = self.tail_energy(speed) + self.phantom_energy(speed) + late * (speed + self.lag(speed))
         # Ticks since the release, while energy from before is in the window.
@@ -668,7 +675,7 @@ class _Model:
             reason = "hsc does not look at the tick in which the force comes back as a step: give a release_ramp_s"
             return ControllerBound(controller="hsc", speed=None, reason=reason)
 
-        # A falling push leaves the negative part of the kernel: one impulse, for any course of the fall (Eq. 13).
+        # I of Eq. 13: the negative part of the kernel hides this impulse of a falling push, once, however it falls.
         dip = np.maximum(-self.kernel.acceleration, 0.0)
         impulse = self.held * settings.period_s * float((np.arange(len(dip)) * dip).sum()) / self.mass
 
@@ -717,8 +724,8 @@ class _Model:
     def _unseen(self, speed: float) -> tuple[Array, Array]:
         """Return the largest push in N that HSC accepts at each tick after the release (Eq. 12, 13).
 
-        The last value holds for ever. The second result is the largest force that A then shows; for a steady push it
-        equals the push.
+        The last value holds for ever. The second result is F* of Eq. 12: the largest force in A that HSC accepts. A
+        steady push shows in A in full.
         """
         settings, known = self.settings, self.kernel
         tail = known.tail
@@ -761,7 +768,7 @@ def _least_fixed_point(of: Callable[[float], float], start: float) -> float | No
 
 
 def _halved(of: Callable[[float], float], low: float, high: float) -> float:
-    """Bisect for the least speed in [low, high] that `of` does not raise; `high` is not raised."""
+    """Bisect for the least speed in [low, high] that `of` does not raise; `of` must not raise `high`."""
     while high - low > TOLERANCE * high:
         middle = 0.5 * (low + high)
         if of(middle) <= middle:

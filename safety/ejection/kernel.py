@@ -13,15 +13,15 @@ REST_TICKS = 130
 LEAST_TICKS = 256
 MOST_TICKS = 1 << 17
 NEGLIGIBLE = 1e-10
-"""Largest share of a kernel beyond its end."""
+"""Largest share of a kernel in the last quarter of its measured ticks; with more, twice as many ticks are measured."""
 DIRECT = 2048
 """Longest kernel that is convolved directly."""
 MOST_TURNS = 64
-"""Number of ages for which the largest change of V^ since is computed; at older ages the cap bounds it."""
+"""Number of ages for which the largest change of V^ since that age is computed; for older ages only the cap counts."""
 MOST_TAIL_TICKS = 256
-"""Largest number of ticks in which the hand still shows in A, for its energy to be computed from a single push.
+"""Largest number of ticks for which a single push is searched that maximises the energy of the hand still in A.
 
-With more ticks, the worst push of each tick is used.
+If A shows the hand for longer, the worst push of each tick is used.
 """
 
 
@@ -72,7 +72,10 @@ class Kernel:
 
     @property
     def viscous_lag_s(self) -> float:
-        """`L_b = sum |V^ - g * V|` in s, V the mean over a tick: remainder of viscous friction in the grasp force."""
+        """`L_b = sum |V^ - g * V|` in s, with V the mean over a tick.
+
+        Times b and the acceleration, it bounds the viscous friction that remains in F_h^.
+        """
         mean = self.period_s * (np.cumsum(self.acceleration) - self.acceleration / 2.0)
         return float(np.abs(self.velocity - mean).sum())
 
@@ -86,18 +89,20 @@ class Kernel:
         return float(best_push(self.lag_s, growth).max())
 
     def rising_speed(self, growth: float) -> Rising:
-        """Return the largest `V - V^` in s one tick later if V was never larger before.
+        """Bound the excess of V over V^ of the tick before, in s, for a V that is at its maximum so far.
 
         The force is that of `growing_lag_s`:
 
         `max dT f[-1] + sum_j lag_s[j] f[j]`, with dT for the tick in which the speed is reached.
 
-        Source: `docs/ejection_bound.md`, Eq. 6.
+        Source: `docs/ejection_bound.md`, Eq. 6a.
         """
         return best_rising_push(np.concatenate(([self.period_s], self.lag_s)), growth)
 
     def turned_speeds(self, growth: float) -> tuple[Array, Array]:
-        """Return `max V^[n] - V` in s for each age j, with V of the tick that ends at n-j; and the same for any growth.
+        """Return `max V^[n] - V` in s for each age j, with V at either end of the tick that ended j ticks ago.
+
+        The second result is the same without the growth limit.
 
         Source: `docs/ejection_bound.md`, Eq. 9b.
         """
@@ -113,7 +118,7 @@ class Kernel:
         return since, free
 
     def rises_since(self, growth: float) -> tuple[Array, Array]:
-        """Return `max V^[n] - V^[n-j]` in s for each age j up to `MOST_TURNS`, and the same for any growth.
+        """Return `max V^[n] - V^[n-j]` in s for each age j below `MOST_TURNS`, and the same without the growth limit.
 
         Source: `docs/ejection_bound.md`, Eq. 15.
         """
@@ -123,9 +128,10 @@ class Kernel:
         return best_push(change, growth).max(axis=-1), np.abs(change).sum(axis=-1)
 
     def tail_way(self, growth: float, window: int) -> tuple[float, float]:
-        """Return the largest `-dT sum_k tail[k] V^[k]` in s² over the ticks of a window, and the same for any growth.
+        """Return the largest `-dT sum_k tail[k] V^[k]` in s² over the ticks of a window.
 
-        V^ belongs to a force of at most 1 since the release, which follows a force that is not negative.
+        V^ results from a force of at most 1 since the release; the force at the release was not negative. The second
+        result is the same without the growth limit.
 
         Source: `docs/ejection_bound.md`, Eq. 9a.
         """
@@ -188,7 +194,7 @@ class Readings:
     bend: float
     """Largest correlation of V^ with the response of A to a reading, under a unit force of limited growth."""
     free_bend: float
-    """The same under a force of any growth."""
+    """The same without the growth limit."""
     change: float
     """Largest change of V^ in one tick under a unit force."""
     parts: Array
@@ -200,7 +206,8 @@ class Readings:
         """Return the largest `dT sum A_noise V^` in m²/s² over a window, for readings each wrong by at most 1 m.
 
         A does not respond to a steady velocity, so noise of A and a slowly changing velocity add little energy. Summed
-        by parts, each reading meets the second difference of V^; only at both ends of the window it meets V^ itself.
+        by parts, each reading is multiplied by a smoothed second difference of V^, and by V^ itself only at both ends
+        of the window.
 
         Args:
             ticks: w.
@@ -215,10 +222,10 @@ class Readings:
         inside = force * self.bend + steady * self.free_bend
         change = (force + steady) * self.change
         left = np.maximum(self.sizes[-1] - self.sizes, 0.0)
-        # The newest readings: the part of their response that has come.
+        # Newest readings: only a part of their response has arrived.
         come = np.concatenate(([0.0], np.cumsum(self.sizes)[:-1]))
         newest = np.minimum(speed * self.parts + change * come, inside + speed * left)
-        # Readings before the window: the part of their response that is still to come.
+        # Readings before the window: a part of their response is still to come.
         coming = np.concatenate((np.cumsum(left[::-1])[::-1][1:], [0.0]))
         before = np.minimum(speed * self.parts + change * coming, speed * left)
         return self.period_s * float(ticks * inside + np.maximum(newest - inside, 0.0).sum() + before.sum())

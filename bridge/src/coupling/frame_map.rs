@@ -62,7 +62,7 @@ impl<const N: usize> FrameMap<N> {
     /// Build the map from a unit quaternion and the locked axes of the slave; missing locks are false,
     /// surplus locks are ignored.
     ///
-    /// With 2 axes the rotation must be about z, which neither side has. With 1, 6 or 7 axes it must be the
+    /// With 2 axes (x and y) the rotation must be about z. With 1 axis, or more than 3, it must be the
     /// identity.
     pub fn rotated(quat_wxyz: [f64; 4], locked: &[bool]) -> Result<Self, CouplingError> {
         let [w, x, y, z] = normalised(quat_wxyz)?;
@@ -125,7 +125,7 @@ impl<const N: usize> FrameMap<N> {
 }
 
 /// Multiply a matrix by a vector.
-#[inline(always)] // as its callers
+#[inline(always)] // once or twice per tick
 fn turned<const N: usize, S: Real>(vector: &Axes<N, S>, element: impl Fn(usize, usize) -> f64) -> Axes<N, S> {
     Axes::from_fn(|row, _| {
         let first = vector[0] * S::splat(element(row, 0));

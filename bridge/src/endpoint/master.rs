@@ -81,7 +81,7 @@ pub struct MasterEndpoint<const N: usize> {
 }
 
 impl<const N: usize> MasterEndpoint<N> {
-    /// Build the endpoint of a point; it waits for its peer.
+    /// Build the endpoint of a hand that moves but does not turn (a point); it waits for its peer.
     pub fn new(settings: &MasterSettings<N>) -> Result<Self, EndpointError> {
         Self::with_rotation(settings, None)
     }
@@ -127,7 +127,7 @@ impl<const N: usize> MasterEndpoint<N> {
         Some(self)
     }
 
-    /// Build the hand of a point's endpoint by itself: the part that decides over the force.
+    /// Build only the [`Hand`] of a point, which decides the force, without an endpoint.
     pub(crate) fn hand_of(settings: &MasterSettings<N>) -> Result<Hand<N>, EndpointError> {
         Self::with_layer(settings, None)
     }
@@ -159,7 +159,7 @@ impl<const N: usize> MasterEndpoint<N> {
         self.period_s
     }
 
-    /// Hand of this endpoint: the part that decides over the force.
+    /// Hand of this endpoint: the part that decides the force.
     pub(crate) fn hand(&self) -> &Hand<N> {
         &self.hand
     }
@@ -287,7 +287,8 @@ impl<const N: usize> MasterEndpoint<N> {
         self.hand.tick(reading, input)
     }
 
-    /// Fill the next frame's report of the device. The energy is that of the whole wrench, `f·v + tau·w`.
+    /// Fill the next frame's report of the device. The rendered wrench takes `f·v + tau·w` out of the link,
+    /// so the reported energy counts this power as negative.
     fn report(&mut self, safety: &SafetyTick<N>, rotation: Option<&SafetyTick<3>>, missed: u64) {
         let velocity = safety.motion.velocity;
         let turning = rotation.map_or(0.0, |tick| tick.rendered_force.dot(&tick.motion.velocity));
@@ -303,8 +304,9 @@ impl<const N: usize> MasterEndpoint<N> {
         outgoing.report(&taken.position, &velocity, &safety.device_force, rotation);
     }
 
-    /// Carry out an operator command; return whether it changed anything. A change of the coupling fades in
-    /// within the ladder's fade-in and must be within the bounds.
+    /// Carry out an operator command; return whether it is an acknowledgement or concerns this side's
+    /// coupling. A change of the coupling must be within the bounds. A scale changes over the ladder's
+    /// fade-in time, or at once while there is no force.
     pub fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {
         if command == OperatorCommand::Acknowledge {
             self.acknowledged = self.exchange.state() == LadderState::Fault;

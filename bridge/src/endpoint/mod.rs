@@ -38,7 +38,7 @@ pub enum EndpointError {
     /// Force feedback of a trigger.
     #[error(transparent)]
     Trigger(#[from] TriggerError),
-    /// Time of the ladder.
+    /// Invalid time setting of the ladder.
     #[error(transparent)]
     Ladder(#[from] crate::ladder::LadderError),
     /// Period outside 10 us to 20 ms.

@@ -11,7 +11,7 @@ use crate::{
     ladder::LadderState,
 };
 
-/// Successive accepted samples that confirm the newest: more than an outlier lasts.
+/// Number of successive accepted samples that confirm the newest: more than the guard counts as outliers.
 const CONFIRMING: u32 = 4;
 
 /// Inputs of a tick beside the position of the arm.
@@ -29,20 +29,20 @@ pub(crate) struct TranslationInput<'a, const N: usize, S: Real = f64> {
 pub(crate) struct Led<const N: usize, S: Real = f64> {
     /// Velocity of the command in m/s.
     pub(crate) velocity: Axes<N, S>,
-    /// Masks of the bounds on speed and reach that acted.
+    /// Masks of the lanes in which the bounds on speed and on reach limited the command.
     pub(crate) limited: [S::SimdBool; 2],
     /// Time in s by which the command is extrapolated beyond the newest frame, and remaining share of the
     /// velocity.
     pub(crate) extrapolated: (f64, f64),
 }
 
-/// Coupling and bounds of the position of an arm, with their memory of the last tick.
+/// Position coupling of an arm and its bounds, with the state after the last tick.
 #[derive(Clone, Debug)]
 pub(crate) struct SlaveTranslation<const N: usize, S = f64> {
     coupling: PositionForce<N, S>,
     /// Bounds on the command: speed in m/s, and distance in m from home.
     bounds: [S; 2],
-    /// Speed in m/s with which the arm still brakes.
+    /// Speed in m/s that the arm's own braking adds to the command's; the speed bound includes it.
     braking: f64,
     /// Time in ns of STALE over which the commanded velocity decays.
     decay_ns: u64,
@@ -55,7 +55,7 @@ pub(crate) struct SlaveTranslation<const N: usize, S = f64> {
     commanded_ns: u64,
     /// Time in ns of the last sample.
     sampled_ns: Option<u64>,
-    /// Path of the samples and last velocity; only in lanes.
+    /// Path of the samples, and the last velocity; only for lanes, because a single arm has its own guard.
     path: Option<(Track<N, S>, Option<Axes<N, S>>)>,
     /// Period of the loop in s.
     period_s: f64,
@@ -80,15 +80,15 @@ impl<const N: usize> SlaveTranslation<N> {
         })
     }
 
-    /// Reserve `speed` in m/s of the bound for the arm's own braking.
+    /// Set the `speed` in m/s of the arm's own braking. Commands get the rest of the speed bound.
     pub(super) fn set_braking(&mut self, speed: f64) {
         self.braking = speed;
     }
 }
 
 impl<const N: usize, S: Real> SlaveTranslation<N, S> {
-    /// Gather several arms before their first tick into lanes. Returns `None` unless period, decay, braking
-    /// and map are the same.
+    /// Gather several arms into lanes. Returns `None` if one of them has had a sample, if they differ in
+    /// period, decay, braking, map or sample bounds, or if they are more than the lanes.
     pub(crate) fn gather(arms: &[&Arm<N>]) -> Option<Self> {
         let of = &arms.iter().map(|arm| arm.translation()).collect::<Vec<_>>()[..];
         let track = Track::gather(&arms.iter().map(|arm| arm.guard().track()).collect::<Vec<_>>())?;
@@ -123,14 +123,15 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
         now_ns.saturating_sub(self.commanded_ns) as f64 * 1e-9
     }
 
-    /// Return the ticks since the last sample; 1 at least.
+    /// Record a sample at `now_ns`; return the ticks since the sample before it, at least 1.
     #[inline(always)] // once per tick
     pub(super) fn sampled(&mut self, now_ns: u64) -> f64 {
         let Some(last_ns) = self.sampled_ns.replace(now_ns) else { return 1.0 };
         (now_ns.saturating_sub(last_ns) as f64 * 1e-9).max(self.period_s) / self.period_s
     }
 
-    /// Return the mask of lanes whose sample is valid and on its path: [`Arm::check`] would accept it.
+    /// Record a sample of each lane. Returns the mask of lanes in which [`Arm::check`] would accept it: it is
+    /// valid and continues the [`Track`] of the samples before it.
     #[inline(always)] // once per tick
     pub(crate) fn passes(
         &mut self,
@@ -147,7 +148,7 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
             }
             passes = passes & track.step(position, ticks);
         }
-        // In the other lanes the result is not used.
+        // This counts for all lanes, because the caller discards the lanes that do not pass.
         self.accepts(true);
         passes
     }
@@ -158,13 +159,13 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
         self.accepted = if accepted { self.accepted.saturating_add(1) } else { 0 };
     }
 
-    /// Return whether more successive samples up to the newest are accepted than an outlier lasts.
+    /// Return whether the last [`CONFIRMING`] samples were all accepted.
     #[inline]
     pub(super) fn is_confirmed(&self) -> bool {
         self.accepted >= CONFIRMING
     }
 
-    /// Forget home: the next confirmed sample is the start.
+    /// Forget home: the next confirmed sample becomes home.
     pub(super) fn forget_home(&mut self) {
         self.home = None;
     }
@@ -196,7 +197,8 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
         let from = self.command.unwrap_or(*position);
         let (ahead_s, share) = decayed(stale_ns, self.decay_ns);
         let velocity = self.coupling.commanded_velocity(velocity);
-        // If the coupling starts while frames are late, the command already contains the extrapolation.
+        // If a coupling starts while frames are late, its anchor leaves out the extrapolation that is added
+        // here. So its first command equals the last one.
         let ahead = velocity * S::splat(ahead_s);
         let wanted = self.coupling.commanded_position(master, &(from - ahead)) + ahead;
         let [speed, reach] = self.bounds;
@@ -220,6 +222,7 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
 
     /// Record that the arm stops following and comes to rest at `rest` in m; the next engagement continues
     /// from there. With `None` the position is unknown, and there is no command until the next engagement.
+    /// An arm without a command stays without one.
     pub(crate) fn rests(&mut self, rest: Option<Axes<N, S>>) {
         self.command = self.command.and(rest);
     }

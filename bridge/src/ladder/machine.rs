@@ -1,4 +1,5 @@
-//! Ladder of one endpoint: its facts at a tick, its step by the table, its times and its last transitions.
+//! Degradation ladder of one endpoint: a state machine that finds the facts of each tick and steps by the
+//! table; its time settings; and its last transitions.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer};
@@ -9,7 +10,7 @@ use super::{
     table::{Facts, LadderState, Reason, next},
 };
 
-/// Ladder of one endpoint: a pure function of its inputs and their times.
+/// Ladder of one endpoint: a state machine that depends only on its inputs and their times.
 #[allow(clippy::struct_excessive_bools)] // facts of the last tick
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ladder {
@@ -17,14 +18,14 @@ pub struct Ladder {
     state: LadderState,
     gain: f64,
     last_ns: Option<u64>,
-    /// Time in ns at which this side last heard a peer that heard this side and was neither in STOP nor in
-    /// FAULT; until then the first tick.
+    /// Time in ns at which the peer was last sound: this side heard it, it heard this side, and it was
+    /// neither in STOP nor in FAULT. Before that, time of the first tick.
     last_sound_ns: Option<u64>,
     hears: bool,
     ready: bool,
     /// Age in ns of the peer's newest frame beyond the expected age.
     excess_ns: Option<u64>,
-    /// Time in ns up to which this side itself was blind.
+    /// End in ns of the last stall of this side's own loop. Frames that arrived by then do not count.
     blind_until_ns: Option<u64>,
     /// True if a press counts: the clutch was open since the last hold, unanswered press, ended peer or
     /// fault.
@@ -33,8 +34,8 @@ pub struct Ladder {
     aligning_ns: u64,
     /// True if the peer, in its present run, has said that it hears this side.
     was_heard: bool,
-    /// Arrival in ns of the first of the newest consecutive frames in ALIGNING that all say STOP or that the
-    /// peer is deaf.
+    /// Time in ns since which every frame that arrived in ALIGNING refused the press: it said STOP, or that
+    /// the peer does not hear this side.
     apart_since_ns: Option<u64>,
     /// True if the arm is to rotate to the master's orientation, as of the last tick.
     turns: bool,
@@ -75,12 +76,12 @@ impl Ladder {
         if self.stays_engaged(now_ns, input) { self.state } else { self.step_by_table(now_ns, *input) }
     }
 
-    /// Fast path of [`step_by_table`](Self::step_by_table) for the common tick. Returns true and does the
-    /// same as the table if no row of ENGAGED applies (an assertion in `table.rs` lists the rows); else
-    /// changes nothing.
+    /// Fast path of [`step_by_table`](Self::step_by_table) for the common tick. If all conditions below hold,
+    /// no row of ENGAGED applies (an assertion in `table.rs` lists the rows): it does the same as the table
+    /// and returns true. Else it changes nothing.
     ///
-    /// Conditions: engaged with full force, clutch closed, peer coupled and hearing, its frames in time
-    /// and of the usual age.
+    /// Conditions: engaged with full force, clutch closed; a peer that has not ended, is aligning or coupled,
+    /// and hears this side; its frames in time, of the usual age, and newer than the last stall.
     #[inline(always)] // as step
     fn stays_engaged(&mut self, now_ns: u64, input: &LadderInput) -> bool {
         let (Some(age_ns), Some(peer)) = (input.age_ns, input.peer) else { return false };
@@ -115,14 +116,15 @@ impl Ladder {
         self.state
     }
 
-    /// Return the facts of this tick, and whether the peer reports everything that engaging needs.
+    /// Return the facts of this tick, and whether the link and the peer permit engaging: both sides hear each
+    /// other, and a current report says that the peer is aligned.
     fn facts(&mut self, now_ns: u64, input: &LadderInput) -> (Facts, bool) {
         let LadderSettings { stale_after_ns, hold_after_ns, stop_after_ns, align_ns, .. } = self.settings;
         self.excess_ns = input.age_ns.map(|age| age.saturating_sub(input.expected_age_ns));
         let (has_age, excess_ns) = (self.excess_ns.is_some(), self.excess_ns.unwrap_or(0));
         let silent = !has_age || excess_ns > hold_after_ns;
         let old = input.over_baseline_ns.is_some_and(|over| over > hold_after_ns);
-        // Frames that arrived while this side was blind are too old to count.
+        // Frames that arrived before the end of a stall are too old to count.
         let seen = input
             .age_ns
             .is_some_and(|age| self.blind_until_ns.is_none_or(|until| now_ns.saturating_sub(age) > until));
@@ -143,7 +145,7 @@ impl Ladder {
         let refuses = self.refuses_press(now_ns, input, heard, said.has(Reason::PeerStopped));
         let silent_ns = match self.excess_ns {
             Some(excess) if sound || aligning => excess,
-            // At the start, a press waits for the peer's first frame as long as any other press waits.
+            // Before the peer's first frame, silence does not end a press; only the timeout of a press does.
             None if aligning => 0,
             _ => unsound_ns,
         };
@@ -154,8 +156,8 @@ impl Ladder {
         let pressed = input.is_press && self.opened && (self.ready || !held);
         let aligned = peer.is_some_and(|peer| peer.is_current && peer.state.is_aligned());
         let may_engage = both_hear && aligned;
-        // While the arm turns, the master may already have let go; so a turning arm waits no longer than a
-        // coupled one.
+        // While the arm turns, the operator may release the clutch. So silence ends the turn after the same
+        // time in which it ends a coupling.
         let is_cut = self.turns && !may_engage;
         // A disengaged peer counts only while this side's clutch is closed.
         let facts = if input.clutch { said } else { said.without(Reason::PeerDisengaged) };
@@ -164,7 +166,7 @@ impl Ladder {
             .with(Reason::PeerSilent, silent || !seen)
             .with(Reason::PeerDeaf, !heard && (!aligning || refuses))
             .with(Reason::PeerEnded, input.ended)
-            // The baseline is that of an engagement, so this counts only while coupled.
+            // The link's baseline age is measured at an engagement, so it applies only while coupled.
             .with(Reason::NewsOld, self.state.is_coupled() && old)
             .with(Reason::ClutchReleased, !input.clutch)
             .with(Reason::ClutchPressed, pressed)
@@ -184,8 +186,8 @@ impl Ladder {
     /// Return whether the peer refuses a waiting press. It refuses if it says that it is in STOP or does not
     /// hear this side, for two round trips and at least [`ANSWER_NS`].
     ///
-    /// Only arrivals count. Silence has its own timeout, and a peer that never heard this side may start
-    /// after the press.
+    /// The time counts from the first to the newest refusal that arrived, because silence has its own
+    /// timeout. A peer that has never heard this side does not refuse: it may start after the press.
     fn refuses_press(&mut self, now_ns: u64, input: &LadderInput, heard: bool, stopped: bool) -> bool {
         let is_apart = self.state == LadderState::Aligning
             && self.was_heard
@@ -257,8 +259,9 @@ impl Ladder {
         self.follow(now_ns, Facts::default().with(reason, true));
     }
 
-    /// Record that a new run of the peer began. A slave (`engages`) may follow a restarted master, because a
-    /// person started it. A master's ladder never engages because of a datagram.
+    /// Record that a new run of the peer began. With `engages` (at a slave), the ladder goes to DISENGAGED
+    /// unless it is in FAULT, and the next press needs no release: a person has started the master. Without
+    /// it (at a master), a coupled ladder goes to HOLD until a press: a datagram must not engage a master.
     pub fn new_run(&mut self, now_ns: u64, engages: bool) {
         self.was_heard = false;
         self.apply(now_ns, Reason::PeerRestarted);
@@ -285,11 +288,11 @@ impl Ladder {
         self.apply(now_ns, Reason::Acknowledged);
     }
 
-    /// Hold without force: this side was late by more than the ladder allows, until `now_ns`, so its
-    /// knowledge is old.
+    /// Record a stall: until `now_ns` this side was late by more than the ladder allows. The force is zero at
+    /// once, and a coupled side goes to HOLD. Frames that arrived by then do not count.
     pub fn stalled(&mut self, now_ns: u64) {
         (self.gain, self.blind_until_ns) = (0.0, Some(now_ns));
-        // A press that moves nothing yet keeps waiting.
+        // A press keeps waiting unless the arm already turns.
         if self.state != LadderState::Aligning || self.turns {
             self.apply(now_ns, Reason::OwnDelay);
         }
@@ -316,7 +319,7 @@ impl Ladder {
     }
 
     /// Return whether the arm is to rotate to the master's orientation: in ALIGNING, while both sides hear
-    /// each other and the peer is aligned.
+    /// each other, the peer is aligned, and a rotation remains.
     pub fn turns(&self) -> bool {
         self.turns
     }
@@ -332,7 +335,8 @@ impl Ladder {
         self.closings
     }
 
-    /// Return whether the last press ended without a coupling, and no press followed it.
+    /// Return whether the last press expired: neither a coupling nor a release of the clutch ended it, and no
+    /// transition followed.
     pub fn is_unanswered(&self) -> bool {
         self.history.last().is_some_and(|last| {
             (last.from, last.to) == (LadderState::Aligning, LadderState::Disengaged)
@@ -369,8 +373,8 @@ pub struct LadderSettings {
     #[serde(rename = "stale_after_s", deserialize_with = "whole_ns")]
     #[schemars(with = "f64")]
     pub stale_after_ns: u64,
-    /// Age in ns beyond the expected age that leads to HOLD; above `stale_after_ns` and at most 100 ms. With
-    /// `fade_out_ns`, the force is then zero 200 ms after the last frame.
+    /// Age in ns beyond the expected age that leads to HOLD; above `stale_after_ns` and at most 100 ms. The
+    /// force then fades over `fade_out_ns`, so it is zero at most 200 ms beyond the expected age.
     #[serde(rename = "hold_after_s", deserialize_with = "whole_ns")]
     #[schemars(with = "f64")]
     pub hold_after_ns: u64,
@@ -378,8 +382,8 @@ pub struct LadderSettings {
     #[serde(rename = "stop_after_s", deserialize_with = "whole_ns")]
     #[schemars(with = "f64")]
     pub stop_after_ns: u64,
-    /// Time in ns in STALE over which the slave's velocity decays to zero; at most 20 ms, and it ends before
-    /// HOLD.
+    /// Time in ns in STALE over which the slave's velocity decays to zero; at most 20 ms, and at most the
+    /// time from STALE to HOLD.
     #[serde(rename = "extrapolate_s", deserialize_with = "whole_ns")]
     #[schemars(with = "f64")]
     pub extrapolate_ns: u64,
@@ -398,8 +402,8 @@ pub struct LadderSettings {
 
 const MS: u64 = 1_000_000;
 
-/// Shortest time in ns for which a peer must refuse a press, for any round trip. Covers a few ticks of a slow
-/// loop, and a burst of losses.
+/// Shortest time in ns of refusals by the peer that ends a press, for any round trip. Covers a few ticks of a
+/// slow loop, and a burst of losses.
 const ANSWER_NS: u64 = 50 * MS;
 
 /// Read a time in s as integer ns.
@@ -413,8 +417,9 @@ const fn default_align_ns() -> u64 {
 }
 
 impl Default for LadderSettings {
-    /// Defaults. 20 ms is the command-loss time of libfranka and UR; 200 ms is their ceiling and the shortest
-    /// fade-in. With a fade-out of 75 ms the force is zero 100 ms after the last frame.
+    /// Defaults. HOLD begins at 20 ms, the command-loss time of libfranka and UR. STOP begins at 200 ms, the
+    /// longest command loss that they tolerate; 200 ms is also the shortest fade-in. With a fade-out of 75 ms
+    /// the force is zero 95 ms beyond the expected age.
     fn default() -> Self {
         Self {
             stale_after_ns: 5 * MS,
@@ -512,8 +517,8 @@ impl History {
         self.ring[self.count.checked_sub(1)? % KEPT]
     }
 
-    /// Reason of the present state. For HOLD and STOP it is the reason of the first step out of the states
-    /// that are not held.
+    /// Reason of the present state. For HOLD and STOP: reason of the transition that last left a state other
+    /// than HOLD, STOP and FAULT.
     pub fn cause(&self) -> Option<Reason> {
         self.cause
     }

@@ -10,7 +10,8 @@ pub(crate) struct DiagnosisReport {
     newest: Option<Diagnosis>,
     since_ns: u64,
     is_reported: bool,
-    /// True if recording and telemetry have it: they do not wait for the reader of diagnoses.
+    /// True if recording and telemetry have the newest diagnosis. They get it once, even if the caller's
+    /// queue is full.
     is_noted: bool,
 }
 
@@ -20,8 +21,8 @@ impl DiagnosisReport {
         Self { newest: None, since_ns: start_ns, is_reported: true, is_noted: true }
     }
 
-    /// Take the newest diagnosis of a virtual-time run. Returns it once it has lasted long enough; at the end
-    /// at once.
+    /// Take the newest diagnosis of a virtual-time run. Returns it one time: after it has lasted long enough,
+    /// or at the end of the run (`is_end`).
     pub(crate) fn settled(
         &mut self,
         now_ns: u64,
@@ -53,8 +54,8 @@ impl DiagnosisReport {
         self.is_unreported(newest) && now_ns.saturating_sub(self.since_ns) >= SETTLED_NS
     }
 
-    /// Report the diagnosis. `take` returns whether its reader had room; if not, the next tick calls it
-    /// again. `note` gets the diagnosis once.
+    /// Report the diagnosis. `take` returns whether the caller's queue had room; if not, the diagnosis stays
+    /// unreported. `note` gets each diagnosis once.
     pub(crate) fn report(
         &mut self,
         take: impl FnOnce(Option<Diagnosis>) -> bool,

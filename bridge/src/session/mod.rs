@@ -2,11 +2,13 @@
 //!
 //! It has two halves, so that no tick waits for a handshake:
 //!
-//! - [`Session`] seals and opens datagrams within a tick, and allocates nothing in doing so.
+//! - [`Session`] seals and opens datagrams within a tick, without allocation.
 //! - [`Handshake`] makes keys, off the tick; [`Handshake::poll`] and [`Handshake::receive`] drive it.
 //!
-//! [`SessionEnd`] is both on one thread. None of them owns a clock, a socket or randomness. The bytes on the
-//! wire and the reasons for them are in `docs/protocol.md`.
+//! [`SessionEnd`] runs both halves on one thread. None of the three owns a clock, a socket or a source of
+//! randomness. `docs/protocol.md` describes the bytes on the wire and the reasons for them.
+//!
+//! [`Session::standing`] returns the state of the session that the handshake needs.
 //!
 //! Calls:
 //!

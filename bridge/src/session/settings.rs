@@ -9,7 +9,8 @@ const SECOND: u64 = 1000 * MS;
 /// Settings of a session. [`SessionSettings::new`] returns the defaults; only tests use others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SessionSettings {
-    /// Role of this side. The master begins every handshake; the slave grants the lease.
+    /// Role of this side. The master begins every handshake; the slave grants the lease, to one
+    /// master at a time.
     pub role: Role,
     /// Length in bytes of every payload, in both directions.
     pub payload_length: usize,
@@ -17,8 +18,8 @@ pub struct SessionSettings {
     pub form: FrameForm,
     /// Time in ns between two datagrams of the peer.
     pub peer_period_ns: u64,
-    /// Largest lag behind the newest datagram, in ns at the peer's rate, at which a datagram is still told
-    /// from a replay.
+    /// Length of the replay window in ns, at the peer's rate: a datagram that lags further behind the newest
+    /// is rejected.
     pub window_ns: u64,
     /// Age in ns of a key at which the master begins the next handshake.
     pub rekey_ns: u64,
@@ -77,9 +78,10 @@ impl SessionSettings {
     /// Default settings for payloads of `payload_length` bytes and a peer that sends one per
     /// `peer_period_ns`.
     ///
-    /// 2 s of window; keys renewed after 120 s and dead after 180 s, as in `WireGuard` (section 6.1). 5 s of
-    /// overlap, above any delay in teleoperation; 2 s of silence. 2^32 datagrams per key, 4.9 days at 10 kHz,
-    /// long after the age limit; 2^36 forgeries.
+    /// The replay window is 2 s. Keys are renewed after 120 s and seal nothing after 180 s, as in `WireGuard`
+    /// (section 6.1). The overlap is 5 s, above any delay in teleoperation, and a peer is silent after 2 s. A
+    /// key seals at most 2^32 datagrams: at 10 kHz these are 5 days, far beyond its age limit. A session ends
+    /// at 2^36 forgeries.
     ///
     /// Source: Donenfeld, *`WireGuard`: Next Generation Kernel Network Tunnel*, 2017; RFC 9001, section 6.6 (the
     /// integrity limit of ChaCha20-Poly1305).
@@ -132,8 +134,8 @@ impl SessionSettings {
         Ok(())
     }
 
-    /// Age in ns of a key at which the operator is warned about a missing renewal: 60 s before it opens
-    /// nothing more.
+    /// Age in ns of a key at which the operator is warned about a missing renewal. With the default times,
+    /// the key still opens datagrams for 60 s.
     pub(super) const fn warn_ns(&self) -> u64 {
         self.rekey_ns + (self.refuse_ns - self.rekey_ns) / 12
     }

@@ -12,19 +12,19 @@ use haptether_numeric::{padded, shared};
 /// The window i = 1, 2, ... grows up to its greatest length, or until a sample j = 1 ... i violates |x\[n\] -
 /// x\[n-j\] - j dT `b_i`| <= d for the slope `b_i` of the window. All samples up to j together allow one interval of
 /// slopes, the intersection of \[(x\[n\] - x\[n-j\] ± d) / (j dT)\]. Each i therefore costs one comparison, and a
-/// tick costs O(window) instead of its square. A line at a distance of exactly d is within the bound at any device
-/// position. Encoder positions meet this case at a third of all ticks.
+/// tick costs O(window) instead of its square. With an encoder, a sample lies at exactly d from the line in a third of
+/// all ticks. It counts as within the bound, and rounding does not change that at any device position.
 ///
 /// A is the slope of V, found in the same way. The uncertainty of a value of V follows from its window: two
 /// positions, each wrong by d, give 2 d / (i dT). The larger bound of the two compared samples counts. Each axis has
 /// its own windows, so no axis disturbs another.
 ///
-/// **Alignment.** V is the slope of x over known windows, and A that of V, so the force uses the same windows. It
-/// moves a unit mass, whose V and A are computed with the device's windows at each tick. A line added to the path of
-/// that mass adds a constant to V and nothing to A. After each tick, the line along which the mass would coast is
-/// therefore subtracted from the stored path. Let f be the force of the newest tick and dT = 1. The values at lag l
-/// become path\[l\] = path\[l-1\] + f (l - 1/2) and V\[l\] = V\[l-1\] - f. This is a window of forces without a
-/// running integral, so nothing can drift.
+/// **Alignment.** To give the device force the lag of A, the force moves a simulated unit mass. The A of that mass is
+/// computed with the windows that the device's motion has at each tick. A line added to the path of the mass adds a
+/// constant to V and nothing to A. After each tick, the line along which the mass would coast is therefore subtracted
+/// from the stored path. Let f be the force of the newest tick and dT = 1. The values at lag l become
+/// path\[l\] = path\[l-1\] + f (l - 1/2) and V\[l\] = V\[l-1\] - f. The result depends only on the forces in the
+/// stored window, and no integral runs, so nothing can drift.
 ///
 /// Source: Janabi-Sharifi, Hayward & Chen 2000, "Discrete-time adaptive windowing for velocity estimation", IEEE
 /// Trans. Control Systems Technology 8(6) (end-fit and best-fit FOAW); A and alignment derived above.
@@ -47,9 +47,9 @@ impl<const N: usize> AdaptiveWindow<N> {
     /// Create an estimator for positions sampled every `period_s`, with windows of up to `max_window` ticks and
     /// d = `noise_bound_m`.
     ///
-    /// `max_window` is at most [`MAX_WINDOW`]. For an encoder of quantum q, d = q gives every straight motion the
-    /// full window: the line joins two rounded positions and passes a third, each wrong by at most q/2. The paper's
-    /// d = q/2 follows a reversal faster.
+    /// `max_window` is at most [`MAX_WINDOW`]. For an encoder of quantum q, d = q gives every motion at constant
+    /// velocity the full window. Each position is wrong by at most q/2, so a position between two others is at most q
+    /// off the line through them. The d = q/2 of Janabi-Sharifi et al. follows a reversal faster.
     pub fn new(
         period_s: f64,
         noise_bound_m: f64,
@@ -175,7 +175,7 @@ pub enum Fit {
     Best,
 }
 
-/// Parameters of the choice of a window.
+/// Parameters that determine a window and its slope.
 #[derive(Clone, Copy, Debug)]
 struct Rule {
     fit: Fit,
@@ -258,9 +258,9 @@ type Series = [f64; MAX_WINDOW + 1];
 /// as the window grows. `series` holds at least two samples, newest first.
 ///
 /// Encoder samples often meet their bound exactly, since samples and bound are whole numbers of quanta. Rounding must
-/// not decide this case, because it depends on the distance of the device from zero. The bound is therefore widened
-/// by the largest rounding error: a sample is wrong by eps/2 of `size(lag)`, and line and difference add a few times
-/// that. A true violation exceeds the bound by at least a quantum / window, which is far larger.
+/// not decide this case, because rounding depends on the distance of the device from zero. The bound is therefore
+/// widened by the largest rounding error: a sample is wrong by eps/2 of `size(lag)`, and line and difference add a few
+/// times that. A true violation exceeds the bound by at least a quantum / window, which is far larger.
 fn widest_line(
     fit: Fit,
     series: &[f64],
@@ -282,9 +282,10 @@ fn widest_line(
             Fit::Best => sums.add(ticks, rise).least_squares_slope(ticks),
         };
         let roundings = match fit {
-            // Rounding of both samples, their difference, the interval and the slope: less than 4 each.
+            // Interval and slope, each with the rounding of both samples and of their difference: less than 4 eps
+            // each.
             Fit::End => 8.0,
-            // Sums of so many terms add 12 eps to the slope (Higham 2002, section 4.2), per tick of lag.
+            // The sums add up to 12 eps to the slope per tick of lag (Higham 2002, section 4.2).
             Fit::Best => 8.0 + 12.0 * ticks,
         };
         let bound = bound(lag);
@@ -394,7 +395,8 @@ mod tests {
         assert_eq!(window(&estimator), 1);
     }
 
-    /// Windows, V and A in quanta per tick, computed in integers: every velocity is a fraction of `LCM`.
+    /// Reference in exact integer arithmetic, with positions in quanta. Every velocity is a whole multiple of 1 / `LCM`
+    /// of a quantum per tick.
     struct InCounts {
         fit: Fit,
         positions: Vec<i128>,
@@ -446,7 +448,7 @@ mod tests {
             assert_eq!(top * LCM % bottom, 0);
             self.velocities.insert(0, (top * LCM / bottom, window as i128));
             let velocities: Vec<_> = self.velocities[..=LONGEST].iter().map(|one| one.0).collect();
-            // 2 d / w, the larger of two.
+            // Velocity bound 2 d / w, with the shorter of the two windows.
             let bound = |lag: usize| (2 * LCM, self.velocities[0].1.min(self.velocities[lag].1));
             let (of_acceleration, (rise, ticks)) = self.widest(&velocities, bound);
             let per_tick = |top: i128, bottom: i128| top as f64 / bottom as f64;
@@ -462,7 +464,7 @@ mod tests {
         (x / BOUND_M).round() as i128
     }
 
-    /// The velocity bound of the rest applies from the first tick on, also if the device has moved by then.
+    /// After a reset, the velocity bounds of a device at rest apply from the first tick, even if the device has moved.
     #[test]
     fn motion_from_rest_has_the_exact_windows() {
         for (fit, jump) in

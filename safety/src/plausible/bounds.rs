@@ -10,8 +10,8 @@ use haptether_numeric::nowhere;
 pub struct SampleBounds {
     /// Speed bound of the device in m/s (rad/s).
     pub speed: f64,
-    /// Largest change of velocity in m/s (rad/s) between successive samples of one path. At 1 kHz, 0.5 m/s is 0.5 mm
-    /// off the path.
+    /// dV: largest change of velocity in m/s (rad/s) from one sample to the next. A sample may deviate by dV times the
+    /// period from the path, the position extrapolated at constant velocity. At 1 kHz, 0.5 m/s allows 0.5 mm.
     pub velocity_change: f64,
     /// Resolution of the position in m (rad).
     pub quantum: f64,
@@ -22,10 +22,12 @@ pub struct SampleBounds {
 impl SampleBounds {
     /// Bounds of a point: 20 m/s, and 0.5 mm off its path at 1 kHz.
     ///
-    /// A hand throws at 10 m/s at most. A motor of 8.5 N on 75 g reaches 9.3 m/s over its workspace.
+    /// The speed is twice that of known motions: a hand throws at 10 m/s at most, and a motor of 8.5 N on 75 g reaches
+    /// 9.3 m/s over its workspace.
     pub const LINEAR: Self = Self { speed: 20.0, velocity_change: 0.5, quantum: 0.0, per_axis: false };
 
-    /// Bounds of joints: 60 rad/s, and the path of a point at a lever of 0.1 m, a short link.
+    /// Bounds of joints: 60 rad/s. A point at a lever of 0.1 m, a short link, may change its velocity as in
+    /// [`LINEAR`](Self::LINEAR).
     pub const JOINTS: Self = Self {
         speed: 60.0,
         velocity_change: Self::LINEAR.velocity_change / 0.1,
@@ -56,8 +58,8 @@ impl SampleBounds {
 
     /// Bounds of the rotation of a handle that the hand holds at lever r in m.
     ///
-    /// A point on its rim deviates from the path as a point device may. The speed bound is that of
-    /// [`JOINTS`](Self::JOINTS).
+    /// A point at distance r from the axis may deviate from its path as far as `self` allows. The speed bound is that
+    /// of [`JOINTS`](Self::JOINTS).
     #[must_use]
     pub fn at_lever(self, lever_m: f64) -> Self {
         Self {
@@ -100,7 +102,7 @@ impl PerTick {
     }
 }
 
-/// Mask of vectors no longer than a limit.
+/// Return the mask of vectors within a limit: by their norm, or by each component if `per_axis` is true.
 #[inline(always)]
 pub(super) fn is_short<const N: usize, S: Real>(
     vector: &Axes<N, S>,

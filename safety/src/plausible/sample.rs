@@ -24,7 +24,7 @@ pub struct Sample<const N: usize> {
     pub rotation: Option<Turned>,
 }
 
-/// Borrowed parts of a [`Sample`], which the check of every tick reads where they are.
+/// Borrowed parts of a [`Sample`], so that the check of every tick copies nothing.
 #[derive(Clone, Copy)]
 pub(crate) struct Parts<'a, const N: usize> {
     pub(crate) position: &'a Axes<N>,
@@ -53,7 +53,8 @@ impl<const N: usize> Sample<N> {
         Self { position: *position, velocity: velocity.copied(), rotation: None }
     }
 
-    /// Return the sample of a device whose origin moves by `by`; the rotation is in the base frame.
+    /// Return this sample after a shift of the device's origin: add the position of `by`, and apply its rotation in the
+    /// base frame. Velocities stay.
     pub(super) fn shifted(&self, by: &Self) -> Self {
         let turned = self
             .rotation

@@ -11,7 +11,8 @@ use crate::Axes;
 
 /// Path of a rotation on SO(3), `R(k) = exp(w k) R_a`; as [`Track`](super::Track), with angles for lengths.
 ///
-/// The test compares the sine of half the angle with half of the limit. Below 0.5 rad they agree to 1 %.
+/// [`is_small`] compares the sine of half the angle, instead of half the angle, with half of the limit. Below 0.5 rad
+/// the two differ by about 1 % at most.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TurnTrack {
     pub(super) bounds: PerTick,
@@ -84,7 +85,7 @@ impl TurnTrack {
         *self = Self { every: self.every, ..Self::of(self.bounds) };
     }
 
-    /// Continue beside the path, as [`Track::step_to`](super::Track::step_to).
+    /// Continue from a new orientation at the same rate, as [`Track::step_to`](super::Track::step_to).
     pub(super) fn step_to(&mut self, orientation: Option<UnitQuaternion<f64>>) {
         (self.anchor, self.since) = (orientation, 0.0);
     }
@@ -100,7 +101,8 @@ impl TurnTrack {
         }
     }
 
-    /// Return whether a sample is on the path, and its angular velocity follows from the last one.
+    /// Return whether a sample is on the path, and its measured angular velocity is within the bounds on speed and
+    /// change.
     #[inline(never)]
     pub(super) fn contains_turned(&self, from: &Turned, to: &Turned, ticks: f64, share: f64) -> bool {
         let is_steady = match (&from.angular_velocity, &to.angular_velocity) {
