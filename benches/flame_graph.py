@@ -59,7 +59,7 @@ PARTS = (
 """Parts by the innermost function of ours in a sample; the first match counts."""
 ROOT_FRAMES = (
     "haptether_bridge::virtual_time::run_virtual",
-    "haptether_bridge::virtual_time::run_virtual_ahead",
+    "haptether_bridge::virtual_time::run_virtual_batched",
     "haptether_bridge::scene::bilateral::run",
 )
 """Functions that run a scene: the compiler may inline the first two into the last."""

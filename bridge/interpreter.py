@@ -14,7 +14,7 @@ HOLDER_PRIORITY = 1
 
 
 @dataclass
-class Quiet:
+class InterpreterTuning:
     """Disable garbage collection and shorten the thread switch interval while any loop runs.
 
     The loops of a process share one instance: the first to end must not restore settings that another still needs.
@@ -86,5 +86,5 @@ class Quiet:
                 gc.enable()
 
 
-QUIET = Quiet()
+TUNING = InterpreterTuning()
 """Instance of this process."""

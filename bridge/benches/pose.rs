@@ -7,9 +7,9 @@ use std::{hint::black_box, time::Instant};
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use haptether_bridge::{
-    Clutch, DrivenMaster, DrivenSlave, LadderSettings, LedGripper, LinkTime, MasterEndpoint,
-    MasterRotationSettings, MasterSettings, MasterSide, Side, SlaveEndpoint, SlaveRotationSettings,
-    SlaveSettings, SlaveSide, TickTime, Trigger,
+    Clutch, DrivenMaster, DrivenSlave, LadderSettings, LinkTime, MasterEndpoint, MasterRotationSettings,
+    MasterSettings, MasterSide, Side, SlaveEndpoint, SlaveGripper, SlaveRotationSettings, SlaveSettings,
+    SlaveSide, TickTime, Trigger,
     coupling::{CommandBounds, RotationBounds, RotationLock, RotationState},
     wire::MAX_FRAME,
 };
@@ -100,14 +100,15 @@ fn ticks(criterion: &mut Criterion) {
         let (near, far) = plants(turns);
         let trigger = grips.then_some(Trigger::Driven(Some(0.3)));
         let settings = GripperSettings { position: 0.0, speed: 2.0, force_n: 40.0, object: None };
-        let gripper = grips.then(|| LedGripper::driven(settings).unwrap());
+        let gripper = grips.then(|| SlaveGripper::driven(settings).unwrap());
         let near = MasterSide::new(near, master(turns), Clutch::Once).unwrap().with_trigger(trigger);
         let far = SlaveSide::new(far, slave(turns)).with_gripper(gripper);
         group.bench_function(name, |bencher| {
             bencher.iter_custom(|count| {
                 // Sides with the same type of records as in a run.
                 let begun = if turns {
-                    let (mut near, mut far) = (near.clone().turning(), far.clone().turning());
+                    let (mut near, mut far) =
+                        (near.clone().recording_rotation(), far.clone().recording_rotation());
                     run(&mut near, &mut far, 0, 1000);
                     assert!(near.exchange().state().is_coupled() && far.exchange().state().is_coupled());
                     let begun = Instant::now();

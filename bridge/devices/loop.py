@@ -24,7 +24,7 @@ from haptether.bridge.devices.open import (
     opened,
     opened_gripper,
 )
-from haptether.bridge.interpreter import QUIET
+from haptether.bridge.interpreter import TUNING
 from haptether.slave import GripperCommand
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def drive_slave(
     check_kind(device, loop.kind)
     write: Callable[..., None] = device.write
     before = "wait"
-    jaws = None if gripper is None else LedJaws(gripper)
+    jaws = None if gripper is None else LoopGripper(gripper)
 
     def step() -> bool:
         nonlocal before
@@ -166,7 +166,7 @@ def drive_slave(
         _drive(device, loop, notes, step, gripper=gripper)
 
 
-class LedJaws:
+class LoopGripper:
     """Gripper of an arm, as the loop reads and commands it."""
 
     def __init__(self, gripper: "Gripper") -> None:
@@ -206,7 +206,7 @@ def _drive(
     """Step an open device until `step` reports the end; bring the device to rest in every case."""
     name = type(device).__name__
     realtime = loop.begin(name if gripper is None else f"{name} or {type(gripper).__name__}")
-    QUIET.prioritise()
+    TUNING.prioritise()
     notes.realtime = realtime
     wait = None if device.paces else loop.wait
     try:
@@ -295,7 +295,7 @@ class DeviceRun(_LiveSide):
         self._thread = threading.Thread(target=self._run, name="haptether-loop", daemon=True)
         # Garbage collection would run on any thread that allocates, including the loop; `poll` collects the young
         # generation instead.
-        QUIET.begin()
+        TUNING.begin()
         self._quieted = threading.Lock()
         # At process exit, bring the device to rest before its thread is killed.
         atexit.register(self._leave)
@@ -376,7 +376,7 @@ class DeviceRun(_LiveSide):
     def _unquiet(self) -> None:
         # Executed once: at the end of the run, or when the run is given up.
         if self._quieted.acquire(blocking=False):
-            QUIET.end()
+            TUNING.end()
 
     def _end(self) -> None:
         self._leave()

@@ -12,7 +12,7 @@ from decimal import ROUND_CEILING, Context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from haptether.bridge.interpreter import QUIET
+from haptether.bridge.interpreter import TUNING
 
 if TYPE_CHECKING:
     from haptether.master import MasterDevice
@@ -144,7 +144,7 @@ def opened(
             message = "opened when nobody waited for it any more"
             raise TimeoutError(message)
         check_period(device, key, period_s)
-        QUIET.settle()
+        TUNING.settle()
     except BaseException as error:
         # Close here the parts that a failed `open` had opened.
         close_once(device, notes)

@@ -17,7 +17,7 @@ from haptether.bridge.devices.open import (
     leave_blocked,
     opened,
 )
-from haptether.bridge.interpreter import QUIET
+from haptether.bridge.interpreter import TUNING
 
 Written = tuple[tuple[float, ...], ...]
 """Arguments of a driver's `write`: force, and torque for a pose."""
@@ -178,7 +178,7 @@ class StandaloneRun:
         self._stopping = threading.Event()
         self._quieted = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="haptether-standalone", daemon=True)
-        QUIET.begin()
+        TUNING.begin()
         # At process exit, bring the device to rest before its thread is killed.
         atexit.register(self._leave)
         self._thread.start()
@@ -214,7 +214,7 @@ class StandaloneRun:
     def _unquiet(self) -> None:
         # Executed once: at the end of the run, or when the run is given up.
         if self._quieted.acquire(blocking=False):
-            QUIET.end()
+            TUNING.end()
 
     def _leave(self) -> None:
         self._stopping.set()
@@ -235,7 +235,7 @@ class StandaloneRun:
                     # Applies to this thread; `opened` reverts it.
                     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
                     self.has_real_time = True
-                    QUIET.prioritise()
+                    TUNING.prioritise()
                 self.is_open = True
                 self._drive()
         except DeviceError as error:

@@ -227,7 +227,7 @@ def checked_scene(scene: Scene, overrides: Iterable[str] = ()) -> Checked:
         key = b""  # the checks report the error
     if (kept := _KEPT.get(key)) is not None:
         return kept
-    found = _checked_anew(scene, overrides)
+    found = _checked_again(scene, overrides)
     # A scene that names files changes with them, so do not cache it.
     if 0 < len(key) < _LONGEST_KEPT and msgspec.msgpack.encode(found.scene) == key:
         while len(_KEPT) >= _MOST_KEPT:
@@ -236,7 +236,7 @@ def checked_scene(scene: Scene, overrides: Iterable[str] = ()) -> Checked:
     return found
 
 
-def _checked_anew(scene: Scene, overrides: Iterable[str]) -> Checked:
+def _checked_again(scene: Scene, overrides: Iterable[str]) -> Checked:
     # A struct built in Python has not been checked for its ranges yet.
     raw = cast("dict[str, Raw]", msgspec.to_builtins(scene))
     for override in overrides:

@@ -156,13 +156,13 @@ impl TextPiece {
 
 /// Text of a side, split into frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct SpokenText {
+pub struct SentText {
     text: FaultText,
     number: u8,
     next: u8,
 }
 
-impl SpokenText {
+impl SentText {
     /// Set the text; no effect if it is the same.
     pub fn set(&mut self, text: &FaultText) {
         if self.text != *text {
@@ -194,20 +194,20 @@ impl SpokenText {
 
 /// Peer's text, reassembled from pieces in any order, with repeats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct HeardText {
+pub struct ReceivedText {
     number: u8,
     seen: u32,
     bytes: [u8; MAX_FAULT_TEXT + 1],
-    whole: FaultText,
+    complete: FaultText,
 }
 
-impl Default for HeardText {
+impl Default for ReceivedText {
     fn default() -> Self {
-        Self { number: 0, seen: 0, bytes: [0; MAX_FAULT_TEXT + 1], whole: FaultText::EMPTY }
+        Self { number: 0, seen: 0, bytes: [0; MAX_FAULT_TEXT + 1], complete: FaultText::EMPTY }
     }
 }
 
-impl HeardText {
+impl ReceivedText {
     /// Take a piece; pieces of different texts do not mix.
     #[inline]
     pub fn take(&mut self, piece: &TextPiece) {
@@ -235,13 +235,13 @@ impl HeardText {
                 Ok(text) => text,
                 Err(error) => std::str::from_utf8(&self.bytes[..error.valid_up_to()]).unwrap_or_default(),
             };
-            self.whole = FaultText::new(text);
+            self.complete = FaultText::new(text);
         }
     }
 
     /// The text, once all of it has arrived.
     pub fn text(&self) -> &FaultText {
-        &self.whole
+        &self.complete
     }
 }
 
@@ -251,7 +251,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn carried(text: &FaultText, mut arrives: impl FnMut(usize) -> bool) -> FaultText {
-        let (mut spoken, mut heard) = (SpokenText::default(), HeardText::default());
+        let (mut spoken, mut heard) = (SentText::default(), ReceivedText::default());
         spoken.set(text);
         for n in 0..2000 {
             let piece = spoken.next_piece();
@@ -296,7 +296,7 @@ mod tests {
 
     #[test]
     fn pieces_of_two_texts_do_not_mix() {
-        let (mut spoken, mut heard) = (SpokenText::default(), HeardText::default());
+        let (mut spoken, mut heard) = (SentText::default(), ReceivedText::default());
         spoken.set(&FaultText::new("a first text, of more than one piece"));
         heard.take(&spoken.next_piece());
         heard.take(&spoken.next_piece());
@@ -313,7 +313,7 @@ mod tests {
     /// From any sender, the text is one printable line.
     #[test]
     fn text_of_hostile_peer_is_one_line() {
-        let mut heard = HeardText::default();
+        let mut heard = ReceivedText::default();
         let mut bytes = [0; PIECE];
         bytes[..7].copy_from_slice(b"a\x1b[2J\nb");
         heard.take(&TextPiece { number: 9, index: 0, bytes });
@@ -343,7 +343,7 @@ mod tests {
         #[test]
         fn noise_of_any_bytes_makes_a_line(pieces in prop::collection::vec(
             (any::<u8>(), any::<u8>(), any::<[u8; PIECE]>()), 0..200)) {
-            let mut heard = HeardText::default();
+            let mut heard = ReceivedText::default();
             for (number, index, bytes) in pieces {
                 heard.take(&TextPiece { number: number % 3, index: index % 24, bytes });
                 prop_assert!(heard.text().as_str().chars().all(is_printable));

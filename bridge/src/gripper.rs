@@ -100,11 +100,11 @@ impl LeadingTrigger {
     }
 
     /// Return the position, or its prediction while held; `ticks` after the previous.
-    pub(crate) fn taken(&mut self, position: f64, ticks: f64) -> f64 {
+    pub(crate) fn filtered(&mut self, position: f64, ticks: f64) -> f64 {
         let sample = Sample::point(&Axes::<1>::new(position), None);
         // Without a bound on the speed nothing is refused.
         let _ = self.guard.pass(&sample, ticks);
-        self.guard.taken().position[0].clamp(0.0, 1.0)
+        self.guard.sample_in_use().position[0].clamp(0.0, 1.0)
     }
 
     pub(crate) fn outliers(&self) -> u64 {
@@ -162,7 +162,7 @@ enum Jaws {
 
 /// A gripper that follows the master's trigger while coupled, and otherwise keeps its grip.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LedGripper {
+pub struct SlaveGripper {
     jaws: Jaws,
     follower: GripperFollower,
     sample: GripperSample,
@@ -171,7 +171,7 @@ pub struct LedGripper {
     led_ns: Option<u64>,
 }
 
-impl LedGripper {
+impl SlaveGripper {
     /// Create a model.
     pub fn simulated(settings: GripperSettings) -> Result<Self, ModelError> {
         Ok(Self::new(Jaws::Simulated(SimulatedGripper::new(settings)?), &settings))
@@ -202,7 +202,7 @@ impl LedGripper {
     }
 
     /// Set where a model's jaws meet a rigid object.
-    pub(crate) fn meets(&mut self, object: Option<f64>) {
+    pub(crate) fn set_object(&mut self, object: Option<f64>) {
         if let Jaws::Simulated(gripper) = &mut self.jaws {
             gripper.set_object(object);
         }

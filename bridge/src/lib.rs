@@ -35,12 +35,12 @@ pub use buttons::{ButtonError, ButtonSettings, ButtonWord};
 pub use command::OperatorCommand;
 pub use driven::{DrivenSlave, DrivenSlaveError, SlaveOrder};
 pub use endpoint::{
-    EndpointError, Exchange, HandInput, MasterEndpoint, MasterReading, MasterRotationSettings,
-    MasterSettings, MasterTick, Past, SideCounts, SlaveEndpoint, SlaveReading, SlaveRotationSettings,
+    CarriedState, EndpointError, Exchange, HandInput, MasterEndpoint, MasterReading, MasterRotationSettings,
+    MasterSettings, MasterTick, SideCounts, SlaveEndpoint, SlaveReading, SlaveRotationSettings,
     SlaveSettings, SlaveTick, TriggerError, TriggerSettings,
 };
-pub use fault_text::{FaultText, HeardText, MAX_FAULT_TEXT, PIECE, PIECES, SpokenText, TextPiece};
-pub use gripper::{GripperOrder, HeldTrigger, LedGripper, Trigger};
+pub use fault_text::{FaultText, MAX_FAULT_TEXT, PIECE, PIECES, ReceivedText, SentText, TextPiece};
+pub use gripper::{GripperOrder, HeldTrigger, SlaveGripper, Trigger};
 pub use kind::SideKind;
 pub use ladder::{
     AlignmentState, Clutch, ClutchError, ClutchOperator, Diagnosis, Explanation, FlightEntry, FlightRecorder,
@@ -56,8 +56,8 @@ pub use plant::{
 };
 pub use port::{MAX_ENERGY_J, PortEnergy, PortState};
 pub use record::{
-    Column, Feeling, FingerTick, MasterRecord, MasterRotation, MasterTurn, SlaveRecord, SlaveRotation,
-    SlaveTurn, Trace,
+    Column, FingerTick, MasterRecord, MasterRotation, MasterTurn, SlaveRecord, SlaveRotation, SlaveTurn,
+    Trace, WithTriggerFeedback,
 };
 pub use side::{MasterSide, Side, SlaveSide};
 pub use virtual_time::{Event, LoopCounts, VirtualCounts, VirtualError, VirtualSettings, run_virtual};

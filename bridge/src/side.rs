@@ -9,14 +9,14 @@ use crate::{
     command::OperatorCommand,
     coupling::{CouplingError, GripperState, ReferencePoint, ScaleRanges},
     endpoint::{Exchange, MasterEndpoint, MasterReading, SlaveEndpoint, SlaveReading},
-    gripper::{FingerTruth, LeadingTrigger, LedGripper, Trigger},
+    gripper::{FingerTruth, LeadingTrigger, SlaveGripper, Trigger},
     ladder::{Button, Clutch, ClutchError, ClutchOperator, LadderState},
     link::{LinkTime, RejectReason},
     pace::TickTime,
     plant::{MasterPlant, SlavePlant},
     record::{
-        Feeling, LadderSnapshot, MasterRecord, MasterRotation, MasterTurn, SlaveRecord, SlaveRotation,
-        SlaveTurn,
+        LadderSnapshot, MasterRecord, MasterRotation, MasterTurn, SlaveRecord, SlaveRotation, SlaveTurn,
+        WithTriggerFeedback,
     },
     session::{MAX_DATAGRAM, Session},
     wire::{Frame, MAX_FRAME},
@@ -157,7 +157,7 @@ impl<P: MasterPlant<N>, const N: usize> MasterSide<P, N> {
 
     /// Make the records contain a rotation.
     #[must_use]
-    pub fn turning(self) -> MasterSide<P, N, MasterRotation> {
+    pub fn recording_rotation(self) -> MasterSide<P, N, MasterRotation> {
         self.recording()
     }
 
@@ -191,7 +191,7 @@ impl<P: MasterPlant<N>, const N: usize, R> MasterSide<P, N, R> {
 
     /// Make the records contain force feedback at the trigger.
     #[must_use]
-    pub fn feeling(self) -> MasterSide<P, N, Feeling<R>> {
+    pub fn recording_trigger(self) -> MasterSide<P, N, WithTriggerFeedback<R>> {
         self.recording()
     }
 
@@ -273,7 +273,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for MasterSide<P, N,
             // A button that leads the gripper overrides the trigger position.
             finger = state.position.filter(|_| pressed.1.is_none());
             if let Some(at) = finger {
-                state.position = Some(self.leading.taken(at, (time.missed + 1) as f64));
+                state.position = Some(self.leading.filtered(at, (time.missed + 1) as f64));
             }
             led_to = state.position;
             self.endpoint.exchange.report_gripper(state);
@@ -432,7 +432,7 @@ pub struct SlaveSide<P, const N: usize, R = ()> {
     pub endpoint: SlaveEndpoint<N>,
     led: LeadTransition,
     /// The gripper, if any.
-    pub gripper: Option<LedGripper>,
+    pub gripper: Option<SlaveGripper>,
     /// Coupled point of the tool; `None` couples the tool point.
     reference_point: Option<ReferencePoint>,
     records: PhantomData<R>,
@@ -447,20 +447,20 @@ impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
 
     /// Make the records contain a rotation.
     #[must_use]
-    pub fn turning(self) -> SlaveSide<P, N, SlaveRotation> {
+    pub fn recording_rotation(self) -> SlaveSide<P, N, SlaveRotation> {
         let Self { plant, endpoint, led, gripper, reference_point, .. } = self;
         SlaveSide { plant, endpoint, led, gripper, reference_point, records: PhantomData }
     }
 
     /// Couples another point of the tool than the tool point, for an arm that turns.
     #[must_use]
-    pub fn about(self, reference_point: Option<ReferencePoint>) -> Self {
+    pub fn with_reference_point(self, reference_point: Option<ReferencePoint>) -> Self {
         Self { reference_point, ..self }
     }
 
     /// Add a gripper.
     #[must_use]
-    pub fn with_gripper(mut self, gripper: Option<LedGripper>) -> Self {
+    pub fn with_gripper(mut self, gripper: Option<SlaveGripper>) -> Self {
         if gripper.is_some() {
             self.endpoint.exchange.carry_gripper();
         }
@@ -488,7 +488,7 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side for SlaveSide<P, N, R>
         if let Some(gripper) = &mut self.gripper {
             let measured = gripper.read(time.now_ns);
             if let Some(between) = self.plant.grip(&measured) {
-                gripper.meets(between);
+                gripper.set_object(between);
             }
         }
         let mut tick = self.endpoint.tick(time.clock_ns, &reading);
@@ -498,7 +498,7 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side for SlaveSide<P, N, R>
                 (Some(point), Some(orientation)) => point.of_tool(&rest, orientation),
                 _ => rest,
             };
-            self.endpoint.rests(&rest, orientation.as_ref());
+            self.endpoint.set_rest(&rest, orientation.as_ref());
             tick.command = self.endpoint.last_command();
             tick.orientation = self.endpoint.last_orientation();
         }

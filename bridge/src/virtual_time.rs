@@ -429,17 +429,17 @@ pub fn run_virtual<M: Side, S: Side>(
     mut observe: impl FnMut(Event<'_, M::Record, S::Record>, (&M, &S)) -> ControlFlow<()>,
 ) -> Result<VirtualCounts, VirtualError> {
     let mut run = Run::new(settings, master, slave)?;
-    let (mut near, mut far) = (M::Record::default(), S::Record::default());
+    let (mut master_record, mut slave_record) = (M::Record::default(), S::Record::default());
     while run.master.goes_on(run.end_ns) || run.slave.goes_on(run.end_ns) {
         let Run { master, slave, forward, backward, .. } = &mut run;
         let flow = if master.pace.true_ns <= slave.pace.true_ns {
-            master.step(backward, forward, &mut near);
+            master.step(backward, forward, &mut master_record);
             forward.carry_sent();
-            observe(Event::Master(&near), (master.side, slave.side))
+            observe(Event::Master(&master_record), (master.side, slave.side))
         } else {
-            slave.step(forward, backward, &mut far);
+            slave.step(forward, backward, &mut slave_record);
             backward.carry_sent();
-            observe(Event::Slave(&far), (master.side, slave.side))
+            observe(Event::Slave(&slave_record), (master.side, slave.side))
         };
         if flow.is_break() {
             break;
@@ -450,19 +450,19 @@ pub fn run_virtual<M: Side, S: Side>(
 
 /// Maximum number of ticks of a side in a row: enough to keep its code in the cache, few enough to keep their records
 /// there.
-pub(crate) const MAX_AHEAD: usize = 64;
+pub(crate) const MAX_BATCH_TICKS: usize = 64;
 
 /// As [`run_virtual`], with the same records in the same order, for callers that read only records. The sides may be
 /// some ticks ahead of `observe`, and so may their counts after a break.
-pub(crate) fn run_virtual_ahead<M: Side, S: Side>(
+pub(crate) fn run_virtual_batched<M: Side, S: Side>(
     settings: &VirtualSettings,
     master: &mut M,
     slave: &mut S,
     mut observe: impl FnMut(Event<'_, M::Record, S::Record>, (&M, &S)) -> ControlFlow<()>,
 ) -> Result<VirtualCounts, VirtualError> {
-    let mut ahead = Ahead::new(settings, master, slave)?;
-    while ahead.advance(&mut observe).is_continue() {}
-    Ok(ahead.counts())
+    let mut batched = BatchedRun::new(settings, master, slave)?;
+    while batched.advance(&mut observe).is_continue() {}
+    Ok(batched.counts())
 }
 
 /// A run whose sides are some ticks ahead of `observe`.
@@ -472,52 +472,52 @@ pub(crate) fn run_virtual_ahead<M: Side, S: Side>(
 ///
 /// Source: K. M. Chandy, J. Misra, "Distributed simulation: a case study in design and verification of distributed
 /// programs", IEEE Trans. Softw. Eng. 5, 1979 (lookahead of a channel that keeps the order).
-pub(crate) struct Ahead<'a, M: Side, S: Side> {
+pub(crate) struct BatchedRun<'a, M: Side, S: Side> {
     run: Run<'a, M, S>,
-    near: Unseen<M::Record>,
-    far: Unseen<S::Record>,
+    master_ticks: PendingTicks<M::Record>,
+    slave_ticks: PendingTicks<S::Record>,
 }
 
 /// True time in ns and record of each unobserved tick, the oldest first.
 ///
 /// Usually all are observed before more are added: no ring is needed.
-struct Unseen<R> {
+struct PendingTicks<R> {
     /// The first `kept` are ticks, the rest is free.
     ticks: Vec<(u64, R)>,
-    kept: usize,
+    filled: usize,
     /// Number of those that were observed.
-    seen: usize,
+    observed: usize,
 }
 
-impl<R: Copy + Default> Unseen<R> {
+impl<R: Copy + Default> PendingTicks<R> {
     fn new() -> Self {
-        Self { ticks: Vec::new(), kept: 0, seen: 0 }
+        Self { ticks: Vec::new(), filled: 0, observed: 0 }
     }
 
     /// Drop observed ticks. Call before adding more.
-    fn forget_seen(&mut self) {
-        self.ticks.copy_within(self.seen..self.kept, 0);
-        self.kept -= self.seen;
-        self.seen = 0;
-        self.ticks.resize_with(MAX_AHEAD, Default::default);
+    fn drop_observed(&mut self) {
+        self.ticks.copy_within(self.observed..self.filled, 0);
+        self.filled -= self.observed;
+        self.observed = 0;
+        self.ticks.resize_with(MAX_BATCH_TICKS, Default::default);
     }
 
     /// Slot for a tick at `true_ns`; `None` if full. Call before any is observed.
     fn push_slot(&mut self, true_ns: u64) -> Option<&mut R> {
-        debug_assert_eq!(self.seen, 0, "forget_seen comes first");
-        let (at_ns, record) = self.ticks.get_mut(self.kept)?;
+        debug_assert_eq!(self.observed, 0, "drop_observed comes first");
+        let (at_ns, record) = self.ticks.get_mut(self.filled)?;
         *at_ns = true_ns;
-        self.kept += 1;
+        self.filled += 1;
         Some(record)
     }
 
-    fn unseen(&self) -> &[(u64, R)] {
-        &self.ticks[self.seen..self.kept]
+    fn pending(&self) -> &[(u64, R)] {
+        &self.ticks[self.observed..self.filled]
     }
 
     /// Copy the unobserved ticks, without spare capacity.
     fn copied(&self) -> Self {
-        Self { ticks: self.unseen().to_vec(), kept: self.unseen().len(), seen: 0 }
+        Self { ticks: self.pending().to_vec(), filled: self.pending().len(), observed: 0 }
     }
 }
 
@@ -525,7 +525,7 @@ fn first_ns<R>(ticks: &[(u64, R)], next_ns: u64) -> u64 {
     ticks.first().map_or(next_ns, |(at_ns, _)| *at_ns)
 }
 
-impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
+impl<'a, M: Side, S: Side> BatchedRun<'a, M, S> {
     /// A run before its first tick.
     pub(crate) fn new(
         settings: &VirtualSettings,
@@ -533,7 +533,7 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
         slave: &'a mut S,
     ) -> Result<Self, VirtualError> {
         let run = Run::new(settings, master, slave)?;
-        Ok(Self { run, near: Unseen::new(), far: Unseen::new() })
+        Ok(Self { run, master_ticks: PendingTicks::new(), slave_ticks: PendingTicks::new() })
     }
 
     /// Does some ticks of each side, then observes those that no earlier tick can follow. Breaks at the end of the
@@ -542,14 +542,14 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
         &mut self,
         observe: &mut impl FnMut(Event<'_, M::Record, S::Record>, (&M, &S)) -> ControlFlow<()>,
     ) -> ControlFlow<()> {
-        let Self { run: Run { master, slave, forward, backward, end_ns }, near, far } = self;
-        near.forget_seen();
-        far.forget_seen();
+        let Self { run: Run { master, slave, forward, backward, end_ns }, master_ticks, slave_ticks } = self;
+        master_ticks.drop_observed();
+        slave_ticks.drop_observed();
         // A packet sent later arrives later than it is sent. At the same instant the master is first.
         while master.goes_on(*end_ns)
             && (master.pace.true_ns <= slave.pace.true_ns
                 || master.pace.true_ns < backward.link.earliest_later_ns())
-            && let Some(record) = near.push_slot(master.pace.true_ns)
+            && let Some(record) = master_ticks.push_slot(master.pace.true_ns)
         {
             master.step(backward, forward, record);
         }
@@ -557,7 +557,7 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
         while slave.goes_on(*end_ns)
             && (slave.pace.true_ns < master.pace.true_ns
                 || slave.pace.true_ns < forward.link.earliest_later_ns())
-            && let Some(record) = far.push_slot(slave.pace.true_ns)
+            && let Some(record) = slave_ticks.push_slot(slave.pace.true_ns)
         {
             slave.step(forward, backward, record);
         }
@@ -567,16 +567,16 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
         let next_ns = [master.pace.true_ns, slave.pace.true_ns];
         let has_ended = !master.goes_on(*end_ns) && !slave.goes_on(*end_ns);
         let sides = (&*master.side, &*slave.side);
-        let (mut near_left, mut far_left) = (near.unseen(), far.unseen());
+        let (mut master_left, mut slave_left) = (master_ticks.pending(), slave_ticks.pending());
         let flow = loop {
             // Observed in place: a record is large to move.
-            let event = if first_ns(near_left, next_ns[0]) <= first_ns(far_left, next_ns[1]) {
-                let Some(((_, record), left)) = near_left.split_first() else { break None };
-                near_left = left;
+            let event = if first_ns(master_left, next_ns[0]) <= first_ns(slave_left, next_ns[1]) {
+                let Some(((_, record), left)) = master_left.split_first() else { break None };
+                master_left = left;
                 Event::Master(record)
             } else {
-                let Some(((_, record), left)) = far_left.split_first() else { break None };
-                far_left = left;
+                let Some(((_, record), left)) = slave_left.split_first() else { break None };
+                slave_left = left;
                 Event::Slave(record)
             };
             let flow = observe(event, sides);
@@ -585,8 +585,9 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
             }
         };
         // All kept ticks are before the end, so before the next tick of an ended side.
-        debug_assert!(!has_ended || flow.is_some() || (near_left.is_empty() && far_left.is_empty()));
-        (near.seen, far.seen) = (near.kept - near_left.len(), far.kept - far_left.len());
+        debug_assert!(!has_ended || flow.is_some() || (master_left.is_empty() && slave_left.is_empty()));
+        (master_ticks.observed, slave_ticks.observed) =
+            (master_ticks.filled - master_left.len(), slave_ticks.filled - slave_left.len());
         flow.unwrap_or(if has_ended { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
     }
 
@@ -600,8 +601,8 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
     }
 
     /// Unobserved ticks of the master.
-    pub(crate) fn unseen_of_master(&self) -> impl Iterator<Item = &M::Record> {
-        self.near.unseen().iter().map(|(_, record)| record)
+    pub(crate) fn pending_master_records(&self) -> impl Iterator<Item = &M::Record> {
+        self.master_ticks.pending().iter().map(|(_, record)| record)
     }
 
     /// Copy the run. `None` with security, encoded frames, or a network that changes packets.
@@ -610,7 +611,7 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
         M: Clone,
         S: Clone,
     {
-        let Self { run: Run { master, slave, forward, backward, .. }, near, far } = self;
+        let Self { run: Run { master, slave, forward, backward, .. }, master_ticks, slave_ticks } = self;
         let has_sessions = master.encodes || slave.encodes;
         if has_sessions || forward.link.changes_packets() || backward.link.changes_packets() {
             return None;
@@ -621,8 +622,8 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
             paces: [master.pace, slave.pace],
             counts: [master.counts, slave.counts],
             network: [forward.clone(), backward.clone()],
-            near: near.copied(),
-            far: far.copied(),
+            master_ticks: master_ticks.copied(),
+            slave_ticks: slave_ticks.copied(),
         })
     }
 
@@ -633,11 +634,11 @@ impl<'a, M: Side, S: Side> Ahead<'a, M, S> {
         master: &'a mut M,
         slave: &'a mut S,
     ) -> Result<Self, VirtualError> {
-        let Snapshot { paces, counts, network, near, far, .. } = snapshot;
+        let Snapshot { paces, counts, network, master_ticks, slave_ticks, .. } = snapshot;
         let mut run = Run::of(settings, master, slave, network.clone())?;
         (run.master.pace, run.slave.pace) = (paces[0], paces[1]);
         (run.master.counts, run.slave.counts) = (counts[0], counts[1]);
-        Ok(Self { run, near: near.copied(), far: far.copied() })
+        Ok(Self { run, master_ticks: master_ticks.copied(), slave_ticks: slave_ticks.copied() })
     }
 }
 
@@ -649,8 +650,8 @@ pub(crate) struct Snapshot<M: Side, S: Side> {
     counts: [LoopCounts; 2],
     /// Forward and backward.
     network: [OneWay; 2],
-    near: Unseen<M::Record>,
-    far: Unseen<S::Record>,
+    master_ticks: PendingTicks<M::Record>,
+    slave_ticks: PendingTicks<S::Record>,
 }
 
 struct Run<'a, M, S> {
@@ -704,13 +705,13 @@ mod tests {
     /// Compares with a plain list.
     #[test]
     fn unobserved_ticks_keep_their_order() {
-        let (mut unseen, mut expected) = (Unseen::<u64>::new(), Vec::new());
+        let (mut pending, mut expected) = (PendingTicks::<u64>::new(), Vec::new());
         let mut time_ns = 0;
         for round in 0..50 {
-            unseen.forget_seen();
+            pending.drop_observed();
             for _ in 0..round * 7 % 90 {
-                let Some(record) = unseen.push_slot(time_ns) else {
-                    assert_eq!(expected.len(), MAX_AHEAD);
+                let Some(record) = pending.push_slot(time_ns) else {
+                    assert_eq!(expected.len(), MAX_BATCH_TICKS);
                     break;
                 };
                 *record = 2 * time_ns + 1;
@@ -718,16 +719,16 @@ mod tests {
                 time_ns += 1;
             }
             for _ in 0..expected.len().min(round * 5 % 80) {
-                assert_eq!(unseen.unseen()[0], expected[0]);
-                assert_eq!(first_ns(unseen.unseen(), u64::MAX), expected[0].0);
-                unseen.seen += 1;
+                assert_eq!(pending.pending()[0], expected[0]);
+                assert_eq!(first_ns(pending.pending(), u64::MAX), expected[0].0);
+                pending.observed += 1;
                 expected.remove(0);
             }
             if round % 3 == 0 {
-                unseen = unseen.copied();
-                assert_eq!(unseen.ticks, expected);
+                pending = pending.copied();
+                assert_eq!(pending.ticks, expected);
             }
-            assert_eq!(unseen.unseen(), expected);
+            assert_eq!(pending.pending(), expected);
         }
         assert_eq!(first_ns::<u64>(&[], 7), 7);
         assert!(time_ns > 1000, "{time_ns}");

@@ -4,9 +4,9 @@
 use std::{io::Read, os::unix::net::UnixStream};
 
 use haptether_bridge::{
-    Clutch, DrivenMaster, HeldTrigger, LadderSettings, LadderState, LedGripper, LinkTime, MasterEndpoint,
-    MasterRotationSettings, MasterSettings, MasterSide, Side, SlaveEndpoint, SlaveRotationSettings,
-    SlaveSettings, SlaveSide, TickTime, Trigger, TriggerSettings, TurningMaster,
+    Clutch, DrivenMaster, HeldTrigger, LadderSettings, LadderState, LinkTime, MasterEndpoint,
+    MasterRotationSettings, MasterSettings, MasterSide, Side, SlaveEndpoint, SlaveGripper,
+    SlaveRotationSettings, SlaveSettings, SlaveSide, TickTime, Trigger, TriggerSettings, TurningMaster,
     coupling::{AlignmentSettings, CommandBounds, RotationBounds, RotationLock},
     live::{
         DriverLoop, LiveSettings, Newest, PeerAddress, PeerSocket, RealtimeDemand, RealtimeSettings,
@@ -86,7 +86,7 @@ fn a_tick_of_both_sides_allocates_nothing() {
         let pusher = Pusher::shaped(PushShape::Ramp { rise_s: 0.1 }, 0.8, 1.0, Axes::<1>::new(3.0)).unwrap();
         let plant = arm_before_wall(0.0, Some(pusher), 0.02);
         let jaws = GripperSettings { position: 0.0, speed: 2.0, force_n: 40.0, object: Some(0.6) };
-        let gripper = LedGripper::simulated(jaws).unwrap();
+        let gripper = SlaveGripper::simulated(jaws).unwrap();
         let mut slave =
             SlaveSide::new(plant, SlaveEndpoint::new(&settings).unwrap()).with_gripper(Some(gripper));
         let mut buffer = [0; MAX_FRAME];
@@ -145,7 +145,7 @@ fn a_tick_of_a_trigger_that_is_felt_allocates_nothing() {
     let mut master = MasterSide::new(plant, endpoint, Clutch::Once)
         .unwrap()
         .with_trigger(Some(Trigger::Held(Box::new(held))))
-        .feeling();
+        .recording_trigger();
     let settings = SlaveSettings {
         period_ns: MS,
         run_id: 2,
@@ -156,7 +156,7 @@ fn a_tick_of_a_trigger_that_is_felt_allocates_nothing() {
     let plant = arm_before_wall(1.0, None, 2.0);
     let jaws = GripperSettings { position: 0.0, speed: 2.0, force_n: 40.0, object: Some(0.6) };
     let mut slave = SlaveSide::new(plant, SlaveEndpoint::new(&settings).unwrap())
-        .with_gripper(Some(LedGripper::simulated(jaws).unwrap()));
+        .with_gripper(Some(SlaveGripper::simulated(jaws).unwrap()));
     let mut buffer = [0; MAX_FRAME];
     let (mut tripped, mut felt) = (false, 0.0_f64);
 
@@ -290,7 +290,7 @@ fn poses_allocate_nothing(alignment: Option<AlignmentSettings>) {
     let mut master = MasterSide::new(turning_master(), endpoint, Clutch::Once)
         .unwrap()
         .with_trigger(Some(trigger))
-        .turning();
+        .recording_rotation();
     let settings = SlaveSettings {
         period_ns: MS,
         run_id: 2,
@@ -307,8 +307,8 @@ fn poses_allocate_nothing(alignment: Option<AlignmentSettings>) {
     let jaws = GripperSettings { position: 0.0, speed: 2.0, force_n: 40.0, object: Some(0.6) };
     let endpoint = SlaveEndpoint::of_pose(&settings, &rotation).unwrap();
     let mut slave = SlaveSide::new(holding_tool(if alignment.is_some() { 0.1 } else { 0.0 }), endpoint)
-        .with_gripper(Some(LedGripper::simulated(jaws).unwrap()))
-        .turning();
+        .with_gripper(Some(SlaveGripper::simulated(jaws).unwrap()))
+        .recording_rotation();
     let mut buffer = [0; MAX_FRAME];
     let (mut tripped, mut holds, mut turned, mut aligning) = (false, false, 0.0_f64, 0);
 

@@ -144,7 +144,7 @@ fn infinite_or<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<f64,
 }
 
 /// 2^52: every number from here on is whole.
-const WHOLE: f64 = 4_503_599_627_370_496.0;
+const INTEGERS_FROM: f64 = 4_503_599_627_370_496.0;
 
 /// Rounds to a multiple of `quantum`; 0 leaves the value unchanged.
 #[inline(always)]
@@ -154,16 +154,16 @@ pub(crate) fn quantised<S: Real>(value: S, quantum: S, is_exact: bool) -> S {
     }
     let count = value / quantum;
     // From 2^52 quanta on, a value is already whole or infinite.
-    let has_parts = count.magnitude().simd_lt(S::splat(WHOLE));
-    let whole = if S::LANES == 1 { S::splat(nearest_whole(count.extract(0))) } else { count.rounded() };
-    (whole * quantum).select(quantum.simd_gt(S::splat(0.0)) & has_parts, value)
+    let has_parts = count.magnitude().simd_lt(S::splat(INTEGERS_FROM));
+    let integer = if S::LANES == 1 { S::splat(nearest_integer(count.extract(0))) } else { count.rounded() };
+    (integer * quantum).select(quantum.simd_gt(S::splat(0.0)) & has_parts, value)
 }
 
 /// The nearest whole number below 2^52 in absolute value, halves away from zero: [`f64::round`] without a
 /// call.
 #[inline(always)]
 #[allow(clippy::cast_possible_truncation, clippy::cast_precision_loss)] // truncation is intended
-fn nearest_whole(number: f64) -> f64 {
+fn nearest_integer(number: f64) -> f64 {
     // Exactly 0.5 would round 0.49999999999999994 up to 1.
     let shifted = number + (0.5_f64).next_down().copysign(number);
     (shifted as i64 as f64).copysign(number)
@@ -232,11 +232,11 @@ mod tests {
                 }),
                 Just(-0.0),
                 Just(5e-324),
-                Just(WHOLE.next_down()),
-                Just(-WHOLE.next_down()),
+                Just(INTEGERS_FROM.next_down()),
+                Just(-INTEGERS_FROM.next_down()),
             ],
         ) {
-            prop_assert_eq!(nearest_whole(number).to_bits(), number.round().to_bits(), "{}", number);
+            prop_assert_eq!(nearest_integer(number).to_bits(), number.round().to_bits(), "{}", number);
         }
     }
 

@@ -103,8 +103,11 @@ impl<const N: usize> Hand<N> {
                 require("grip strength", strength_n, true, "finite, for a release of the strength")?;
             }
         }
-        let release =
-            release.map(|one| Release { at_s: whole_ns(one.at_s), decay_s: or_at_once(one.decay_s), ..one });
+        let release = release.map(|one| Release {
+            at_s: rounded_to_ns(one.at_s),
+            decay_s: or_at_once(one.decay_s),
+            ..one
+        });
         let schedule = release.map(|release| grip_times(release, None));
         Ok(Self { stiffness, damping, strength_n, path, release, regrasp: None, schedule, tremor: None })
     }
@@ -286,13 +289,13 @@ pub(crate) fn or_at_once(duration_s: f64) -> f64 {
 /// that a sudden grip falls on its tick.
 fn grip_times(release: Release, regrasp: Option<Regrasp>) -> [f64; 3] {
     let Regrasp { reaction_s, rise_s } = regrasp.unwrap_or(Regrasp { reaction_s: 0.0, rise_s: 0.0 });
-    let ends = whole_ns(release.at_s + release.decay_s);
-    let begins = whole_ns(ends + reaction_s);
-    [ends, begins, whole_ns(begins + rise_s)]
+    let ends = rounded_to_ns(release.at_s + release.decay_s);
+    let begins = rounded_to_ns(ends + reaction_s);
+    [ends, begins, rounded_to_ns(begins + rise_s)]
 }
 
 /// Round s to whole ns: a sum of decimal seconds differs from its tick by rounding.
-pub(crate) fn whole_ns(time_s: f64) -> f64 {
+pub(crate) fn rounded_to_ns(time_s: f64) -> f64 {
     (time_s * 1e9).round() / 1e9
 }
 

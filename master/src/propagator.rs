@@ -220,7 +220,7 @@ fn respond(f: &dyn Fn(usize) -> f64, k: f64, c: f64, t: f64) -> [f64; 2] {
 
 /// The hand's intent from an instant on, computed once for the end of one tick and the start of the next.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Outlook<const N: usize> {
+pub(crate) struct HandForecast<const N: usize> {
     /// Instant in s.
     pub(crate) time: f64,
     /// Path from there, in powers of the time.
@@ -244,11 +244,11 @@ pub(crate) struct Outlook<const N: usize> {
     pub(crate) until: f64,
 }
 
-impl<const N: usize> Outlook<N> {
+impl<const N: usize> HandForecast<N> {
     pub(crate) fn new(hand: &Hand<N>, t: f64) -> Self {
         let (gain, strength) = hand.grip_line(t);
         let leg = hand.path().leg_at(t);
-        let mut outlook = Self {
+        let mut forecast = Self {
             time: t,
             path: hand.path().taylor_in(leg, t),
             leg,
@@ -261,9 +261,9 @@ impl<const N: usize> Outlook<N> {
             grip: [gain, strength],
             until: hand.next_kink(t).unwrap_or(f64::INFINITY),
         };
-        outlook.moves = outlook.path[1..].iter().any(|term| *term != Axes::<N>::zeros());
-        outlook.shake(hand, 0);
-        outlook
+        forecast.moves = forecast.path[1..].iter().any(|term| *term != Axes::<N>::zeros());
+        forecast.update_tremor(hand, 0);
+        forecast
     }
 
     /// Path of the target along one axis without its constant term: the coefficients of t, t², ...
@@ -303,14 +303,14 @@ impl<const N: usize> Outlook<N> {
             let (gain, strength) = hand.grip_line(t);
             self.grip = [gain, strength];
         }
-        self.shake(hand, past_ns);
+        self.update_tremor(hand, past_ns);
     }
 
     /// Update the tremor `past_ns` after the last update; 0 for the first.
     ///
     /// Ticks of equal length advance the phase by one angle d: `sin(p + d) = sin p cos d + cos p sin d`.
     #[inline]
-    fn shake(&mut self, hand: &Hand<N>, past_ns: u64) {
+    fn update_tremor(&mut self, hand: &Hand<N>, past_ns: u64) {
         self.target = self.path[0];
         let Some(tremor) = hand.tremor() else {
             return;
@@ -364,19 +364,19 @@ mod tests {
             lengths in prop::collection::vec((prop_oneof![1..2_000_000u64, 1..200_000_000u64], 1..60usize), 1..30),
         ) {
             let hand = trembling(frequency_hz);
-            let (mut outlook, mut now_ns) = (Outlook::new(&hand, 0.0), 0);
+            let (mut forecast, mut now_ns) = (HandForecast::new(&hand, 0.0), 0);
             for (length_ns, ticks) in lengths {
                 let mut turned = 0;
                 for tick in 0..ticks {
                     now_ns += length_ns;
                     let t = now_ns as f64 / 1e9;
-                    outlook.advance(&hand, t, length_ns);
+                    forecast.advance(&hand, t, length_ns);
                     let [phase, angle] = [t, length_ns as f64 * 1e-9].map(|t| std::f64::consts::TAU * frequency_hz * t);
                     let rounding = f64::from(MAX_TURNS) * (3e-16 + 4e-16 * angle) + 2.0 * f64::EPSILON * phase;
-                    prop_assert!((outlook.wave[0] - phase.sin()).abs() <= rounding, "tick {tick} at {t}");
-                    prop_assert!((outlook.wave[1] - phase.cos()).abs() <= rounding, "tick {tick} at {t}");
-                    prop_assert_eq!(outlook.target[0], 0.02 + 1e-3 * outlook.wave[0]);
-                    turned += outlook.turns;
+                    prop_assert!((forecast.wave[0] - phase.sin()).abs() <= rounding, "tick {tick} at {t}");
+                    prop_assert!((forecast.wave[1] - phase.cos()).abs() <= rounding, "tick {tick} at {t}");
+                    prop_assert_eq!(forecast.target[0], 0.02 + 1e-3 * forecast.wave[0]);
+                    turned += forecast.turns;
                 }
                 prop_assert!(ticks < 4 || turned > 0, "ticks of one length are turned");
             }

@@ -45,5 +45,5 @@ pub use proxy::{
     DirectionStatistics, MAX_DATAGRAM, MAX_FLOWS, Proxy, ProxyControl, ProxyError, ProxyMonitor,
     ProxySettings, ProxyStatistics, ScheduleBefore, Scheduling, SchedulingError, Source, schedule_fifo,
 };
-pub use reply::{Asker, ReplySocket};
+pub use reply::{ReplyAddress, ReplySocket};
 pub use verdict::{DropCause, Extra, ExtraCause, Judgement, Verdict};

@@ -43,8 +43,8 @@ impl Stream {
     /// [`bits`](Self::bits) of [`LANES`] packets from `first`, a multiple of [`LANES`]. Uses vectors of four
     /// where the processor has them.
     #[inline(never)]
-    fn side_by_side(self, first: u64) -> [u64; LANES] {
-        let draws = SideBySide { stream: self, first };
+    fn lane_bits(self, first: u64) -> [u64; LANES] {
+        let draws = LaneBits { stream: self, first };
         #[cfg(target_arch = "x86_64")]
         if let Some(processor) = pulp::x86::V3::try_new() {
             return pulp::Simd::vectorize(processor, draws);
@@ -78,12 +78,12 @@ impl Stream {
 const LANES: usize = 16;
 
 /// [`LANES`] consecutive draws, compiled for each kind of processor.
-struct SideBySide {
+struct LaneBits {
     stream: Stream,
     first: u64,
 }
 
-impl pulp::WithSimd for SideBySide {
+impl pulp::WithSimd for LaneBits {
     type Output = [u64; LANES];
 
     #[inline(always)]
@@ -193,7 +193,7 @@ pub(crate) struct InTurn {
 impl InTurn {
     pub(crate) fn new(stream: Stream) -> Self {
         // Detects the processor's features now, not at the first packet.
-        Self { stream, block: Some(0), bits: stream.side_by_side(0) }
+        Self { stream, block: Some(0), bits: stream.lane_bits(0) }
     }
 
     #[inline]
@@ -202,7 +202,7 @@ impl InTurn {
         let block = index / WIDTH;
         if self.block != Some(block) {
             self.block = Some(block);
-            self.bits = self.stream.side_by_side(block * WIDTH);
+            self.bits = self.stream.lane_bits(block * WIDTH);
         }
         self.bits[usize::try_from(index % WIDTH).unwrap_or(0)]
     }
@@ -234,9 +234,9 @@ mod tests {
         let stream = Stream::new(0xfedc_ba98_7654_3210, Direction::Forward, Impairment::Jitter as u16);
         for first in [0, 32, u64::from(u32::MAX) - 15, u64::MAX - 15] {
             let expected: [_; LANES] = std::array::from_fn(|lane| stream.bits(first + lane as u64));
-            assert_eq!(SideBySide { stream, first }.with_simd(pulp::Scalar), expected, "{first}");
+            assert_eq!(LaneBits { stream, first }.with_simd(pulp::Scalar), expected, "{first}");
             // With AVX2, if this machine has it.
-            assert_eq!(stream.side_by_side(first), expected, "{first}");
+            assert_eq!(stream.lane_bits(first), expected, "{first}");
         }
     }
 

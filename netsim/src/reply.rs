@@ -22,14 +22,14 @@ const REPORT: usize = 40;
 
 /// Sender of a datagram, and the local address it was sent to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Asker {
+pub struct ReplyAddress {
     /// Sender, to which replies go.
     pub from: SocketAddr,
     /// Source address of replies; `None` if the system chooses.
     pub asked: Option<IpAddr>,
 }
 
-impl From<SocketAddr> for Asker {
+impl From<SocketAddr> for ReplyAddress {
     /// Peer that receives from the address that the system chooses.
     fn from(from: SocketAddr) -> Self {
         Self { from, asked: None }
@@ -62,7 +62,10 @@ pub(crate) fn report_asked(socket: &UdpSocket) -> io::Result<()> {
 }
 
 /// Sender of a datagram, and its destination address if the socket reports it.
-pub(crate) fn asker<S>(message: &RecvMsg<'_, '_, S>, seen: Option<&SockaddrStorage>) -> Option<Asker> {
+pub(crate) fn reply_address<S>(
+    message: &RecvMsg<'_, '_, S>,
+    seen: Option<&SockaddrStorage>,
+) -> Option<ReplyAddress> {
     let seen = seen?;
     let v4 = seen.as_sockaddr_in().map(|seen| SocketAddrV4::from(*seen).into());
     let from = v4.or_else(|| seen.as_sockaddr_in6().map(|seen| SocketAddrV6::from(*seen).into()))?;
@@ -76,7 +79,7 @@ pub(crate) fn asker<S>(message: &RecvMsg<'_, '_, S>, seen: Option<&SockaddrStora
     });
     // A multicast address cannot be a source.
     let asked = asked.find(|ip| !ip.is_multicast() && !ip.is_unspecified());
-    Some(Asker { from, asked })
+    Some(ReplyAddress { from, asked })
 }
 
 /// Buffers for one `sendmmsg` call, reserved once.
@@ -169,7 +172,7 @@ impl ReplySocket {
     /// # Errors
     ///
     /// Errors of [`UdpSocket::recv_from`].
-    pub fn receive(&self, buffer: &mut [u8]) -> io::Result<(usize, Asker)> {
+    pub fn receive(&self, buffer: &mut [u8]) -> io::Result<(usize, ReplyAddress)> {
         let mut report = Report([0; REPORT]);
         let mut parts = [IoSliceMut::new(buffer)];
         let message = recvmsg::<SockaddrStorage>(
@@ -178,16 +181,18 @@ impl ReplySocket {
             Some(&mut report.0),
             MsgFlags::empty(),
         )?;
-        let asker = asker(&message, message.address.as_ref());
-        asker.map(|asker| (message.bytes, asker)).ok_or_else(|| io::ErrorKind::InvalidData.into())
+        let reply_address = reply_address(&message, message.address.as_ref());
+        reply_address
+            .map(|reply_address| (message.bytes, reply_address))
+            .ok_or_else(|| io::ErrorKind::InvalidData.into())
     }
 
-    /// Send a datagram to the asker, from the address it asked.
+    /// Send a datagram to `to.from`, from the local address `to.asked` if it is known.
     ///
     /// # Errors
     ///
     /// Errors of [`UdpSocket::send_to`].
-    pub fn send(&mut self, datagram: &[u8], to: Asker) -> io::Result<()> {
+    pub fn send(&mut self, datagram: &[u8], to: ReplyAddress) -> io::Result<()> {
         use std::os::fd::AsFd;
 
         let parts = [[IoSlice::new(datagram)]];
@@ -224,11 +229,11 @@ mod tests {
             client.set_read_timeout(Some(std::time::Duration::from_secs(5))).unwrap();
             client.send(b"question").unwrap();
             let mut buffer = [0; 16];
-            let (length, asker) = socket.receive(&mut buffer).unwrap();
+            let (length, reply_address) = socket.receive(&mut buffer).unwrap();
             assert_eq!(&buffer[..length], b"question");
-            assert_eq!(asker.asked, reported.map(|text| text.parse().unwrap()), "{bound} {asked}");
+            assert_eq!(reply_address.asked, reported.map(|text| text.parse().unwrap()), "{bound} {asked}");
             for round in 0..3 {
-                socket.send(b"answer", asker).unwrap();
+                socket.send(b"answer", reply_address).unwrap();
                 assert_eq!(client.recv(&mut buffer).unwrap(), 6, "{bound} {asked} {round}");
             }
         }

@@ -70,9 +70,9 @@ pub struct Occupancy {
 #[derive(Clone, Copy, Debug, Default)]
 struct Absence {
     /// Ticks left.
-    left: u32,
+    remaining: u32,
     /// Ticks at its start.
-    whole: u32,
+    length: u32,
 }
 
 impl Occupancy {
@@ -92,9 +92,9 @@ impl Occupancy {
     #[inline(never)] // rare
     pub fn due(&mut self, lanes: u64) -> u64 {
         lanes_of(lanes & !self.loaded, self.absences.len()).fold(0, |due, lane| {
-            let Absence { left, .. } = &mut self.absences[lane];
-            *left = left.saturating_sub(1);
-            due | u64::from(*left == 0) << lane
+            let Absence { remaining, .. } = &mut self.absences[lane];
+            *remaining = remaining.saturating_sub(1);
+            due | u64::from(*remaining == 0) << lane
         })
     }
 
@@ -111,9 +111,9 @@ impl Occupancy {
     pub fn leave(&mut self, lanes: u64, before: u64) -> u64 {
         let left = lanes & self.loaded;
         for lane in lanes_of(left, self.absences.len()) {
-            let Absence { left, whole } = &mut self.absences[lane];
-            *whole = if before >> lane & 1 == 1 { 1 } else { (2 * *whole).clamp(1, MAX_ABSENCE) };
-            *left = *whole;
+            let Absence { remaining, length } = &mut self.absences[lane];
+            *length = if before >> lane & 1 == 1 { 1 } else { (2 * *length).clamp(1, MAX_ABSENCE) };
+            *remaining = *length;
         }
         self.loaded &= !left;
         left

@@ -26,7 +26,7 @@ pub type Axes<const N: usize, S = f64> = SVector<S, N>;
 #[inline(always)] // as every check of a tick
 pub fn is_within<const N: usize, S: Real>(value: &Axes<N, S>, bound: f64) -> S::SimdBool {
     // A comparison with NaN is false, so one test covers NaN, infinity and values out of range.
-    value.iter().fold(!nowhere::<S>(), |all, x| all & x.magnitude().simd_le(S::splat(bound)))
+    value.iter().fold(!no_lanes::<S>(), |all, x| all & x.magnitude().simd_le(S::splat(bound)))
 }
 
 /// Real number: one `f64`, or several that are computed at once, one per lane.
@@ -104,20 +104,20 @@ pub fn norm<const N: usize, S: Real>(value: &Axes<N, S>) -> S {
 
 /// Return false in all lanes.
 #[inline(always)]
-pub fn nowhere<S: Real>() -> S::SimdBool {
+pub fn no_lanes<S: Real>() -> S::SimdBool {
     S::splat(0.0).simd_lt(S::splat(0.0))
 }
 
 /// Return true in all lanes.
 #[inline(always)]
-pub fn everywhere<S: Real>() -> S::SimdBool {
+pub fn all_lanes<S: Real>() -> S::SimdBool {
     S::splat(0.0).simd_le(S::splat(0.0))
 }
 
 /// Mask of lanes in which every axis is finite.
 #[inline(always)]
 pub fn is_finite<const N: usize, S: Real>(value: &Axes<N, S>) -> S::SimdBool {
-    value.iter().fold(everywhere::<S>(), |all, x| all & (*x * S::zero()).simd_eq(S::zero()))
+    value.iter().fold(all_lanes::<S>(), |all, x| all & (*x * S::zero()).simd_eq(S::zero()))
 }
 
 /// Select one of two numbers in each lane; for `f64` only the selected one is computed.

@@ -9,7 +9,7 @@ use crate::{
         SafetySettings,
     },
     estimator::{AnyEstimator, Estimator, EstimatorKind, MeasuredVelocity, Motion},
-    limiter::{Acted, Limiter, LimiterSettings, SaturatedForce},
+    limiter::{ActiveLimits, Limiter, LimiterSettings, SaturatedForce},
     plausible::{Between, Excess, Guard, Judged, MAX_HELD, Parts, Sample, SampleBounds},
 };
 use haptether_numeric::{option, pack, part, shared};
@@ -52,7 +52,7 @@ pub struct SafetyLayer<const N: usize, S = f64> {
     rendered: Option<AnyEstimator<N, S>>,
     last_rendered: Axes<N, S>,
     /// Force that the device was asked to render at the last tick.
-    asked: Axes<N, S>,
+    asked_force: Axes<N, S>,
     /// Limiter of `F_v` alone: norm, growth and ramp-in.
     rendering: Limiter<N, S>,
     controller: SafetyController<N, S>,
@@ -104,13 +104,13 @@ struct HeldTick<const N: usize> {
     /// `F_device` in N up to this tick.
     device_force: Axes<N>,
     /// Force in N that the device was asked to render up to this tick.
-    asked: Axes<N>,
+    asked_force: Axes<N>,
 }
 
 impl<const N: usize> Entry<N> {
     fn new(guard: Guard<N>) -> Self {
         let zeros = Axes::zeros();
-        let nothing = HeldTick { at: 0.0, rendered_force: zeros, device_force: zeros, asked: zeros };
+        let nothing = HeldTick { at: 0.0, rendered_force: zeros, device_force: zeros, asked_force: zeros };
         let (last, held) = (LastTick::still(), [nothing; MAX_HELD + 1]);
         Self { guard, last, held, count: 0, recalled: None, excess: None }
     }
@@ -122,7 +122,7 @@ impl<const N: usize> Entry<N> {
 
     /// Restore the state before the first tick.
     fn clear(&mut self, at: &Sample<N>) {
-        self.guard.begin_anew(at);
+        self.guard.restart_at(at);
         (self.last, self.count, self.recalled, self.excess) = (LastTick::still(), 0, None, None);
     }
 }
@@ -143,7 +143,7 @@ impl<const N: usize> SafetyLayer<N> {
                 .then(|| estimator.build(*period_s))
                 .transpose()?,
             last_rendered: Axes::zeros(),
-            asked: Axes::zeros(),
+            asked_force: Axes::zeros(),
             controller: SafetyController::new(device, *period_s, safety)?,
             rendering: Limiter::new(*period_s, *limiter)?,
             limiter: Limiter::new(*period_s, LimiterSettings { ramp_in_s: 0.0, ..*limiter })?,
@@ -336,8 +336,8 @@ impl<const N: usize> SafetyLayer<N> {
     }
 
     fn hold_forces(&mut self, at: f64, rendered_force: Axes<N>) {
-        let Self { device_force, asked, .. } = *self;
-        self.entry.hold(HeldTick { at, rendered_force, device_force, asked });
+        let Self { device_force, asked_force, .. } = *self;
+        self.entry.hold(HeldTick { at, rendered_force, device_force, asked_force });
     }
 
     /// Restore the forces that acted at a tick to catch up with.
@@ -346,7 +346,7 @@ impl<const N: usize> SafetyLayer<N> {
         let entry = &mut self.entry;
         let now = entry.held[..entry.count].iter().position(|held| held.at >= at);
         if let Some(held) = now.map(|now| entry.held[now]) {
-            (self.device_force, self.asked) = (held.device_force, held.asked);
+            (self.device_force, self.asked_force) = (held.device_force, held.asked_force);
             if now == Some(entry.count - 1) {
                 (entry.count, entry.recalled) = (0, None);
             } else {
@@ -357,8 +357,8 @@ impl<const N: usize> SafetyLayer<N> {
 
     /// Return the accepted sample, or the prediction while the newest sample is held.
     #[inline]
-    pub fn taken(&self) -> &Sample<N> {
-        self.entry.guard.taken()
+    pub fn sample_in_use(&self) -> &Sample<N> {
+        self.entry.guard.sample_in_use()
     }
 
     /// Return the guard of the samples.
@@ -400,7 +400,7 @@ impl<const N: usize> SafetyLayer<N> {
     /// samples.
     pub(crate) fn missed(&mut self, position: &Axes<N>, velocity: Option<&Axes<N>>) {
         if let Some(seen) = self.missed_observation(position, velocity, &mut PointMass) {
-            self.controller.carry(&seen);
+            self.controller.skip_tick(&seen);
         }
     }
 
@@ -436,13 +436,13 @@ impl<const N: usize> SafetyLayer<N> {
     ) {
         self.device_force = to_middle(&self.device_force);
         self.last_rendered = to_middle(&self.last_rendered);
-        self.asked = to_middle(&self.asked);
+        self.asked_force = to_middle(&self.asked_force);
         self.rendering.turn(&to_now);
         self.limiter.turn(&to_now);
         for held in &mut self.entry.held[..self.entry.count] {
             held.rendered_force = to_now(&held.rendered_force);
             held.device_force = to_now(&held.device_force);
-            held.asked = to_now(&held.asked);
+            held.asked_force = to_now(&held.asked_force);
         }
     }
 
@@ -458,7 +458,7 @@ impl<const N: usize> SafetyLayer<N> {
 
     pub(crate) fn stop(&mut self, fault: Fault) -> SafetyTick<N> {
         self.fault = Some(fault);
-        (self.device_force, self.asked) = (Axes::zeros(), Axes::zeros());
+        (self.device_force, self.asked_force) = (Axes::zeros(), Axes::zeros());
         self.rendering.reset();
         self.limiter.reset();
         (self.entry.last, self.entry.count) = (LastTick::still(), 0);
@@ -507,7 +507,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
             measured: part(of, |one| &one.measured, MeasuredVelocity::gather)?,
             rendered: option(of, |one| one.rendered.as_ref(), AnyEstimator::gather)?,
             last_rendered: pack(of, |one| one.last_rendered)?,
-            asked: pack(of, |one| one.asked)?,
+            asked_force: pack(of, |one| one.asked_force)?,
             rendering: part(of, |one| &one.rendering, Limiter::gather)?,
             controller: part(of, |one| &one.controller, SafetyController::gather)?,
             limiter: part(of, |one| &one.limiter, Limiter::gather)?,
@@ -600,8 +600,8 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
     fn ask(&mut self, rendered_force: &Axes<N, S>) {
         self.last_rendered = *rendered_force;
         // The force of a research controller does not count as asked.
-        self.asked = match self.research {
-            None => self.controller.asked(rendered_force, &self.device_force),
+        self.asked_force = match self.research {
+            None => self.controller.asked_force(rendered_force, &self.device_force),
             Some(_) => rendered_force * self.controller.let_through(),
         };
     }
@@ -652,11 +652,11 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
     ) -> Axes<N, S> {
         match (&mut self.rendered, velocity) {
             // F_h is a mean over the last tick, during which the device rendered this force.
-            (Some(_), Some(_)) => self.asked,
+            (Some(_), Some(_)) => self.asked_force,
             (Some(kernel), None) => {
                 // The kernel may depend on the motion, so it sees the same positions.
                 kernel.step(position);
-                kernel.align(&self.asked)
+                kernel.align(&self.asked_force)
             }
             (None, _) => *rendered_force,
         }
@@ -669,7 +669,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         if let Some(kernel) = &mut self.rendered {
             kernel.reset(position);
         }
-        (self.last_rendered, self.asked) = (Axes::zeros(), Axes::zeros());
+        (self.last_rendered, self.asked_force) = (Axes::zeros(), Axes::zeros());
         self.controller.reset();
         if let Some(research) = &mut self.research {
             research.reset();
@@ -733,7 +733,7 @@ pub struct SafetyTick<const N: usize> {
     /// `F_c` and the observers' values.
     pub intervention: Intervention<N>,
     /// The bounds that acted.
-    pub acted: Acted,
+    pub acted: ActiveLimits,
     /// Energy in J that PC requested to dissipate and the bounds prevented.
     pub owed_energy_j: f64,
     /// Fault that keeps the force at zero. It stays until
@@ -750,7 +750,7 @@ impl<const N: usize> SafetyTick<N> {
             grasp_force: Axes::zeros(),
             device_force: Axes::zeros(),
             intervention: Intervention::none(),
-            acted: Acted::default(),
+            acted: ActiveLimits::default(),
             owed_energy_j: 0.0,
             fault: None,
         }

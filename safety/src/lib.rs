@@ -25,7 +25,7 @@ pub use fault::{Fault, Signal};
 pub use grasp::DeviceModel;
 pub use haptether_numeric::{Axes, Real, is_within, norm};
 pub use layer::{Advance, LayerSettings, SafetyLayer, SafetyTick};
-pub use limiter::{Acted, Limited, Limiter, LimiterSettings, SaturatedForce};
+pub use limiter::{ActiveLimits, Limited, Limiter, LimiterSettings, SaturatedForce};
 pub use observer::Observation;
 pub use parameter::ParameterError;
 pub use plausible::{Excess, Guard, Sample, SampleBounds, Track, Turned};

@@ -6,7 +6,7 @@ use crate::{
     Axes, ParameterError, Real,
     parameter::{in_range, positive},
 };
-use haptether_numeric::{choose, choose_axes, norm, nowhere, pack};
+use haptether_numeric::{choose, choose_axes, no_lanes, norm, pack};
 
 /// Limits of the force that a device is commanded to exert.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,9 +48,9 @@ impl Default for LimiterSettings {
 
 /// Set of limits that acted at a tick.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Acted(u8);
+pub struct ActiveLimits(u8);
 
-impl Acted {
+impl ActiveLimits {
     /// The norm was clipped.
     pub const NORM: Self = Self(1);
     /// The growth was limited.
@@ -85,7 +85,7 @@ pub struct Limited<const N: usize> {
     /// The force in N.
     pub force: Axes<N>,
     /// The limits that acted.
-    pub acted: Acted,
+    pub acted: ActiveLimits,
 }
 
 /// Limited force and the mask of each limit.
@@ -108,14 +108,16 @@ pub struct SaturatedForce<const N: usize, S: Real = f64> {
 impl<const N: usize, S: Real> SaturatedForce<N, S> {
     /// Return the limits that acted in one lane.
     #[inline(always)]
-    pub fn acted(&self, lane: usize) -> Acted {
-        let bit = |mask: S::SimdBool, bound: Acted| if mask.bitmask() >> lane & 1 == 1 { bound.0 } else { 0 };
-        Acted(
-            bit(self.norm, Acted::NORM)
-                | bit(self.slew, Acted::SLEW)
-                | bit(self.power, Acted::POWER)
-                | bit(self.ramp, Acted::RAMP)
-                | bit(self.fault, Acted::FAULT),
+    pub fn acted(&self, lane: usize) -> ActiveLimits {
+        let bit = |mask: S::SimdBool, bound: ActiveLimits| {
+            if mask.bitmask() >> lane & 1 == 1 { bound.0 } else { 0 }
+        };
+        ActiveLimits(
+            bit(self.norm, ActiveLimits::NORM)
+                | bit(self.slew, ActiveLimits::SLEW)
+                | bit(self.power, ActiveLimits::POWER)
+                | bit(self.ramp, ActiveLimits::RAMP)
+                | bit(self.fault, ActiveLimits::FAULT),
         )
     }
 }
@@ -213,7 +215,7 @@ impl<const N: usize, S: Real> Limiter<N, S> {
         let (mut force, velocity) = (*requested_force, *velocity);
         let Self { max_force_n, max_power_w, step_n: most_growth, ramp_ticks, ticks, .. } = *self;
         // A comparison with NaN is false, so the limits below would let a NaN pass.
-        let mut is_finite = !nowhere::<S>();
+        let mut is_finite = !no_lanes::<S>();
         for axis in 0..N {
             for number in [force[axis], velocity[axis]] {
                 is_finite = is_finite & number.magnitude().simd_lt(S::splat(f64::INFINITY));
@@ -224,7 +226,7 @@ impl<const N: usize, S: Real> Limiter<N, S> {
         self.ticks = (ticks + S::splat(1.0)).select(ramp, ticks);
         if S::LANES == 1 && is_finite.all() && is_none(&force) {
             // A zero force meets every limit.
-            let no = nowhere::<S>();
+            let no = no_lanes::<S>();
             self.last = force;
             return SaturatedForce { force, norm: no, slew: no, power: no, ramp, fault: no };
         }
@@ -297,10 +299,16 @@ mod tests {
 
     #[test]
     fn bounds_are_distinct() {
-        let bounds = [Acted::NORM, Acted::SLEW, Acted::POWER, Acted::RAMP, Acted::FAULT];
+        let bounds = [
+            ActiveLimits::NORM,
+            ActiveLimits::SLEW,
+            ActiveLimits::POWER,
+            ActiveLimits::RAMP,
+            ActiveLimits::FAULT,
+        ];
         for (place, one) in bounds.into_iter().enumerate() {
             assert_eq!(one.bits(), 1 << place);
-            assert!(one.contains(Acted::default()) && !Acted::default().contains(one));
+            assert!(one.contains(ActiveLimits::default()) && !ActiveLimits::default().contains(one));
             for other in bounds {
                 let both = one.and(other);
                 assert_eq!(both.bits(), one.bits() | other.bits());
@@ -328,7 +336,12 @@ mod tests {
             ramp: only(3),
             fault: only(3),
         };
-        let acted = [Acted::NORM, Acted::SLEW, Acted::POWER, Acted::RAMP.and(Acted::FAULT)];
+        let acted = [
+            ActiveLimits::NORM,
+            ActiveLimits::SLEW,
+            ActiveLimits::POWER,
+            ActiveLimits::RAMP.and(ActiveLimits::FAULT),
+        ];
         for (lane, acted) in acted.into_iter().enumerate() {
             assert_eq!(saturated.acted(lane), acted);
         }
@@ -343,7 +356,7 @@ mod tests {
             let Limited { force, acted } = limiter.step(&requested, &Axes::zeros());
             // Multiples of 1/8 are exact.
             assert_eq!(force, requested * (f64::from(tick.min(8)) / 8.0));
-            assert_eq!(acted.contains(Acted::RAMP), tick < 8);
+            assert_eq!(acted.contains(ActiveLimits::RAMP), tick < 8);
         }
         limiter.reset();
         assert_eq!(limiter.step(&requested, &Axes::zeros()).force, Axes::<2>::zeros());
@@ -363,7 +376,7 @@ mod tests {
                 let mut limiter = Limiter::<3>::new(1e-3, OPEN).unwrap();
                 let seen = limiter
                     .step(&Axes::from_column_slice(&values[..3]), &Axes::from_column_slice(&values[3..]));
-                assert_eq!((seen.force, seen.acted), (Axes::<3>::zeros(), Acted::FAULT), "{values:?}");
+                assert_eq!((seen.force, seen.acted), (Axes::<3>::zeros(), ActiveLimits::FAULT), "{values:?}");
             }
         }
     }
@@ -373,11 +386,11 @@ mod tests {
         let still = Axes::<1>::zeros();
         let requested = Axes::<1>::new(10.0);
         for (settings, velocity, force, bound) in [
-            (LimiterSettings { max_force_n: 4.0, ..OPEN }, still, 4.0, Acted::NORM),
-            (LimiterSettings { max_slew_n_per_s: 500.0, ..OPEN }, still, 0.5, Acted::SLEW),
-            (LimiterSettings { max_power_w: 3.0, ..OPEN }, Axes::<1>::new(2.0), 1.5, Acted::POWER),
-            (LimiterSettings { ramp_in_s: 0.01, ..OPEN }, still, 0.0, Acted::RAMP),
-            (OPEN, still, 10.0, Acted(0)),
+            (LimiterSettings { max_force_n: 4.0, ..OPEN }, still, 4.0, ActiveLimits::NORM),
+            (LimiterSettings { max_slew_n_per_s: 500.0, ..OPEN }, still, 0.5, ActiveLimits::SLEW),
+            (LimiterSettings { max_power_w: 3.0, ..OPEN }, Axes::<1>::new(2.0), 1.5, ActiveLimits::POWER),
+            (LimiterSettings { ramp_in_s: 0.01, ..OPEN }, still, 0.0, ActiveLimits::RAMP),
+            (OPEN, still, 10.0, ActiveLimits(0)),
         ] {
             let limited = Limiter::new(1e-3, settings).unwrap().step(&requested, &velocity);
             assert!((limited.force[0] - force).abs() < 1e-12, "{settings:?}");
@@ -391,7 +404,7 @@ mod tests {
         limiter.step(&Axes::<2>::new(1.0, 1.0), &Axes::zeros());
         for (force, speed) in [(f64::NAN, 0.0), (f64::INFINITY, 0.0), (1.0, f64::NAN)] {
             let limited = limiter.step(&Axes::<2>::new(0.0, force), &Axes::<2>::new(speed, 0.0));
-            assert_eq!(limited, Limited { force: Axes::zeros(), acted: Acted::FAULT });
+            assert_eq!(limited, Limited { force: Axes::zeros(), acted: ActiveLimits::FAULT });
         }
     }
 
@@ -424,7 +437,7 @@ mod tests {
                 let Limited { force, acted } = limiter.step(&requested, &velocity);
                 prop_assert!(force.norm() <= 7.9 * (1.0 + 1e-12));
                 prop_assert!(force.dot(&velocity) <= 5.0 + 1e-9);
-                if !acted.contains(Acted::POWER) {
+                if !acted.contains(ActiveLimits::POWER) {
                     prop_assert!(force.norm() <= last.norm() + 1.0 + 1e-9);
                 }
                 last = force;

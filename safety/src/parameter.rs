@@ -64,7 +64,7 @@ pub(crate) fn ratio(name: &'static str, symbol: &'static str, value: f64) -> Res
 }
 
 /// Check that a count lies between `low` and `high`; `allowed` describes the interval.
-pub(crate) fn whole(
+pub(crate) fn integer_in_range(
     name: &'static str,
     symbol: &'static str,
     count: usize,
@@ -117,9 +117,9 @@ mod tests {
             assert!(ratio("gain", "k", value).is_err());
         }
         for (count, accepted) in [(1, false), (2, true), (3, true), (4, false)] {
-            assert_eq!(whole("window", "n", count, 2, 3, "2 or 3").is_ok(), accepted);
+            assert_eq!(integer_in_range("window", "n", count, 2, 3, "2 or 3").is_ok(), accepted);
         }
-        assert_eq!(whole("window", "n", 3, 2, 3, "2 or 3"), Ok(3));
+        assert_eq!(integer_in_range("window", "n", 3, 2, 3, "2 or 3"), Ok(3));
         for value in [f64::NAN, f64::INFINITY] {
             assert!(finite("viscous", "b", value).is_err());
         }

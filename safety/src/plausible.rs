@@ -162,7 +162,7 @@ impl<const N: usize> Guard<N> {
 
     /// Return the accepted sample, or the prediction while the newest sample is held.
     #[inline]
-    pub fn taken(&self) -> &Sample<N> {
+    pub fn sample_in_use(&self) -> &Sample<N> {
         if self.count == 0 { &self.last } else { &self.predicted }
     }
 
@@ -183,7 +183,7 @@ impl<const N: usize> Guard<N> {
     }
 
     /// Forget the path. The next sample starts a path; until then [`taken`](Self::taken) returns `sample`.
-    pub fn begin_anew(&mut self, sample: &Sample<N>) {
+    pub fn restart_at(&mut self, sample: &Sample<N>) {
         let ([bounds, rotation], outliers) = (self.bounds, self.outliers);
         *self = Self { outliers, last: *sample, ..Self::new(bounds, rotation, self.period_s) };
     }

@@ -290,7 +290,7 @@ impl RotationLayer {
     /// The device kept its torque, and `orientation` lies between two samples.
     pub(crate) fn missed(&mut self, orientation: &UnitQuaternion<f64>, angular_velocity: Option<&Axes<3>>) {
         if let Some(seen) = self.missed_observation(orientation, angular_velocity) {
-            self.layer.controller().carry(&seen);
+            self.layer.controller().skip_tick(&seen);
         }
     }
 

@@ -143,13 +143,13 @@ impl<const N: usize> WrenchLayer<N> {
             let of_force = translation.controller().judge(&moves.seen);
             let of_torque = rotation.controller().judge(&turns.seen);
             let is_unsafe = of_force.is_unsafe() | of_torque.is_unsafe();
-            let by_force = translation.controller().feel(&moves.seen, authority, is_unsafe);
-            let by_torque = rotation.controller().feel(&turns.seen, authority, is_unsafe);
+            let by_force = translation.controller().step_probe(&moves.seen, authority, is_unsafe);
+            let by_torque = rotation.controller().step_probe(&turns.seen, authority, is_unsafe);
             let ease = together(by_force, by_torque, self.is_felt);
             if let Some(ease) = ease {
                 self.is_felt = ease != NOT_FELT;
-                translation.controller().agree(self.is_felt);
-                rotation.controller().agree(self.is_felt);
+                translation.controller().adopt_result(self.is_felt);
+                rotation.controller().adopt_result(self.is_felt);
             }
             let judged = Judged { is_unsafe, ease };
             let response = translation.controller().answer(&moves.seen, authority, &of_force, judged);
@@ -192,8 +192,8 @@ impl<const N: usize> WrenchLayer<N> {
     }
 
     /// Return the accepted sample, or the prediction while the newest sample is held.
-    pub fn taken(&self) -> &Sample<N> {
-        self.translation.taken()
+    pub fn sample_in_use(&self) -> &Sample<N> {
+        self.translation.sample_in_use()
     }
 
     /// Return the guard of the samples.
@@ -219,16 +219,16 @@ impl<const N: usize> WrenchLayer<N> {
             let (of_force, of_torque) = (translation.judge(&moves), rotation.judge(&turns));
             let is_unsafe = of_force.is_unsafe() | of_torque.is_unsafe();
             let ease = together(
-                translation.feel(&moves, UNDECIDED, is_unsafe),
-                rotation.feel(&turns, UNDECIDED, is_unsafe),
+                translation.step_probe(&moves, UNDECIDED, is_unsafe),
+                rotation.step_probe(&turns, UNDECIDED, is_unsafe),
                 self.is_felt,
             );
             let judged = Judged { is_unsafe, ease };
             translation.answer(&moves, 1.0, &of_force, judged);
             rotation.answer(&turns, 1.0, &of_torque, judged);
         } else {
-            translation.carry(&moves);
-            rotation.carry(&turns);
+            translation.skip_tick(&moves);
+            rotation.skip_tick(&turns);
         }
     }
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from haptether.bridge.devices.open import DeviceNotes, opened
-from haptether.bridge.interpreter import HOLDER_PRIORITY, QUIET
+from haptether.bridge.interpreter import HOLDER_PRIORITY, TUNING
 
 YOUNG = 100_000
 
@@ -31,11 +31,11 @@ class Heavy:
 
 @pytest.fixture
 def quiet() -> Iterator[None]:
-    QUIET.begin()
+    TUNING.begin()
     try:
         yield
     finally:
-        QUIET.end()
+        TUNING.end()
 
 
 def test_objects_made_while_opening_are_not_collected_in_the_loop(quiet: None) -> None:  # noqa: ARG001
@@ -75,25 +75,25 @@ def test_interpreter_holder_precedes_ordinary_processes(quiet: None) -> None:  #
     me = threading.get_native_id()
 
     def raised() -> None:
-        QUIET.prioritise()
+        TUNING.prioritise()
         seen.append((os.sched_getscheduler(me), os.sched_getparam(me).sched_priority))
 
-    QUIET.begin()
+    TUNING.begin()
     try:
         if not in_realtime(raised):
             pytest.skip("this system grants no SCHED_FIFO")
         assert seen == [(os.SCHED_FIFO, HOLDER_PRIORITY)]
         # One of two loops ends: the other still needs the priority.
-        QUIET.end()
+        TUNING.end()
         assert os.sched_getscheduler(0) == os.SCHED_FIFO
-        QUIET.end()
+        TUNING.end()
         assert os.sched_getscheduler(0) == before
     finally:
-        while QUIET.loops < 1:
-            QUIET.begin()
+        while TUNING.loops < 1:
+            TUNING.begin()
 
 
 def test_a_loop_without_real_time_raises_nobody(quiet: None) -> None:  # noqa: ARG001
     before = os.sched_getscheduler(0)
-    QUIET.prioritise()
+    TUNING.prioritise()
     assert os.sched_getscheduler(0) == before

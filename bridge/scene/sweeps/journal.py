@@ -91,10 +91,10 @@ class Journal:
                 message = f"{file}: is damaged ({error}): remove {self.folder} and begin again"
                 raise ValueError(message) from None
             _refuse_other(self.folder, stored, json.loads(json.dumps(request)))
-            batches = self._whole(batches)
+            batches = self._readable(batches)
         self._batches = batches
 
-    def _whole(self, batches: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    def _readable(self, batches: list[tuple[int, int]]) -> list[tuple[int, int]]:
         """Return the readable batches in sequence; remove the others for recomputation."""
         kept: list[tuple[int, int]] = []
         for first, end in batches:

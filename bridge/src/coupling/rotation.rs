@@ -329,7 +329,7 @@ impl RotationCoupling {
 
     /// Drop the anchor: the next [`commanded_orientation`](Self::commanded_orientation) continues from the
     /// given orientations.
-    pub(crate) fn let_go(&mut self) {
+    pub(crate) fn clear_anchor(&mut self) {
         self.anchor = None;
     }
 

@@ -148,7 +148,7 @@ impl<const N: usize> Arm<N> {
                 None => Ok(()),
                 Some(_) => SlaveRotation::check(reading.rotation.as_ref()),
             })
-            .and_then(|()| self.taken(now_ns, reading));
+            .and_then(|()| self.substitute(now_ns, reading));
         if let Err(fault) = checked {
             self.fault.get_or_insert(fault);
         }
@@ -157,7 +157,11 @@ impl<const N: usize> Arm<N> {
     }
 
     #[inline(always)] // once per tick, from few callers
-    fn taken(&mut self, now_ns: u64, reading: &SlaveReading<N>) -> Result<Option<SlaveReading<N>>, Fault> {
+    fn substitute(
+        &mut self,
+        now_ns: u64,
+        reading: &SlaveReading<N>,
+    ) -> Result<Option<SlaveReading<N>>, Fault> {
         let ticks = self.translation.sampled(now_ns);
         let SlaveReading { position, velocity, environment_force, rotation } = reading;
         let turned = rotation.as_ref().filter(|_| self.rotation.is_some()).map(|state| Turned {
@@ -167,7 +171,7 @@ impl<const N: usize> Arm<N> {
         let sample = Sample { position: *position, velocity: Some(*velocity), rotation: turned };
         if let Err(excess) = self.guard.pass(&sample, ticks) {
             // The guard restarts its path at once; the fault lasts until it is acknowledged.
-            self.guard.begin_anew(&sample);
+            self.guard.restart_at(&sample);
             self.excess.get_or_insert(excess);
             return Err(excess.fault());
         }
@@ -175,7 +179,7 @@ impl<const N: usize> Arm<N> {
             self.wrench = (*environment_force, rotation.map_or(Axes::zeros(), |state| state.torque));
             return Ok(None);
         }
-        let Sample { position, velocity, rotation } = *self.guard.taken();
+        let Sample { position, velocity, rotation } = *self.guard.sample_in_use();
         let (environment_force, torque) = self.wrench;
         let rotation = rotation.map(|Turned { orientation, angular_velocity }| RotationState {
             orientation,
@@ -298,9 +302,9 @@ impl<const N: usize> Arm<N> {
 
     /// Record that the arm stops following and comes to rest at `rest` in m, and a pose at `orientation`. The
     /// next engagement continues from there.
-    pub(crate) fn rests(&mut self, rest: &Axes<N>, orientation: Option<&UnitQuaternion<f64>>) {
+    pub(crate) fn set_rest(&mut self, rest: &Axes<N>, orientation: Option<&UnitQuaternion<f64>>) {
         // An unknown position clears the command until the next engagement.
-        self.translation.rests(Signal::Position.check(rest).is_ok().then_some(*rest));
+        self.translation.set_rest(Signal::Position.check(rest).is_ok().then_some(*rest));
         if let Some(rotation) = &mut self.rotation {
             let known = orientation.filter(|orientation| check_orientation(orientation).is_ok());
             rotation.command = rotation.command.and(known.copied());

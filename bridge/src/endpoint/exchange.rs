@@ -7,7 +7,7 @@ use haptether_safety::{Axes, Excess, Fault, controller::SafetySettings};
 use crate::{
     SideKind,
     coupling::GripperState,
-    fault_text::{FaultText, HeardText, SpokenText},
+    fault_text::{FaultText, ReceivedText, SentText},
     ladder::{
         AlignmentState, Diagnosis, FlightEntry, FlightRecorder, FlightValues, LAYERS, Ladder, LadderError,
         LadderInputs, LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame, Reason,
@@ -78,11 +78,11 @@ pub struct Exchange {
     pub(super) events: TickEvents,
     /// Code of this side's fault (0 without one), and the driver's text on it.
     fault: u8,
-    spoken: SpokenText,
+    sent_text: SentText,
     /// Driver's text on a failure that the next tick will record.
     failing: Option<FaultText>,
     /// Peer's text on its fault.
-    heard: HeardText,
+    received_text: ReceivedText,
     /// Code of the reason for the peer's last hold.
     peer_held: u8,
     /// True if this side ends; its frames say so.
@@ -123,9 +123,9 @@ impl Exchange {
             renewal: None,
             events: TickEvents::default(),
             fault: 0,
-            spoken: SpokenText::default(),
+            sent_text: SentText::default(),
             failing: None,
-            heard: HeardText::default(),
+            received_text: ReceivedText::default(),
             peer_held: 0,
             ending: false,
             peer_ended: false,
@@ -190,9 +190,9 @@ impl Exchange {
     fn accepted(&mut self, time: LinkTime, is_known: bool, head: &FrameHead) {
         let FrameHead { begins, sequence, sent_ns, state, reason, ending, text } = *head;
         if begins {
-            (self.heard, self.peer_held) = (HeardText::default(), 0);
+            (self.received_text, self.peer_held) = (ReceivedText::default(), 0);
         }
-        self.heard.take(&text);
+        self.received_text.take(&text);
         if LadderState::from_code(state).is_some_and(LadderState::is_held) {
             self.peer_held = reason;
         }
@@ -340,12 +340,12 @@ impl Exchange {
             state,
             reason: self.ladder.history().cause(),
             fault: self.fault,
-            text: *self.spoken.text(),
+            text: *self.sent_text.text(),
             peer: newest.map(|frame| PeerCause {
                 state: stands(frame),
                 reason: if is_refused { frame.reason } else { self.peer_held },
                 fault: frame.fault,
-                text: *self.heard.text(),
+                text: *self.received_text.text(),
             }),
             ended: self.peer_ended,
             silent: !self.ladder.hears_peer(),
@@ -371,7 +371,7 @@ impl Exchange {
             self.fault = fault.code();
         }
         if let Some(text) = self.failing.take() {
-            self.spoken.set(&text);
+            self.sent_text.set(&text);
         }
         self.ladder.fault(now_ns);
     }
@@ -435,7 +435,7 @@ impl Exchange {
             ending: self.ending,
             reason: self.ladder.history().cause().map_or(0, Reason::code),
             fault: self.fault,
-            text: self.spoken.next_piece(),
+            text: self.sent_text.next_piece(),
         };
         self.link.fill_frame(time, axes, status, &self.outgoing, frame);
     }
@@ -464,7 +464,7 @@ impl Exchange {
     /// Acknowledge this side's fault on behalf of the operator.
     pub(super) fn acknowledge(&mut self, now_ns: u64) {
         self.fault = 0;
-        self.spoken.set(&FaultText::EMPTY);
+        self.sent_text.set(&FaultText::EMPTY);
         self.ladder.acknowledge(now_ns);
     }
 

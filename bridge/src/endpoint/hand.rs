@@ -9,23 +9,23 @@ use super::layer::{Layer, MasterReading};
 
 /// State that a tick takes over from the one before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Past {
+pub enum CarriedState {
     /// All state.
     #[default]
-    Kept,
+    All,
     /// Only a fault: the loop had stalled.
-    Stalled,
+    FaultOnly,
     /// Nothing: the operator has acknowledged a fault.
-    Acknowledged,
+    Nothing,
 }
 
-impl Past {
+impl CarriedState {
     /// Name in recordings.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Kept => "kept",
-            Self::Stalled => "stalled",
-            Self::Acknowledged => "acknowledged",
+            Self::All => "kept",
+            Self::FaultOnly => "stalled",
+            Self::Nothing => "acknowledged",
         }
     }
 }
@@ -46,7 +46,7 @@ pub struct HandInput<const N: usize> {
     /// Ticks left out since the last one.
     pub missed: u64,
     /// State taken over from the last tick.
-    pub past: Past,
+    pub past: CarriedState,
     /// Fault that only other parts can detect: of the device or of the trigger.
     pub fault: Option<Fault>,
 }
@@ -61,7 +61,7 @@ impl<const N: usize> HandInput<N> {
             requested_torque: Axes::zeros(),
             gain: 0.0,
             missed: 0,
-            past: Past::Kept,
+            past: CarriedState::All,
             fault: None,
         }
     }
@@ -87,8 +87,8 @@ impl<const N: usize> Hand<N> {
 
     /// Sample in use at this tick: the newest one, or its prediction.
     #[inline]
-    pub(crate) fn taken(&self) -> &Sample<N> {
-        self.layer.taken()
+    pub(crate) fn sample_in_use(&self) -> &Sample<N> {
+        self.layer.sample_in_use()
     }
 
     /// Guard that checks the samples.
@@ -117,12 +117,12 @@ impl<const N: usize> Hand<N> {
         // The state before a gap does not apply after it. If the position is still invalid, the layer stays
         // in fault, and the tick below reports it again.
         let missed = match input.past {
-            Past::Kept => input.missed,
-            Past::Acknowledged => {
+            CarriedState::All => input.missed,
+            CarriedState::Nothing => {
                 let _ = self.layer.reset(reading);
                 0
             }
-            Past::Stalled => {
+            CarriedState::FaultOnly => {
                 let _ = self.layer.restart(reading);
                 0
             }

@@ -101,8 +101,8 @@ impl<const N: usize> Layer<N> {
 
     /// Sample in use at this tick: the newest one, or its prediction.
     #[inline]
-    pub(super) fn taken(&self) -> &Sample<N> {
-        self.guard().taken()
+    pub(super) fn sample_in_use(&self) -> &Sample<N> {
+        self.guard().sample_in_use()
     }
 
     /// Guard that checks the samples.

@@ -8,7 +8,7 @@ use haptether_safety::{
 
 use super::{
     EndpointError, Exchange, MasterReading, MasterRotationSettings, TriggerSettings, check_period,
-    hand::{Hand, HandInput, Past},
+    hand::{CarriedState, Hand, HandInput},
     layer::Layer,
     period_s,
     trigger::TriggerFeedback,
@@ -218,12 +218,12 @@ impl<const N: usize> MasterEndpoint<N> {
         let (gain, state) = (self.exchange.ladder.gain(), self.exchange.ladder.state());
         let past = if std::mem::take(&mut self.acknowledged) {
             self.trigger.iter_mut().for_each(|trigger| trigger.reset());
-            Past::Acknowledged
+            CarriedState::Nothing
         } else if self.exchange.has_stalled() {
             self.trigger.iter_mut().for_each(|trigger| trigger.restart());
-            Past::Stalled
+            CarriedState::FaultOnly
         } else {
-            Past::Kept
+            CarriedState::All
         };
         let mut trigger = self.trigger.as_mut().map(|trigger| {
             let jaws = self.exchange.peer_gripper();
@@ -293,7 +293,7 @@ impl<const N: usize> MasterEndpoint<N> {
         let velocity = safety.motion.velocity;
         let turning = rotation.map_or(0.0, |tick| tick.rendered_force.dot(&tick.motion.velocity));
         let power_w = safety.rendered_force.dot(&velocity) + turning;
-        let taken = self.hand.taken();
+        let taken = self.hand.sample_in_use();
         let rotation = taken.rotation.zip(rotation).map(|(Turned { orientation, .. }, tick)| RotationState {
             orientation,
             angular_velocity: tick.motion.velocity,

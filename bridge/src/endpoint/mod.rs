@@ -12,8 +12,8 @@ mod trigger;
 
 pub(crate) use arm::{Arm, ArmInput, MasterState, TOOL_LEVER_M};
 pub use exchange::{Exchange, SideCounts};
+pub use hand::{CarriedState, HandInput};
 pub(crate) use hand::{Hand, HandLanes};
-pub use hand::{HandInput, Past};
 pub use layer::{MasterReading, MasterRotationSettings};
 pub use master::{MasterEndpoint, MasterSettings, MasterTick};
 pub use rotation::SlaveRotationSettings;

@@ -168,7 +168,7 @@ impl SlaveRotation {
         if wanted.angle_to(&from) > MAX_LAG_RAD {
             // Continuing on the shorter way would turn back; so the coupling restarts at the present command.
             limited.angular_speed = true;
-            self.coupling.let_go();
+            self.coupling.clear_anchor();
             self.coupling.commanded_orientation(&master.orientation, &from);
             (wanted, velocity) = (from, Axes::zeros());
         }

@@ -188,8 +188,8 @@ impl<const N: usize> SlaveEndpoint<N> {
 
     /// Record that the arm stops following and comes to rest at `rest` in m, and a pose at `orientation`. The
     /// next engagement continues from there.
-    pub fn rests(&mut self, rest: &Axes<N>, orientation: Option<&UnitQuaternion<f64>>) {
-        self.arm.rests(rest, orientation);
+    pub fn set_rest(&mut self, rest: &Axes<N>, orientation: Option<&UnitQuaternion<f64>>) {
+        self.arm.set_rest(rest, orientation);
     }
 
     /// Carry out an operator command; return whether it changed anything. A change of the coupling fades in

@@ -26,7 +26,7 @@ pub(crate) struct TranslationInput<'a, const N: usize, S: Real = f64> {
 
 /// Motion of the commanded position.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Led<const N: usize, S: Real = f64> {
+pub(crate) struct CommandMotion<const N: usize, S: Real = f64> {
     /// Velocity of the command in m/s.
     pub(crate) velocity: Axes<N, S>,
     /// Masks of the lanes in which the bounds on speed and on reach limited the command.
@@ -180,7 +180,7 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
         now_ns: u64,
         position: &Axes<N, S>,
         input: &TranslationInput<'_, N, S>,
-    ) -> Option<Led<N, S>> {
+    ) -> Option<CommandMotion<N, S>> {
         let elapsed_s = self.elapsed_s(now_ns);
         self.commanded_ns = now_ns;
         if self.home.is_none() && self.is_confirmed() {
@@ -212,7 +212,7 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
             hurries = hurries | is_fast;
         }
         self.command = Some(command);
-        Some(Led { velocity, limited: [hurries, leaves], extrapolated: (ahead_s, share) })
+        Some(CommandMotion { velocity, limited: [hurries, leaves], extrapolated: (ahead_s, share) })
     }
 
     /// End the coupling: the next engagement starts from the positions at that time.
@@ -223,7 +223,7 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
     /// Record that the arm stops following and comes to rest at `rest` in m; the next engagement continues
     /// from there. With `None` the position is unknown, and there is no command until the next engagement.
     /// An arm without a command stays without one.
-    pub(crate) fn rests(&mut self, rest: Option<Axes<N, S>>) {
+    pub(crate) fn set_rest(&mut self, rest: Option<Axes<N, S>>) {
         self.command = self.command.and(rest);
     }
 

@@ -370,29 +370,29 @@ impl Ladder {
 #[serde(deny_unknown_fields)]
 pub struct LadderSettings {
     /// Age in ns beyond the expected age that leads to STALE.
-    #[serde(rename = "stale_after_s", deserialize_with = "whole_ns")]
+    #[serde(rename = "stale_after_s", deserialize_with = "integer_ns")]
     #[schemars(with = "f64")]
     pub stale_after_ns: u64,
     /// Age in ns beyond the expected age that leads to HOLD; above `stale_after_ns` and at most 100 ms. The
     /// force then fades over `fade_out_ns`, so it is zero at most 200 ms beyond the expected age.
-    #[serde(rename = "hold_after_s", deserialize_with = "whole_ns")]
+    #[serde(rename = "hold_after_s", deserialize_with = "integer_ns")]
     #[schemars(with = "f64")]
     pub hold_after_ns: u64,
     /// Age in ns beyond the expected age that leads to STOP; above `hold_after_ns`.
-    #[serde(rename = "stop_after_s", deserialize_with = "whole_ns")]
+    #[serde(rename = "stop_after_s", deserialize_with = "integer_ns")]
     #[schemars(with = "f64")]
     pub stop_after_ns: u64,
     /// Time in ns in STALE over which the slave's velocity decays to zero; at most 20 ms, and at most the
     /// time from STALE to HOLD.
-    #[serde(rename = "extrapolate_s", deserialize_with = "whole_ns")]
+    #[serde(rename = "extrapolate_s", deserialize_with = "integer_ns")]
     #[schemars(with = "f64")]
     pub extrapolate_ns: u64,
     /// Time in ns over which the force fades from full to zero, 50 to 100 ms.
-    #[serde(rename = "fade_out_s", deserialize_with = "whole_ns")]
+    #[serde(rename = "fade_out_s", deserialize_with = "integer_ns")]
     #[schemars(with = "f64")]
     pub fade_out_ns: u64,
     /// Time in ns over which the force rises from zero to full, at least 200 ms.
-    #[serde(rename = "fade_in_s", deserialize_with = "whole_ns")]
+    #[serde(rename = "fade_in_s", deserialize_with = "integer_ns")]
     #[schemars(with = "f64")]
     pub fade_in_ns: u64,
     /// Timeout in ns of a press in ALIGNING, and greatest age of a frame by which a slave aligns; 0.5 to 5 s.
@@ -408,7 +408,7 @@ const ANSWER_NS: u64 = 50 * MS;
 
 /// Read a time in s as integer ns.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // saturates; `check` then tests the range
-fn whole_ns<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
+fn integer_ns<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
     f64::deserialize(deserializer).map(|seconds| (seconds * 1e9).round() as u64)
 }
 

@@ -1,6 +1,6 @@
 //! Channel between a live side and its socket: a session, with keys from another thread.
 
-use haptether_netsim::Asker;
+use haptether_netsim::ReplyAddress;
 #[cfg(target_os = "linux")]
 use rustix::process::{DumpableBehavior, set_dumpable_behavior};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
@@ -29,7 +29,7 @@ pub enum Security {
 /// Shortest peer period in ns for which the replay window holds 2 s.
 const PEER_PERIOD_NS: u64 = 100_000;
 /// Ticks between reports of the session's standing.
-const STANDING_EVERY: u64 = 4;
+const STATUS_EVERY: u64 = 4;
 /// Answers of the handshakes taken per tick.
 const MAX_ANSWERS: usize = 4;
 /// Releases sent at the end, since datagrams get lost.
@@ -81,7 +81,7 @@ impl LiveChannel {
     pub(super) fn receive(
         &mut self,
         time: LinkTime,
-        asker: Asker,
+        reply_address: ReplyAddress,
         datagram: &mut [u8],
         side: &mut (impl Side + ?Sized),
     ) -> Received {
@@ -99,7 +99,7 @@ impl LiveChannel {
             },
             Ok(Incoming::Handshake { datagram, is_renewal }) => {
                 if let (Some(handshakes), Ok(message)) = (&mut self.handshakes, datagram.try_into()) {
-                    handshakes.hand_over(now_ns, &self.session, asker, message, is_renewal);
+                    handshakes.hand_over(now_ns, &self.session, reply_address, message, is_renewal);
                 }
             }
             Err(Rejection::Repeated) => return Received::Repeat,
@@ -114,7 +114,7 @@ impl LiveChannel {
     pub(super) fn advance(
         &mut self,
         now_ns: u64,
-        mut send: impl FnMut(Option<Asker>, &[u8]),
+        mut send: impl FnMut(Option<ReplyAddress>, &[u8]),
         mut report: impl FnMut(SecurityEvent),
     ) {
         self.session.advance(now_ns);
@@ -131,8 +131,8 @@ impl LiveChannel {
                     report(SecurityEvent::Handshake(event));
                 }
             }
-            if self.ticks.is_multiple_of(STANDING_EVERY) {
-                handshakes.set_standing(self.session.standing(now_ns));
+            if self.ticks.is_multiple_of(STATUS_EVERY) {
+                handshakes.set_status(self.session.status(now_ns));
             }
             self.ticks += 1;
             if handshakes.has_died() {

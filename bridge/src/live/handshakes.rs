@@ -10,7 +10,7 @@ use std::{
     time::Duration,
 };
 
-use haptether_netsim::Asker;
+use haptether_netsim::ReplyAddress;
 
 use super::{own_thread::OwnThread, slow_device::SlowDevice, strangers::StrangerReport, system};
 use crate::{
@@ -18,8 +18,8 @@ use crate::{
     ring::ring,
     session::{
         Bucket, EndError, Handshake, HandshakeDatagram, HandshakeDecision, HandshakeError, HandshakeEvent,
-        Outcome, PreSharedKey, Rejection, Rejections, Session, SessionEvent, SessionSettings, Shares,
-        Standing, StillHeard, SystemEntropy, message_is_answer, session_and_epoch,
+        Outcome, PreSharedKey, Rejection, Rejections, Session, SessionEvent, SessionSettings, SessionStatus,
+        Shares, StillHeard, SystemEntropy, message_is_answer, session_and_epoch,
     },
 };
 
@@ -38,15 +38,15 @@ const REPEATS: u64 = 8;
 #[derive(Debug)]
 enum Request {
     /// Standing of the session, and the number of this thread's keys in use.
-    Standing(Standing, u64),
+    Status(SessionStatus, u64),
     /// Handshake message and its sender.
-    Message(Asker, HandshakeDatagram),
+    Message(ReplyAddress, HandshakeDatagram),
 }
 
 #[derive(Debug)]
 pub(super) struct Answer {
     /// Sender of the request, or `None` for the peer.
-    pub(super) to: Option<Asker>,
+    pub(super) to: Option<ReplyAddress>,
     pub(super) outcome: Outcome,
 }
 
@@ -135,9 +135,9 @@ impl Handshakes {
     }
 
     /// Report the session's standing, unless requests are unread.
-    pub(super) fn set_standing(&mut self, standing: Standing) {
+    pub(super) fn set_status(&mut self, status: SessionStatus) {
         if self.requests.slots() == WAITING {
-            let _ = self.requests.push(Request::Standing(standing, self.keys));
+            let _ = self.requests.push(Request::Status(status, self.keys));
         }
     }
 
@@ -146,20 +146,20 @@ impl Handshakes {
         &mut self,
         now_ns: u64,
         session: &Session,
-        asker: Asker,
+        reply_address: ReplyAddress,
         message: HandshakeDatagram,
         is_renewal: bool,
     ) {
         let is_new = !is_renewal && !message_is_answer(&message);
         let room = if is_new { FOR_NEW } else { 0 };
         if self.requests.slots() < room + 2
-            || !self.admission.admits(now_ns, asker.from, &message, is_renewal)
+            || !self.admission.admits(now_ns, reply_address.from, &message, is_renewal)
         {
             self.dropped += 1;
             return;
         }
-        let _ = self.requests.push(Request::Standing(session.standing(now_ns), self.keys));
-        let _ = self.requests.push(Request::Message(asker, message));
+        let _ = self.requests.push(Request::Status(session.status(now_ns), self.keys));
+        let _ = self.requests.push(Request::Message(reply_address, message));
     }
 
     pub(super) fn next(&mut self) -> Option<Answer> {
@@ -212,31 +212,32 @@ fn answer(
     mut answers: rtrb::Producer<Answer>,
     is_over: &AtomicBool,
 ) -> Rejections {
-    let mut standing = None;
+    let mut status = None;
     let mut given = 0;
     while !is_over.load(Ordering::Relaxed) {
         while let Ok(request) = requests.pop() {
-            match (request, &standing) {
+            match (request, &status) {
                 // A standing older than the newest keys would make this thread request them again.
-                (Request::Standing(newer, keys), _) => standing = (keys == given).then_some(newer),
-                (Request::Message(asker, message), Some(known)) => {
+                (Request::Status(newer, keys), _) => status = (keys == given).then_some(newer),
+                (Request::Message(reply_address, message), Some(known)) => {
                     let now_ns = system::now_ns();
-                    if let Ok(outcome) = handshake.receive(now_ns, asker.from, &message, known, &mut entropy)
+                    if let Ok(outcome) =
+                        handshake.receive(now_ns, reply_address.from, &message, known, &mut entropy)
                     {
                         let has_keys = outcome.keys.is_some();
-                        let to = (!outcome.to_peer).then_some(asker);
+                        let to = (!outcome.to_peer).then_some(reply_address);
                         // A full ring means that the loop does not run and needs no keys.
                         if answers.push(Answer { to, outcome }).is_ok() && has_keys {
                             given += 1;
-                            standing = None;
+                            status = None;
                         }
                     }
                 }
                 (Request::Message(..), None) => {}
             }
         }
-        if let Some(standing) = &standing {
-            match handshake.poll(system::now_ns(), standing, &mut entropy) {
+        if let Some(status) = &status {
+            match handshake.poll(system::now_ns(), status, &mut entropy) {
                 Ok(Some(hello)) => {
                     let outcome = Outcome { reply: Some(hello), ..Outcome::default() };
                     let _ = answers.push(Answer { to: None, outcome });

@@ -276,9 +276,9 @@ impl LiveLoop {
         let Self { socket, channel, settings, channels, .. } = self;
         let side = plant.side_mut();
         let late = || LinkTime::late(now_ns, system::now_ns().saturating_sub(now_ns));
-        socket.drain(now_ns, now_ns + settings.period_ns / RECEIVE_SHARE, |asker, datagram| {
+        socket.drain(now_ns, now_ns + settings.period_ns / RECEIVE_SHARE, |reply_address, datagram| {
             // It may have arrived while this loop overslept.
-            channel.receive(late(), asker, datagram, side)
+            channel.receive(late(), reply_address, datagram, side)
         });
         channel.advance(
             now_ns,

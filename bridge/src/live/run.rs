@@ -17,7 +17,7 @@ use super::{
     live_loop::{LiveLoop, LiveSettings, LoopReport, LoopSide, RecordedSide},
     own_thread::OwnThread,
     socket::PeerSocket,
-    system::{self, Kept, LaterMemory, RealtimeReport},
+    system::{self, LaterMemory, RealtimeGrants, RealtimeReport},
 };
 use crate::{
     fault_text::{FaultText, PIECES},
@@ -190,7 +190,7 @@ struct Pacing {
     /// The last tick was awaited here, not by the device.
     waited: bool,
     realtime: RealtimeReport,
-    kept: Option<Kept>,
+    grants: Option<RealtimeGrants>,
 }
 
 /// A prepared loop, its watch and its records.
@@ -213,7 +213,7 @@ pub fn paced_by_device<S: Side + Send + 'static>(
         pace: DevicePace::new(settings.period_ns),
         waited: false,
         realtime: RealtimeReport::default(),
-        kept: None,
+        grants: None,
     };
     Ok((PacedLoop { paced, renewal: Renewal::default(), side: PhantomData }, watch, records))
 }
@@ -331,14 +331,14 @@ impl DriverLoop for Pacing {
             Stage::Ready(parts) => {
                 // Allocated before the memory is locked.
                 let room = Box::new(MaybeUninit::zeroed());
-                let (realtime, kept) = system::prepare(self.settings.realtime, LaterMemory::Locked);
+                let (realtime, grants) = system::prepare(self.settings.realtime, LaterMemory::Locked);
                 self.realtime = realtime;
                 if let Err(refused) = realtime.check(self.settings.realtime.demand) {
                     // The end closes the recording.
                     self.stage = Stage::Ready(parts);
                     return Err(refused.into());
                 }
-                self.kept = Some(kept);
+                self.grants = Some(grants);
                 let (plant, socket, channel, channels) = *parts;
                 let now_ns = system::now_ns();
                 self.pace.begin(now_ns);
@@ -399,7 +399,7 @@ impl DriverLoop for Pacing {
             Stage::Running(running) => {
                 let (report, flight) = running.end(&self.shared);
                 // Memory is locked per process: unlock at the end of the run, not on drop.
-                self.kept = None;
+                self.grants = None;
                 Some((LoopReport { realtime, ..report }, Some(flight)))
             }
             Stage::Ready(mut parts) => {

@@ -6,7 +6,7 @@ use std::{
     net::{Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket},
 };
 
-use haptether_netsim::{Asker, ReplySocket};
+use haptether_netsim::{ReplyAddress, ReplySocket};
 
 use super::{
     strangers::{Stranger, StrangerReport, Strangers},
@@ -136,7 +136,7 @@ impl PeerSocket {
         &mut self,
         now_ns: u64,
         until_ns: u64,
-        mut take: impl FnMut(Asker, &mut [u8]) -> Received,
+        mut take: impl FnMut(ReplyAddress, &mut [u8]) -> Received,
     ) {
         for index in 0..self.sockets.len() {
             self.drain_one(index, now_ns, until_ns, &mut take);
@@ -148,7 +148,7 @@ impl PeerSocket {
         index: usize,
         now_ns: u64,
         until_ns: u64,
-        take: &mut impl FnMut(Asker, &mut [u8]) -> Received,
+        take: &mut impl FnMut(ReplyAddress, &mut [u8]) -> Received,
     ) {
         // One byte more, to detect a too long datagram.
         let mut buffer = [0; MAX_DATAGRAM + 1];
@@ -157,19 +157,21 @@ impl PeerSocket {
                 return;
             }
             match self.sockets[index].receive(&mut buffer) {
-                Ok((length, asker)) => {
-                    let Some(known) = self.admitting(index, asker.from) else {
-                        self.strangers.count(Stranger::Elsewhere, asker.from);
+                Ok((length, reply_address)) => {
+                    let Some(known) = self.admitting(index, reply_address.from) else {
+                        self.strangers.count(Stranger::Elsewhere, reply_address.from);
                         continue;
                     };
-                    let received = take(asker, &mut buffer[..length]);
-                    self.routes[known].1.take(now_ns, asker, received);
+                    let received = take(reply_address, &mut buffer[..length]);
+                    self.routes[known].1.take(now_ns, reply_address, received);
                     match received {
                         // A frame of the peer may be damaged on its way.
-                        Received::Stranger(_) if self.routes[known].1.lives_at(now_ns, asker.from) => {}
-                        Received::Stranger(stranger) => self.strangers.count(stranger, asker.from),
+                        Received::Stranger(_)
+                            if self.routes[known].1.lives_at(now_ns, reply_address.from) => {}
+                        Received::Stranger(stranger) => self.strangers.count(stranger, reply_address.from),
                         Received::Fresh { .. } | Received::Repeat if !self.is_found => {
-                            (self.is_found, self.current, self.found) = (true, known, Some(asker.from));
+                            (self.is_found, self.current, self.found) =
+                                (true, known, Some(reply_address.from));
                         }
                         _ => {}
                     }
@@ -209,7 +211,7 @@ impl PeerSocket {
     }
 
     /// Sends to `to` if given, else to the peer if known.
-    pub fn send(&mut self, to: Option<Asker>, datagram: &[u8]) {
+    pub fn send(&mut self, to: Option<ReplyAddress>, datagram: &[u8]) {
         if !self.is_found {
             let is_of = |(_, route): &(usize, Route)| to.is_some_and(|to| route.admits(to.from));
             let next = (self.current + 1) % self.routes.len();
@@ -252,7 +254,7 @@ pub(super) enum Received {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Place {
-    asker: Asker,
+    reply_address: ReplyAddress,
     heard_ns: u64,
 }
 
@@ -283,7 +285,11 @@ struct Route {
 impl Route {
     /// Route to one fixed address.
     fn known(address: SocketAddr) -> Self {
-        Self { learns: false, peer: Some(Place { asker: address.into(), heard_ns: 0 }), ..Self::learned() }
+        Self {
+            learns: false,
+            peer: Some(Place { reply_address: address.into(), heard_ns: 0 }),
+            ..Self::learned()
+        }
     }
 
     fn learned() -> Self {
@@ -292,15 +298,15 @@ impl Route {
 
     /// Return whether frames of the peer arrive from this address.
     fn lives_at(&self, now_ns: u64, from: SocketAddr) -> bool {
-        self.peer.is_some_and(|peer| peer.asker.from == from && !peer.is_silent(now_ns))
+        self.peer.is_some_and(|peer| peer.reply_address.from == from && !peer.is_silent(now_ns))
     }
 
     fn admits(&self, from: SocketAddr) -> bool {
-        self.learns || self.peer.is_some_and(|peer| peer.asker.from == from)
+        self.learns || self.peer.is_some_and(|peer| peer.reply_address.from == from)
     }
 
-    /// Update the addresses from a datagram of `asker` that arrived at `now_ns`.
-    fn take(&mut self, now_ns: u64, asker: Asker, received: Received) {
+    /// Update the addresses from a datagram of `reply_address` that arrived at `now_ns`.
+    fn take(&mut self, now_ns: u64, reply_address: ReplyAddress, received: Received) {
         match received {
             Received::Fresh { is_answered } => self.is_answered = is_answered,
             Received::Repeat => {}
@@ -310,8 +316,9 @@ impl Route {
             peer.heard_ns = now_ns;
             return;
         }
-        let here = Place { asker, heard_ns: now_ns };
-        let is_at = |place: &Option<Place>| place.is_some_and(|place| place.asker.from == asker.from);
+        let here = Place { reply_address, heard_ns: now_ns };
+        let is_at =
+            |place: &Option<Place>| place.is_some_and(|place| place.reply_address.from == reply_address.from);
         let is_free = |place: &Option<Place>| place.is_none_or(|place| place.is_silent(now_ns));
         if is_at(&self.peer) {
             self.peer = Some(here);
@@ -324,10 +331,10 @@ impl Route {
         }
     }
 
-    fn next(&mut self) -> [Option<Asker>; 2] {
+    fn next(&mut self) -> [Option<ReplyAddress>; 2] {
         let second = self.second.filter(|_| self.owed > 0);
         self.owed = self.owed.saturating_sub(1);
-        [self.peer, second].map(|place| place.map(|place| place.asker))
+        [self.peer, second].map(|place| place.map(|place| place.reply_address))
     }
 }
 

@@ -212,11 +212,11 @@ impl fmt::Display for RealtimeReport {
     }
 }
 
-/// Make all requests for this thread, granted as long as [`Kept`] lives.
-pub(super) fn prepare(settings: RealtimeSettings, later: LaterMemory) -> (RealtimeReport, Kept) {
+/// Make all requests for this thread, granted as long as [`RealtimeGrants`] lives.
+pub(super) fn prepare(settings: RealtimeSettings, later: LaterMemory) -> (RealtimeReport, RealtimeGrants) {
     request_prompt_wakeups();
     if settings.demand == RealtimeDemand::Off {
-        return (RealtimeReport::default(), Kept::default());
+        return (RealtimeReport::default(), RealtimeGrants::default());
     }
     let schedule = ScheduleBefore::of_this_thread();
     let processors = settings.cpu.and_then(|_| ProcessorsBefore::of_this_thread());
@@ -233,13 +233,13 @@ pub(super) fn prepare(settings: RealtimeSettings, later: LaterMemory) -> (Realti
     if memory.is_err() {
         touch_stack(32);
     }
-    (report, Kept { memory: memory.ok(), awake: awake.ok(), schedule, processors })
+    (report, RealtimeGrants { memory: memory.ok(), awake: awake.ok(), schedule, processors })
 }
 
 /// Grants, released when dropped.
 #[derive(Debug, Default)]
 #[allow(dead_code)] // held, not read
-pub(super) struct Kept {
+pub(super) struct RealtimeGrants {
     memory: Option<LockedMemory>,
     awake: Option<File>,
     /// Restored at the end, since the thread may serve others.
@@ -502,20 +502,21 @@ mod tests {
     #[test]
     fn report_equals_kernel_state() {
         let settings = RealtimeSettings { priority: 3, ..RealtimeSettings::default() };
-        let (report, kept) = std::thread::spawn(move || prepare(settings, LaterMemory::Free)).join().unwrap();
+        let (report, grants) =
+            std::thread::spawn(move || prepare(settings, LaterMemory::Free)).join().unwrap();
         // The grant depends on the machine; the report must be true.
         match report.fifo {
             Granted::Yes(priority) => assert_eq!(priority, 3),
             Granted::Refused(number) => assert_ne!(number, 0),
             Granted::NotRequested => panic!("it was requested"),
         }
-        match (report.locked, &kept.memory) {
+        match (report.locked, &grants.memory) {
             (Granted::Yes(bytes), Some(_)) => assert!(bytes > 0 && locked_bytes() >= Some(1)),
             (Granted::Refused(number), None) => assert_ne!(number, 0),
             other => panic!("{other:?}"),
         }
-        assert_eq!(report.wakeful == Granted::Yes(()), kept.awake.is_some());
-        drop(kept);
+        assert_eq!(report.wakeful == Granted::Yes(()), grants.awake.is_some());
+        drop(grants);
     }
 
     #[test]
@@ -549,8 +550,9 @@ mod tests {
     #[test]
     fn demand_off_requests_nothing() {
         let settings = RealtimeSettings { demand: RealtimeDemand::Off, ..RealtimeSettings::default() };
-        let (report, kept) = std::thread::spawn(move || prepare(settings, LaterMemory::Free)).join().unwrap();
+        let (report, grants) =
+            std::thread::spawn(move || prepare(settings, LaterMemory::Free)).join().unwrap();
         assert_eq!(report, RealtimeReport::default());
-        assert!(kept.memory.is_none() && kept.awake.is_none());
+        assert!(grants.memory.is_none() && grants.awake.is_none());
     }
 }

@@ -242,7 +242,7 @@ impl PeerClock {
     /// Time in ns by which a packet preceded its sending on every fitting clock, if any.
     fn ahead_ns(&self, peer_sent_ns: u64, received_ns: u64) -> Option<u64> {
         let ahead = lower_parts(peer_sent_ns, received_ns) - (self.lines?.upper + self.drifted(received_ns));
-        (ahead > 0).then(|| whole_up(ahead))
+        (ahead > 0).then(|| ceil_ns(ahead))
     }
 
     /// Check a packet without an echo, sent at `peer_sent_ns` on the peer's clock.
@@ -273,7 +273,7 @@ impl PeerClock {
         let from = self.newest_ns.max(at_ns);
         let widening = self.drifted(from) + self.drifted(from - at_ns);
         let Lines { upper, lower } = self.lines?;
-        Some((whole(lower - widening), whole(upper + widening + PARTS - 1)))
+        Some((floor_ns(lower - widening), floor_ns(upper + widening + PARTS - 1)))
     }
 
     /// Number of clock steps.
@@ -300,9 +300,9 @@ fn contradiction(kept: &Lines, new: &Lines, drifted: i128) -> Option<Contradicti
     let apart = 2 * drifted;
     let (upper, lower) = (kept.upper + apart, kept.lower - apart);
     if new.lower > upper {
-        return Some(Contradiction::Ahead(whole_up(new.lower - upper)));
+        return Some(Contradiction::Ahead(ceil_ns(new.lower - upper)));
     }
-    (lower > new.upper).then(|| Contradiction::Behind(whole_up(lower - new.upper)))
+    (lower > new.upper).then(|| Contradiction::Behind(ceil_ns(lower - new.upper)))
 }
 
 fn upper_parts(times: &TimestampExchange) -> i128 {
@@ -315,12 +315,12 @@ fn lower_parts(peer_sent_ns: u64, received_ns: u64) -> i128 {
 }
 
 /// Rounded down, saturated to 64 bits.
-fn whole(parts: i128) -> i64 {
-    let whole = parts.div_euclid(PARTS);
-    i64::try_from(whole).unwrap_or(if whole < 0 { i64::MIN } else { i64::MAX })
+fn floor_ns(parts: i128) -> i64 {
+    let floor = parts.div_euclid(PARTS);
+    i64::try_from(floor).unwrap_or(if floor < 0 { i64::MIN } else { i64::MAX })
 }
 
 /// A positive number, rounded up.
-fn whole_up(parts: i128) -> u64 {
+fn ceil_ns(parts: i128) -> u64 {
     u64::try_from((parts + PARTS - 1) / PARTS).unwrap_or(u64::MAX)
 }

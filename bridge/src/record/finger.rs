@@ -38,14 +38,14 @@ impl FingerTick {
 
 /// Rotation part of a record, plus the force feedback at the trigger.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Feeling<R> {
+pub struct WithTriggerFeedback<R> {
     /// Rotation; empty for a point.
     pub turn: R,
     /// Trigger.
     pub finger: FingerTick,
 }
 
-impl<R: MasterTurn> MasterTurn for Feeling<R> {
+impl<R: MasterTurn> MasterTurn for WithTriggerFeedback<R> {
     const TURNS: bool = R::TURNS;
 
     fn empty() -> Self {

@@ -5,15 +5,15 @@ mod rotation;
 mod trace;
 
 pub(crate) use finger::WithFinger;
-pub use finger::{Feeling, FingerTick};
+pub use finger::{FingerTick, WithTriggerFeedback};
 pub use rotation::{MasterRotation, MasterTurn, SlaveRotation, SlaveTurn};
 pub use trace::{Column, Trace};
 
 use haptether_safety::{Axes, Fault, controller::PerController};
 
 use crate::{
-    endpoint::{Exchange, MasterReading, MasterTick, Past, SlaveReading, SlaveTick},
-    gripper::LedGripper,
+    endpoint::{CarriedState, Exchange, MasterReading, MasterTick, SlaveReading, SlaveTick},
+    gripper::SlaveGripper,
     ladder::LadderState,
     pace::TickTime,
     plant::Truth,
@@ -67,7 +67,7 @@ pub struct MasterRecord<const N: usize, R = ()> {
     /// Ticks skipped since the last.
     pub missed: u64,
     /// State taken over from the last tick.
-    pub past: Past,
+    pub past: CarriedState,
     /// Fault code reported by device or trigger, 0 without.
     pub given_fault: u8,
     /// True position in m of a model, else measured x.
@@ -90,7 +90,7 @@ pub struct MasterRecord<const N: usize, R = ()> {
     pub observers: PerController<f64>,
     /// Controllers that tripped, [`haptether_safety::controller::Tripped::bits`].
     pub tripped: u8,
-    /// Bounds that acted, [`haptether_safety::Acted::bits`].
+    /// Bounds that acted, [`haptether_safety::ActiveLimits::bits`].
     pub acted: u8,
     /// State of the ladder.
     pub state: LadderState,
@@ -128,7 +128,7 @@ impl<const N: usize, R: MasterTurn> Default for MasterRecord<N, R> {
             requested_force: zeros,
             gain: 0.0,
             missed: 0,
-            past: Past::Kept,
+            past: CarriedState::All,
             given_fault: 0,
             true_position: zeros,
             velocity: zeros,
@@ -291,13 +291,13 @@ impl<const N: usize, R: SlaveTurn> SlaveRecord<N, R> {
     pub(crate) fn new(
         time: TickTime,
         reading: &SlaveReading<N>,
-        gripper: Option<&LedGripper>,
+        gripper: Option<&SlaveGripper>,
         touches: bool,
         tick: &SlaveTick<N>,
         snapshot: LadderSnapshot,
     ) -> Self {
         let SlaveReading { position, environment_force, .. } = reading;
-        let state = gripper.map(LedGripper::state);
+        let state = gripper.map(SlaveGripper::state);
         let (jaws, gripper_command) = (state.map(|(jaws, _)| jaws), state.and_then(|(_, command)| command));
         Self {
             time_ns: time.now_ns - time.start_ns,

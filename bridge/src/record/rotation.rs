@@ -121,7 +121,7 @@ pub struct MasterRotation {
     pub observers: PerController<f64>,
     /// Controllers of the rotation that tripped, [`haptether_safety::controller::Tripped::bits`].
     pub tripped: u8,
-    /// Bounds that acted on the torque, [`haptether_safety::Acted::bits`].
+    /// Bounds that acted on the torque, [`haptether_safety::ActiveLimits::bits`].
     pub acted: u8,
 }
 

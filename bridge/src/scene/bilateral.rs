@@ -15,7 +15,7 @@ use super::{
     pose,
     record::SceneRun,
     research::ResearchFactory,
-    sides::{master_endpoint, simulated_arm, simulated_gripper, slave_endpoint, trigger, waiting_master},
+    sides::{master_endpoint, simulated_arm, simulated_gripper, slave_endpoint, trigger, with_waiting_hand},
     spec::{SceneSpec, SignalsSpec},
     timed::Timed,
     watched::Watched,
@@ -27,7 +27,7 @@ use crate::{
     record::WithFinger,
     recorder::{Recorded, RecorderSettings, SecurityMark, WaitingRecorder},
     run_virtual,
-    virtual_time::run_virtual_ahead,
+    virtual_time::run_virtual_batched,
 };
 use haptether_netsim::{ClockSettings, EndpointClock};
 use haptether_safety::{Axes, SafetyTick};
@@ -37,7 +37,7 @@ pub(super) const SESSIONS: (u64, u64) = (1, 2);
 
 /// Options of a run: research controllers, and recording, encoding and reports, which do not change its outcome.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Keeping<'a> {
+pub(crate) struct RunOptions<'a> {
     /// Files to record to.
     pub(crate) files: Option<&'a RecordingFiles>,
     /// True to encode and decode every frame.
@@ -51,28 +51,28 @@ pub(crate) struct Keeping<'a> {
 pub(crate) fn simulate<const N: usize>(
     scene: &SceneSpec<N>,
     stop: &AtomicBool,
-    kept: &Keeping<'_>,
+    options: &RunOptions<'_>,
 ) -> Result<SceneRun, SceneError> {
     check(scene)?;
-    in_fastest_order(|order| simulate_in(scene, stop, kept, order), scene, kept)
+    in_fastest_order(|order| simulate_in(scene, stop, options, order), scene, options)
 }
 
 fn simulate_in<const N: usize>(
     scene: &SceneSpec<N>,
     stop: &AtomicBool,
-    kept: &Keeping<'_>,
+    options: &RunOptions<'_>,
     order: Order,
 ) -> Result<Option<SceneRun>, SceneError> {
     let slave = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, SESSIONS.1)?)
         .with_gripper(simulated_gripper(scene)?);
-    run(scene, master(scene, waiting_master(exact_master(scene)?), kept)?, slave, stop, kept, order)
+    run(scene, master(scene, with_waiting_hand(exact_master(scene)?), options)?, slave, stop, options, order)
 }
 
 /// Same as [`simulate`], for a hand and an arm that turn.
 pub(crate) fn simulate_pose(
     scene: &SceneSpec<3>,
     stop: &AtomicBool,
-    kept: &Keeping<'_>,
+    options: &RunOptions<'_>,
 ) -> Result<SceneRun, SceneError> {
     check(scene)?;
     if scene.slave.is_none() {
@@ -81,30 +81,30 @@ pub(crate) fn simulate_pose(
     if scene.run.stop_early {
         return contradiction("run.stop_early: what turns is not watched for rest, leave it out");
     }
-    in_fastest_order(|order| simulate_pose_in(scene, stop, kept, order), scene, kept)
+    in_fastest_order(|order| simulate_pose_in(scene, stop, options, order), scene, options)
 }
 
 fn simulate_pose_in(
     scene: &SceneSpec<3>,
     stop: &AtomicBool,
-    kept: &Keeping<'_>,
+    options: &RunOptions<'_>,
     order: Order,
 ) -> Result<Option<SceneRun>, SceneError> {
     let slave = SlaveSide::new(pose::simulated_tool(scene)?, slave_endpoint(scene, SESSIONS.1)?)
         .with_gripper(simulated_gripper(scene)?)
-        .about(pose::reference_point(scene.coupled()?.1)?)
-        .turning();
-    let plant = pose::turning_master(scene, waiting_master(exact_master(scene)?))?;
-    run(scene, master(scene, plant, kept)?.turning(), slave, stop, kept, order)
+        .with_reference_point(pose::reference_point(scene.coupled()?.1)?)
+        .recording_rotation();
+    let plant = pose::turning_master(scene, with_waiting_hand(exact_master(scene)?))?;
+    run(scene, master(scene, plant, options)?.recording_rotation(), slave, stop, options, order)
 }
 
 /// Order of the ticks of the two sides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Order {
     /// In order of time.
-    InTurn,
+    ByTime,
     /// Several ticks of one side in a row: faster, but a side may be ahead of the observed tick.
-    InARow,
+    Batched,
 }
 
 /// Run in the fastest order that does not change the result.
@@ -113,21 +113,21 @@ enum Order {
 fn in_fastest_order<const N: usize>(
     simulate: impl Fn(Order) -> Result<Option<SceneRun>, SceneError>,
     scene: &SceneSpec<N>,
-    kept: &Keeping<'_>,
+    options: &RunOptions<'_>,
 ) -> Result<SceneRun, SceneError> {
     // A research controller must not see extra ticks.
-    let is_bound = kept.files.is_some() || scene.safety.research.is_some();
+    let is_bound = options.files.is_some() || scene.safety.research.is_some();
     // Signals, and events of a trigger with force feedback, are read from a side at its tick. A run that ends early
     // out of order must be repeated.
     let is_read = scene.record.is_some() || scene.master.gripper.is_some() || scene.run.stop_early;
     if !is_bound
-        && (kept.outcome_only || !is_read)
-        && let Some(run) = simulate(Order::InARow)?
+        && (options.outcome_only || !is_read)
+        && let Some(run) = simulate(Order::Batched)?
     {
         return Ok(run);
     }
     // In turn, no side is ahead of the observed tick.
-    simulate(Order::InTurn).map(|run| run.unwrap_or_else(|| unreachable!("a run in turn is whole")))
+    simulate(Order::ByTime).map(|run| run.unwrap_or_else(|| unreachable!("a run in turn is whole")))
 }
 
 /// Refuse settings that a scene with an arm cannot have.
@@ -144,9 +144,9 @@ pub(super) fn check<const N: usize>(scene: &SceneSpec<N>) -> Result<(), SceneErr
 pub(super) fn master<P: MasterPlant<N>, const N: usize>(
     scene: &SceneSpec<N>,
     plant: P,
-    kept: &Keeping<'_>,
+    options: &RunOptions<'_>,
 ) -> Result<MasterSide<P, N>, SceneError> {
-    let endpoint = master_endpoint(scene, SESSIONS.0, kept.research)?;
+    let endpoint = master_endpoint(scene, SESSIONS.0, options.research)?;
     let side = MasterSide::new(plant, endpoint, clutch(scene))?.with_trigger(trigger(scene, false)?);
     Ok(side.with_buttons(scene.master.buttons)?)
 }
@@ -185,7 +185,7 @@ fn run<P, A, R, Q, const N: usize>(
     master: MasterSide<P, N, R>,
     slave: SlaveSide<A, N, Q>,
     stop: &AtomicBool,
-    kept: &Keeping<'_>,
+    options: &RunOptions<'_>,
     order: Order,
 ) -> Result<Option<SceneRun>, SceneError>
 where
@@ -194,24 +194,24 @@ where
     R: MasterTurn,
     Q: SlaveTurn,
 {
-    let settings = VirtualSettings { encoded: kept.encoded, ..settings(scene)? };
-    let files = kept.files;
-    let (mut master, mut slave, mut watched) = prepared(scene, &settings, master, slave, kept)?;
+    let settings = VirtualSettings { encoded: options.encoded, ..settings(scene)? };
+    let files = options.files;
+    let (mut master, mut slave, mut watched) = prepared(scene, &settings, master, slave, options)?;
     let security = if settings.secure { SecurityMark::Secure } else { SecurityMark::Insecure };
     let is_felt = trigger_feedback(scene, scene.coupled()?.0)?.is_some();
-    let needs_sides = !kept.outcome_only;
+    let needs_sides = !options.outcome_only;
     // Set only in a row: in turn, no side is ahead of the observed tick.
     let mut ended_early = false;
-    let mut kept = files.map(|files| SideRecorders::begin(files, security, is_felt)).transpose()?;
+    let mut recorders = files.map(|files| SideRecorders::begin(files, security, is_felt)).transpose()?;
     let counts = match order {
         // One closure per order: without a second caller of the closure, a remote tick in a row takes 2 % less.
-        Order::InARow => run_virtual_ahead(&settings, &mut master, &mut slave, |event, sides| {
-            let flow = observe(&event, sides, stop, &mut kept, &mut watched);
+        Order::Batched => run_virtual_batched(&settings, &mut master, &mut slave, |event, sides| {
+            let flow = observe(&event, sides, stop, &mut recorders, &mut watched);
             ended_early |= flow.is_break();
             flow
         }),
-        Order::InTurn => run_virtual(&settings, &mut master, &mut slave, |event, sides| {
-            observe(&event, sides, stop, &mut kept, &mut watched)
+        Order::ByTime => run_virtual(&settings, &mut master, &mut slave, |event, sides| {
+            observe(&event, sides, stop, &mut recorders, &mut watched)
         }),
     }?;
     if stop.load(Ordering::Relaxed) {
@@ -220,8 +220,8 @@ where
     if ended_early && needs_sides {
         return Ok(None);
     }
-    if let Some(kept) = kept {
-        kept.finish(master.exchange(), slave.exchange())?;
+    if let Some(recorders) = recorders {
+        recorders.finish(master.exchange(), slave.exchange())?;
     }
     watched.finish(scene, &settings, &master, &slave, &counts).map(Some)
 }
@@ -232,7 +232,7 @@ fn observe<P, A, R, Q, const N: usize>(
     event: &Event<'_, MasterRecord<N, R>, SlaveRecord<N, Q>>,
     (master, slave): Sides<'_, '_, P, A, R, Q, N>,
     stop: &AtomicBool,
-    kept: &mut Option<SideRecorders<MasterRecord<N, R>, SlaveRecord<N, Q>>>,
+    recorders: &mut Option<SideRecorders<MasterRecord<N, R>, SlaveRecord<N, Q>>>,
     watched: &mut Watched<N>,
 ) -> ControlFlow<()>
 where
@@ -244,8 +244,8 @@ where
     if stop.load(Ordering::Relaxed) {
         return ControlFlow::Break(());
     }
-    if let Some(kept) = kept {
-        kept.take(event, master.side.felt(), master.exchange(), slave.exchange());
+    if let Some(recorders) = recorders {
+        recorders.take(event, master.side.felt(), master.exchange(), slave.exchange());
     }
     watched.take(event, &master.side, &slave.side.plant)
 }
@@ -256,7 +256,7 @@ pub(super) fn prepared<P, A, R, Q, const N: usize>(
     settings: &VirtualSettings,
     master: MasterSide<P, N, R>,
     slave: SlaveSide<A, N, Q>,
-    kept: &Keeping<'_>,
+    options: &RunOptions<'_>,
 ) -> Result<Prepared<P, A, R, Q, N>, SceneError>
 where
     P: MasterPlant<N>,
@@ -270,7 +270,7 @@ where
     let mut slave = Timed::new(slave, commands.clone());
     let watched = Watched::new(scene, settings, commands, &start, slave.side.gripper.is_some())?;
     for exchange in [master.exchange_mut(), slave.exchange_mut()] {
-        skip_unread_reports(exchange, kept);
+        skip_unread_reports(exchange, options);
     }
     Ok((master, slave, watched))
 }
@@ -283,11 +283,11 @@ pub(super) type Sides<'m, 's, P, A, R, Q, const N: usize> =
     (&'m Timed<MasterSide<P, N, R>>, &'s Timed<SlaveSide<A, N, Q>>);
 
 /// Skip flight records and path reports that are not read.
-fn skip_unread_reports(exchange: &mut Exchange, kept: &Keeping<'_>) {
-    if kept.files.is_none() {
+fn skip_unread_reports(exchange: &mut Exchange, options: &RunOptions<'_>) {
+    if options.files.is_none() {
         exchange.leave_out_flight();
     }
-    if kept.outcome_only {
+    if options.outcome_only {
         exchange.leave_out_path_reports();
     }
 }
@@ -380,9 +380,11 @@ impl<'a, M: Recorded + Copy, S: Recorded> SideRecorders<'a, M, S> {
     }
 
     fn finish(self, master: &Exchange, slave: &Exchange) -> Result<(), SceneError> {
-        let Self { files, master: (near, near_ns), slave: (far, far_ns) } = self;
-        near.finish(near_ns, master.flight().diagnosis()).map_err(|error| refused(&files.master, &error))?;
-        far.finish(far_ns, slave.flight().diagnosis()).map_err(|error| refused(&files.slave, &error))
+        let Self { files, master: (of_master, master_ns), slave: (of_slave, slave_ns) } = self;
+        of_master
+            .finish(master_ns, master.flight().diagnosis())
+            .map_err(|error| refused(&files.master, &error))?;
+        of_slave.finish(slave_ns, slave.flight().diagnosis()).map_err(|error| refused(&files.slave, &error))
     }
 }
 

@@ -148,7 +148,7 @@ fn started_master<R: MasterTurn, const N: usize>(
     feels_trigger: bool,
     parts: LiveParts,
 ) -> Result<LiveSide<LiveRun>, LiveError> {
-    if feels_trigger { started(side.feeling(), parts) } else { started(side, parts) }
+    if feels_trigger { started(side.recording_trigger(), parts) } else { started(side, parts) }
 }
 
 /// Start the simulated side of a scene as JSON on a separate thread, in the role that `parts` names.
@@ -344,7 +344,7 @@ fn paced_master<R: MasterTurn, const N: usize>(
     parts: LiveParts,
 ) -> Result<LiveSide<Box<dyn MasterDriverLoop>>, LiveError> {
     if feels_trigger {
-        let (paced, watch, records) = paced(side.feeling(), parts)?;
+        let (paced, watch, records) = paced(side.recording_trigger(), parts)?;
         return Ok((Box::new(paced), watch, records));
     }
     let (paced, watch, records) = paced(side, parts)?;
@@ -370,7 +370,9 @@ pub fn pace_scene_master(
         N => {
             let scene = scene_spec::<N>(scene)?;
             match as_pose(&scene)? {
-                Some(scene) => paced_master(driven_master(scene, run_id, simulated_clutch)?.turning(), felt, parts),
+                Some(scene) => {
+                    paced_master(driven_master(scene, run_id, simulated_clutch)?.recording_rotation(), felt, parts)
+                }
                 None => paced_master(driven_master(&scene, run_id, simulated_clutch)?, felt, parts),
             }
         },
@@ -393,7 +395,7 @@ pub fn pace_scene_slave(
         N => {
             let scene = scene_spec::<N>(scene)?;
             if let Some(scene) = as_pose(&scene)? {
-                let (paced, watch, records) = paced(driven_slave(scene, run_id)?.turning(), parts)?;
+                let (paced, watch, records) = paced(driven_slave(scene, run_id)?.recording_rotation(), parts)?;
                 return Ok((Box::new(paced), watch, records));
             }
             let (paced, watch, records) = paced(driven_slave(&scene, run_id)?, parts)?;

@@ -25,7 +25,7 @@ use haptether_numeric::of_axes;
 
 use std::sync::atomic::AtomicBool;
 
-use bilateral::Keeping;
+use bilateral::RunOptions;
 
 pub use assemble::{SceneError, scene_environment};
 pub use bilateral::RecordingFiles;
@@ -72,7 +72,7 @@ pub fn simulate_recorded(
     files: Option<&RecordingFiles>,
     research: Option<&dyn ResearchFactory>,
 ) -> Result<SceneRun, SceneError> {
-    simulate_keeping(scene, stop, &Keeping { files, research, ..Keeping::default() })
+    simulate_with_options(scene, stop, &RunOptions { files, research, ..RunOptions::default() })
 }
 
 /// Same as [`simulate`], but every frame is encoded and decoded as on a live link. The result is bit-identical, and
@@ -82,13 +82,17 @@ pub fn simulate_recorded(
 ///
 /// As [`simulate`].
 pub fn simulate_encoded(scene: &[u8], stop: &AtomicBool) -> Result<SceneRun, SceneError> {
-    simulate_keeping(scene, stop, &Keeping { encoded: true, ..Keeping::default() })
+    simulate_with_options(scene, stop, &RunOptions { encoded: true, ..RunOptions::default() })
 }
 
-fn simulate_keeping(scene: &[u8], stop: &AtomicBool, kept: &Keeping<'_>) -> Result<SceneRun, SceneError> {
+fn simulate_with_options(
+    scene: &[u8],
+    stop: &AtomicBool,
+    options: &RunOptions<'_>,
+) -> Result<SceneRun, SceneError> {
     of_axes!(
         scene_axes(scene)?,
-        N => run_keeping::<N>(&outline::scene_spec(scene)?, stop, kept),
+        N => run_with_options::<N>(&outline::scene_spec(scene)?, stop, options),
         axes => Err(assemble::bad_axes(axes))
     )
 }
@@ -99,7 +103,7 @@ fn simulate_keeping(scene: &[u8], stop: &AtomicBool, kept: &Keeping<'_>) -> Resu
 ///
 /// A number or combination of settings is invalid, or [`SceneError::Stopped`]. Divergence is an outcome, not an error.
 pub fn run<const N: usize>(scene: &SceneSpec<N>, stop: &AtomicBool) -> Result<SceneRun, SceneError> {
-    run_keeping(scene, stop, &Keeping::default())
+    run_with_options(scene, stop, &RunOptions::default())
 }
 
 /// Same as [`run`], for the outcome only and in less time.
@@ -108,29 +112,29 @@ pub(crate) fn outcome<const N: usize>(
     stop: &AtomicBool,
     research: Option<&dyn ResearchFactory>,
 ) -> Result<Outcome, SceneError> {
-    let kept = Keeping { outcome_only: true, research, ..Keeping::default() };
-    run_keeping(scene, stop, &kept).map(|run| run.outcome)
+    let options = RunOptions { outcome_only: true, research, ..RunOptions::default() };
+    run_with_options(scene, stop, &options).map(|run| run.outcome)
 }
 
-fn run_keeping<const N: usize>(
+fn run_with_options<const N: usize>(
     scene: &SceneSpec<N>,
     stop: &AtomicBool,
-    kept: &Keeping<'_>,
+    options: &RunOptions<'_>,
 ) -> Result<SceneRun, SceneError> {
     pose::check_kind(scene)?;
-    if kept.files.is_some() && scene.safety.research.is_some() {
+    if options.files.is_some() && scene.safety.research.is_some() {
         return assemble::contradiction(
             "safety.research: what is recorded is replayed, which has no such controller",
         );
     }
     if let Some(scene) = pose::as_pose(scene)? {
-        return bilateral::simulate_pose(scene, stop, kept);
+        return bilateral::simulate_pose(scene, stop, options);
     }
     if scene.slave.is_some() {
-        return bilateral::simulate(scene, stop, kept);
+        return bilateral::simulate(scene, stop, options);
     }
-    if kept.files.is_some() {
+    if options.files.is_some() {
         return assemble::contradiction("record: a scene without a [slave] has no two sides to record");
     }
-    local::simulate(scene, stop, kept.research)
+    local::simulate(scene, stop, options.research)
 }

@@ -16,8 +16,8 @@ use super::{
     timed::Timed,
 };
 use crate::{
-    DrivenMaster, DrivenSlave, EndpointError, LedGripper, MasterEndpoint, MasterPlant, MasterRotation,
-    MasterSettings, MasterSide, SideKind, SlaveEndpoint, SlaveRotation, SlaveSettings, SlaveSide, Trigger,
+    DrivenMaster, DrivenSlave, EndpointError, MasterEndpoint, MasterPlant, MasterRotation, MasterSettings,
+    MasterSide, SideKind, SlaveEndpoint, SlaveGripper, SlaveRotation, SlaveSettings, SlaveSide, Trigger,
     coupling::{PositionForce, ScaleRange, ScaleRanges},
     endpoint::{Arm, Hand, TOOL_LEVER_M, period_s},
 };
@@ -74,7 +74,7 @@ fn slave_samples<const N: usize>(scene: &SceneSpec<N>) -> [SampleBounds; 2] {
 
 /// Build only the hand of [`master_endpoint`] and the coupling that requests its force. The hand must neither turn nor
 /// lead a gripper.
-pub(super) fn hand_alone<const N: usize>(
+pub(super) fn hand_and_coupling<const N: usize>(
     scene: &SceneSpec<N>,
 ) -> Result<(Hand<N>, PositionForce<N>), SceneError> {
     let settings = master_settings(scene, 0)?;
@@ -137,7 +137,7 @@ fn slave_settings<const N: usize>(scene: &SceneSpec<N>, run_id: u64) -> Result<S
 }
 
 /// Build only the arm of [`slave_endpoint`]; it must not turn.
-pub(super) fn arm_alone<const N: usize>(scene: &SceneSpec<N>) -> Result<Arm<N>, SceneError> {
+pub(super) fn point_arm<const N: usize>(scene: &SceneSpec<N>) -> Result<Arm<N>, SceneError> {
     let settings = slave_settings(scene, 0)?;
     Ok(Arm::new(&settings)?.with_samples(slave_samples(scene), period_s(settings.period_ns)))
 }
@@ -196,8 +196,8 @@ pub(super) fn trigger<const N: usize>(
 /// Build the model of the gripper of the scene's arm.
 pub(super) fn simulated_gripper<const N: usize>(
     scene: &SceneSpec<N>,
-) -> Result<Option<LedGripper>, SceneError> {
-    Ok(scene.coupled()?.0.gripper.map(LedGripper::simulated).transpose()?)
+) -> Result<Option<SlaveGripper>, SceneError> {
+    Ok(scene.coupled()?.0.gripper.map(SlaveGripper::simulated).transpose()?)
 }
 
 /// Build the scene's arm in its environment.
@@ -212,7 +212,8 @@ pub(super) fn simulated_arm<const N: usize>(scene: &SceneSpec<N>) -> Result<Simu
     )?)
 }
 
-pub(super) fn waiting_master<const N: usize>(mut plant: SimulatedMaster<N>) -> SimulatedMaster<N> {
+/// Let the hand of the plant wait at the start of its path until the sides engage.
+pub(super) fn with_waiting_hand<const N: usize>(mut plant: SimulatedMaster<N>) -> SimulatedMaster<N> {
     plant.set_waiting(true);
     plant
 }
@@ -222,7 +223,7 @@ pub type LiveDevice<const N: usize> = Box<dyn MasterPlant<N> + Send>;
 
 /// Build the scene's device in the scene's hand, which waits for the engagement.
 fn simulated_device<const N: usize>(scene: &SceneSpec<N>) -> Result<LiveDevice<N>, SceneError> {
-    Ok(Box::new(waiting_master(exact_master(scene)?)))
+    Ok(Box::new(with_waiting_hand(exact_master(scene)?)))
 }
 
 /// Build the master with the scene's device in the scene's hand; `run_id` is drawn at random at every start.
@@ -254,7 +255,7 @@ pub fn simulated_pose_master(
     let side = MasterSide::new(plant, master_endpoint(scene, run_id, None)?, live_clutch(scene))?
         .with_trigger(trigger(scene, false)?)
         .with_buttons(scene.master.buttons)?
-        .turning();
+        .recording_rotation();
     Ok(Timed::new(side, commands::<3>(scene.coupled()?.1)?))
 }
 
@@ -285,8 +286,8 @@ pub fn simulated_pose_slave(
     let (_, coupling) = scene.coupled()?;
     let side = SlaveSide::new(pose::simulated_tool(scene)?, slave_endpoint(scene, run_id)?)
         .with_gripper(simulated_gripper(scene)?)
-        .about(pose::reference_point(coupling)?)
-        .turning();
+        .with_reference_point(pose::reference_point(coupling)?)
+        .recording_rotation();
     Ok(Timed::new(side, commands::<3>(coupling)?))
 }
 
@@ -325,9 +326,9 @@ pub fn driven_slave<const N: usize>(
     research_controller(scene, None)?; // refused as at its master
     let plant = DrivenSlave::new(slave.max_acceleration.unwrap_or(DECELERATION))
         .map_err(|error| SceneError::Contradiction(format!("slave.max_acceleration: {error}")))?;
-    let gripper = slave.gripper.map(LedGripper::driven).transpose()?;
+    let gripper = slave.gripper.map(SlaveGripper::driven).transpose()?;
     let side = SlaveSide::new(plant, slave_endpoint(scene, run_id)?)
         .with_gripper(gripper)
-        .about(pose::reference_point(coupling)?);
+        .with_reference_point(pose::reference_point(coupling)?);
     Ok(Timed::new(side, commands::<N>(coupling)?))
 }

@@ -1,8 +1,8 @@
 //! A side whose operator gives commands at fixed times.
 
 use crate::{
-    Exchange, Feeling, MasterPlant, MasterRotation, MasterSide, OperatorCommand, Side, SlavePlant,
-    SlaveRotation, SlaveSide, TickTime,
+    Exchange, MasterPlant, MasterRotation, MasterSide, OperatorCommand, Side, SlavePlant, SlaveRotation,
+    SlaveSide, TickTime, WithTriggerFeedback,
     coupling::{CouplingError, ScaleRanges},
 };
 
@@ -46,33 +46,33 @@ impl<S> Timed<S> {
 impl<P, const N: usize> Timed<MasterSide<P, N>> {
     /// Return the side with records of a hand that turns.
     #[must_use]
-    pub fn turning(self) -> Timed<MasterSide<P, N, MasterRotation>>
+    pub fn recording_rotation(self) -> Timed<MasterSide<P, N, MasterRotation>>
     where
         P: MasterPlant<N>,
     {
         let Self { side, commands } = self;
-        Timed { side: side.turning(), commands }
+        Timed { side: side.recording_rotation(), commands }
     }
 }
 
 impl<P: MasterPlant<N>, const N: usize, R> Timed<MasterSide<P, N, R>> {
     /// Return the side with records of the force on the finger at the trigger.
     #[must_use]
-    pub fn feeling(self) -> Timed<MasterSide<P, N, Feeling<R>>> {
+    pub fn recording_trigger(self) -> Timed<MasterSide<P, N, WithTriggerFeedback<R>>> {
         let Self { side, commands } = self;
-        Timed { side: side.feeling(), commands }
+        Timed { side: side.recording_trigger(), commands }
     }
 }
 
 impl<P, const N: usize> Timed<SlaveSide<P, N>> {
     /// Return the side with records of an arm that turns.
     #[must_use]
-    pub fn turning(self) -> Timed<SlaveSide<P, N, SlaveRotation>>
+    pub fn recording_rotation(self) -> Timed<SlaveSide<P, N, SlaveRotation>>
     where
         P: SlavePlant<N>,
     {
         let Self { side, commands } = self;
-        Timed { side: side.turning(), commands }
+        Timed { side: side.recording_rotation(), commands }
     }
 }
 

@@ -13,9 +13,9 @@ pub(super) struct Tracking<const N: usize, S: Real = f64> {
     metrics: Metrics,
     pub(super) coupling: Present<N, S>,
     /// True position in m of the master at its newest tick.
-    near_position: Option<Axes<N, S>>,
+    master_position: Option<Axes<N, S>>,
     /// `F_e` in N at the newest tick of the slave.
-    far_force: Axes<N, S>,
+    slave_force: Axes<N, S>,
     /// Positions in m of master and slave at engagement.
     anchor: Option<[Axes<N, S>; 2]>,
     /// Sums of the squared differences of position and force; `samples` counts them.
@@ -29,8 +29,8 @@ impl<const N: usize, S: Real> Tracking<N, S> {
         Self {
             metrics,
             coupling,
-            near_position: None,
-            far_force: Axes::zeros(),
+            master_position: None,
+            slave_force: Axes::zeros(),
             anchor: None,
             squares: [S::zero(); 2],
             samples: [0; 2],
@@ -40,7 +40,7 @@ impl<const N: usize, S: Real> Tracking<N, S> {
     /// Combine runs into lanes before their first tick; None unless their metrics and commands are equal.
     pub(super) fn gather(of: &[&Tracking<N>]) -> Option<Self> {
         let metrics = of.first()?.metrics;
-        let begins = |one: &&Tracking<N>| one.metrics == metrics && one.near_position.is_none();
+        let begins = |one: &&Tracking<N>| one.metrics == metrics && one.master_position.is_none();
         if !of.iter().all(begins) {
             return None;
         }
@@ -49,34 +49,39 @@ impl<const N: usize, S: Real> Tracking<N, S> {
     }
 
     /// Restart from the present positions: after a change of the coupling, the slave continues from where it is.
-    pub(super) fn begin_anew(&mut self) {
+    pub(super) fn restart(&mut self) {
         self.anchor = None;
     }
 
     /// Take a tick of the master: x and `F_device`. `is_coupled` is true if both sides are coupled.
     #[inline(always)] // once a tick, from few places
-    pub(super) fn near(&mut self, is_coupled: bool, position: &Axes<N, S>, device_force: &Axes<N, S>) {
+    pub(super) fn take_master(&mut self, is_coupled: bool, position: &Axes<N, S>, device_force: &Axes<N, S>) {
         if is_coupled && self.metrics.has(Metric::ForceError) {
-            let difference = device_force - self.coupling.to_master(&self.far_force);
+            let difference = device_force - self.coupling.to_master(&self.slave_force);
             self.squares[1] += difference.dot(&difference);
             self.samples[1] += 1;
         }
-        self.near_position = Some(*position);
+        self.master_position = Some(*position);
     }
 
     /// Take a tick of the slave: x and `F_e`. `is_coupled` is true if both sides are coupled.
     #[inline(always)] // as near
-    pub(super) fn far(&mut self, is_coupled: bool, position: &Axes<N, S>, environment_force: &Axes<N, S>) {
-        self.far_force = *environment_force;
+    pub(super) fn take_slave(
+        &mut self,
+        is_coupled: bool,
+        position: &Axes<N, S>,
+        environment_force: &Axes<N, S>,
+    ) {
+        self.slave_force = *environment_force;
         if !self.metrics.has(Metric::PositionError) {
             // The metric is not requested.
         } else if !is_coupled {
             // The next engagement starts from the positions at that time.
             self.anchor = None;
-        } else if let Some(near_position) = &self.near_position {
-            let [near, far] = self.anchor.get_or_insert([*near_position, *position]);
-            let wanted = self.coupling.to_slave(&(near_position - *near));
-            let difference = position - *far - wanted;
+        } else if let Some(master_position) = &self.master_position {
+            let [master, slave] = self.anchor.get_or_insert([*master_position, *position]);
+            let wanted = self.coupling.to_slave(&(master_position - *master));
+            let difference = position - *slave - wanted;
             self.squares[0] += difference.dot(&difference);
             self.samples[0] += 1;
         }

@@ -4,7 +4,7 @@ mod lanes;
 
 use std::ops::ControlFlow;
 
-pub(super) use lanes::{NearTick, WatchedLanes};
+pub(super) use lanes::{MasterLaneTick, WatchedLanes};
 
 use super::{
     assemble::SceneError,
@@ -36,8 +36,8 @@ pub(super) struct Watched<const N: usize> {
     /// Distance of the arm in m that counts as divergence.
     max_distance: f64,
     log: EventLog,
-    near: Recorder,
-    far: Recorder,
+    master: Recorder,
+    slave: Recorder,
     /// Ladder states of master and slave.
     states: [LadderState; 2],
     engaged_s: Option<f64>,
@@ -87,7 +87,7 @@ impl<const N: usize> Watched<N> {
         let longest_ns = settings.period_ns.max(settings.slave_period_ns);
         let every = scene.record.as_ref().map_or(0, |record| record.every);
         // Both sides are recorded at about the same rate.
-        let far_every = (every * settings.period_ns).div_ceil(settings.slave_period_ns);
+        let slave_every = (every * settings.period_ns).div_ceil(settings.slave_period_ns);
         let judged = MeasureSettings::of(scene);
         // Until engagement, a scheduled release lies in the future.
         let ahead = MeasureSettings { release_s: judged.release_s.map(|_| f64::INFINITY), ..judged };
@@ -97,9 +97,9 @@ impl<const N: usize> Watched<N> {
             measures: Measures::new(&ahead, start),
             max_distance: scene.run.diverged_position * coupling.max_position_scale().max(1.0),
             log: EventLog::default(),
-            near: Recorder::new(every, settings.ticks),
-            far: Recorder::new(
-                far_every,
+            master: Recorder::new(every, settings.ticks),
+            slave: Recorder::new(
+                slave_every,
                 (settings.ticks * settings.period_ns).div_ceil(settings.slave_period_ns),
             ),
             states: [LadderState::Disengaged; 2],
@@ -135,8 +135,8 @@ impl<const N: usize> Watched<N> {
         Q: SlaveTurn,
     {
         match event {
-            Event::Master(record) => self.near(record, master),
-            Event::Slave(record) => self.far(record, arm),
+            Event::Master(record) => self.take_master(record, master),
+            Event::Slave(record) => self.take_slave(record, arm),
         }
     }
 
@@ -145,7 +145,7 @@ impl<const N: usize> Watched<N> {
     fn change(&mut self, now_ns: u64) {
         match self.changed(now_ns) {
             Ok(true) => {
-                self.tracking.begin_anew();
+                self.tracking.restart();
                 if self.states.iter().any(|state| state.is_coupled()) {
                     self.fades_until_ns = now_ns.saturating_add(self.fade_ns);
                 }
@@ -232,27 +232,27 @@ impl<const N: usize> Watched<N> {
     }
 
     #[inline(always)] // as take
-    fn near<P: MasterPlant<N>, R: MasterTurn>(
+    fn take_master<P: MasterPlant<N>, R: MasterTurn>(
         &mut self,
         record: &MasterRecord<N, R>,
         side: &MasterSide<P, N, R>,
     ) -> ControlFlow<()> {
-        let flow = self.measure_near(record);
+        let flow = self.measure_master(record);
         if self.diverged.is_some() {
             return flow;
         }
         if let Some(felt) = side.felt() {
             self.log.trigger_tripped(record.time_ns as f64 / 1e9, felt.intervention.tripped);
         }
-        if self.near.begin_tick() {
-            self.record_near(record, side, record.time_ns as f64 / 1e9);
+        if self.master.begin_tick() {
+            self.record_master(record, side, record.time_ns as f64 / 1e9);
         }
         flow
     }
 
     /// Take the record of a tick of the master without its signals; break as in [`take`](Self::take).
     #[inline(always)] // as take
-    pub(super) fn measure_near<R: MasterTurn>(&mut self, record: &MasterRecord<N, R>) -> ControlFlow<()> {
+    pub(super) fn measure_master<R: MasterTurn>(&mut self, record: &MasterRecord<N, R>) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 / 1e9;
         self.change(record.time_ns);
         self.ladder(0, record.time_ns, record.state, record.reason);
@@ -282,16 +282,16 @@ impl<const N: usize> Watched<N> {
         if let (Some(rotation), Some(turn)) = (&mut self.rotation, turn)
             && self.judged.metrics.has_rotation()
         {
-            rotation.near(time_s, turn, coupled);
+            rotation.take_master(time_s, turn, coupled);
         }
-        self.tracking.near(coupled, x, force);
+        self.tracking.take_master(coupled, x, force);
         self.newest_ns = record.time_ns;
         if self.settled { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     }
 
     /// Record the signals of a tick of the master.
     #[inline(never)]
-    fn record_near<P: MasterPlant<N>, R: MasterTurn>(
+    fn record_master<P: MasterPlant<N>, R: MasterTurn>(
         &mut self,
         record: &MasterRecord<N, R>,
         side: &MasterSide<P, N, R>,
@@ -317,27 +317,31 @@ impl<const N: usize> Watched<N> {
             ("state", Sample::Scalar(f64::from(record.state.code()))),
             ("age_s", Sample::Scalar(age_s)),
         ];
-        self.near.take(signals.into_iter().chain(observed).chain(state).chain(trigger));
+        self.master.take(signals.into_iter().chain(observed).chain(state).chain(trigger));
         if let Some(turn) = record.rotation.rotation() {
-            self.near.also(|add| turn.signals(add));
+            self.master.also(|add| turn.signals(add));
         }
         if side.felt().is_some() {
-            self.near.also(|add| side.finger_signals(add));
+            self.master.also(|add| side.finger_signals(add));
         }
     }
 
     #[inline(always)] // as take
-    fn far<Q: SlaveTurn>(&mut self, record: &SlaveRecord<N, Q>, arm: &impl ModelArm) -> ControlFlow<()> {
-        self.measure_far(record)?;
-        if self.far.begin_tick() {
-            self.record_far(record, arm, record.time_ns as f64 / 1e9);
+    fn take_slave<Q: SlaveTurn>(
+        &mut self,
+        record: &SlaveRecord<N, Q>,
+        arm: &impl ModelArm,
+    ) -> ControlFlow<()> {
+        self.measure_slave(record)?;
+        if self.slave.begin_tick() {
+            self.record_slave(record, arm, record.time_ns as f64 / 1e9);
         }
         ControlFlow::Continue(())
     }
 
     /// Take the record of a tick of the slave without its signals; break if the run has diverged.
     #[inline(always)] // as take
-    pub(super) fn measure_far<Q: SlaveTurn>(&mut self, record: &SlaveRecord<N, Q>) -> ControlFlow<()> {
+    pub(super) fn measure_slave<Q: SlaveTurn>(&mut self, record: &SlaveRecord<N, Q>) -> ControlFlow<()> {
         let time_s = record.time_ns as f64 / 1e9;
         self.change(record.time_ns);
         self.ladder(1, record.time_ns, record.state, record.reason);
@@ -349,26 +353,26 @@ impl<const N: usize> Watched<N> {
         self.log.touches(time_s, record.touches);
         self.log.grips(time_s, record.holds_object);
         let coupled = self.is_comparable(record.time_ns);
-        self.tracking.far(coupled, &record.position, &record.environment_force);
+        self.tracking.take_slave(coupled, &record.position, &record.environment_force);
         let turn = record.rotation.rotation();
         if let (Some(turn), Some(rotation)) = (turn, &mut self.rotation)
             && self.judged.metrics.has_rotation()
         {
-            rotation.far(turn);
+            rotation.take_slave(turn);
         }
         ControlFlow::Continue(())
     }
 
     /// Record the signals of a tick of the slave.
     #[inline(never)]
-    fn record_far<Q: SlaveTurn>(&mut self, record: &SlaveRecord<N, Q>, arm: &impl ModelArm, time_s: f64) {
+    fn record_slave<Q: SlaveTurn>(&mut self, record: &SlaveRecord<N, Q>, arm: &impl ModelArm, time_s: f64) {
         let gripper = self.has_gripper.then_some([
             ("gripper", Sample::Scalar(record.gripper)),
             ("gripper_command", Sample::Scalar(record.gripper_command)),
             ("gripper_force", Sample::Scalar(record.gripper_force)),
             ("holds_object", Sample::Scalar(f64::from(u8::from(record.holds_object)))),
         ]);
-        self.far.take(
+        self.slave.take(
             [
                 ("slave_time_s", Sample::Scalar(time_s)),
                 ("slave_position", Sample::Vector(&record.position)),
@@ -380,7 +384,7 @@ impl<const N: usize> Watched<N> {
             .chain(gripper.into_iter().flatten()),
         );
         if let Some(turn) = record.rotation.rotation() {
-            self.far.also(|add| {
+            self.slave.also(|add| {
                 turn.signals(add);
                 arm.world(add);
             });
@@ -478,8 +482,8 @@ impl<const N: usize> Watched<N> {
             let detail = format!("{} frames were dropped: too many were under way", self.overflowed);
             self.log.add(end_s, "overflow", detail);
         }
-        let mut signals = self.near.into_signals();
-        signals.extend(self.far.into_signals());
+        let mut signals = self.master.into_signals();
+        signals.extend(self.slave.into_signals());
         Ok(SceneRun {
             signals,
             events: self.log.into_events(),

@@ -89,9 +89,9 @@ impl SessionEnd {
             Incoming::Payload { payload, arrival } => Ok(Received::Payload { payload, arrival }),
             Incoming::Release => Ok(Received::Nothing),
             Incoming::Handshake { datagram, .. } => {
-                let standing = self.session.standing(now_ns);
+                let status = self.session.status(now_ns);
                 let handshake = self.handshake.as_mut().ok_or(Rejection::Kind)?;
-                let outcome = handshake.receive(now_ns, from, datagram, &standing, entropy)?;
+                let outcome = handshake.receive(now_ns, from, datagram, &status, entropy)?;
                 if let Some(keys) = outcome.keys {
                     self.session.install(now_ns, keys);
                 }
@@ -108,9 +108,9 @@ impl SessionEnd {
         entropy: &mut dyn Entropy,
     ) -> Result<Option<HandshakeDatagram>, HandshakeError> {
         self.session.advance(now_ns);
-        let standing = self.session.standing(now_ns);
+        let status = self.session.status(now_ns);
         match &mut self.handshake {
-            Some(handshake) => handshake.poll(now_ns, &standing, entropy),
+            Some(handshake) => handshake.poll(now_ns, &status, entropy),
             None => Ok(None),
         }
     }

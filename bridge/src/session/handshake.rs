@@ -1,7 +1,7 @@
 //! Handshakes, off the tick: they take a millisecond and allocate.
 //!
 //! [`Handshake`] holds the shared key and derives epoch keys. [`super::Session`] holds those keys and seals
-//! with them. [`Handshake`] takes a [`Standing`] and a datagram and returns an [`Outcome`], so the two may
+//! with them. [`Handshake`] takes a [`SessionStatus`] and a datagram and returns an [`Outcome`], so the two may
 //! run on different threads.
 
 use std::net::SocketAddr;
@@ -10,7 +10,7 @@ use super::{
     budget::{Bucket, Shares},
     keys::{Epoch, EpochId, MacKey, PreSharedKey},
     noise::{Entropy, HandshakeError, MESSAGE, Noise},
-    session::Standing,
+    session::SessionStatus,
     settings::SessionSettings,
     wire::{
         EPHEMERAL, HANDSHAKE_LENGTH, HandshakeDecision, HandshakePayload, Header, Kind, NO_TICKET, Rejection,
@@ -125,16 +125,14 @@ impl Handshake {
         now_ns: u64,
         from: SocketAddr,
         datagram: &[u8],
-        standing: &Standing,
+        status: &SessionStatus,
         entropy: &mut dyn Entropy,
     ) -> Result<Outcome, Rejection> {
         let outcome = Header::read(datagram, self.role, HANDSHAKE_LENGTH).and_then(|header| {
             let datagram: &HandshakeDatagram = datagram.try_into().map_err(|_| Rejection::Length)?;
             match &mut self.side {
-                Side::Master(initiator) => initiator.receive(now_ns, &header, datagram, standing),
-                Side::Slave(responder) => {
-                    responder.receive(now_ns, from, &header, datagram, standing, entropy)
-                }
+                Side::Master(initiator) => initiator.receive(now_ns, &header, datagram, status),
+                Side::Slave(responder) => responder.receive(now_ns, from, &header, datagram, status, entropy),
             }
         });
         outcome.inspect_err(|rejection| self.rejections.count(*rejection))
@@ -146,11 +144,11 @@ impl Handshake {
     pub fn poll(
         &mut self,
         now_ns: u64,
-        standing: &Standing,
+        status: &SessionStatus,
         entropy: &mut dyn Entropy,
     ) -> Result<Option<HandshakeDatagram>, HandshakeError> {
         match &mut self.side {
-            Side::Master(initiator) => initiator.poll(now_ns, standing, entropy),
+            Side::Master(initiator) => initiator.poll(now_ns, status, entropy),
             Side::Slave(_) => Ok(None),
         }
     }
@@ -222,35 +220,39 @@ impl Initiator {
     }
 
     /// Return the handshake that the session needs now: a new session, or new keys for the present one.
-    fn wanted(&self, standing: &Standing) -> Option<Wish> {
-        let Some(live) = &standing.live else { return Some(Wish::Session) };
-        if standing.silent_ns >= self.settings.silence_ns {
+    fn needed_handshake(&self, status: &SessionStatus) -> Option<HandshakePurpose> {
+        let Some(live) = &status.live else { return Some(HandshakePurpose::Session) };
+        if status.silent_ns >= self.settings.silence_ns {
             // The slave may have restarted without this session. A slave that still has it answers `Leased`,
             // unless its frames arrive again first.
-            return Some(if self.renews && live.confirmed { Wish::Keys } else { Wish::Session });
+            return Some(if self.renews && live.confirmed {
+                HandshakePurpose::Keys
+            } else {
+                HandshakePurpose::Session
+            });
         }
-        let is_due = standing.due || live.age_ns >= self.settings.rekey_ns;
+        let is_due = status.due || live.age_ns >= self.settings.rekey_ns;
         // A renewal is keyed by the chain of the live keys. Until the slave has used them, it may still have
         // older ones.
-        (is_due && live.confirmed).then_some(Wish::Keys)
+        (is_due && live.confirmed).then_some(HandshakePurpose::Keys)
     }
 
     /// Return the message to send at `now_ns`, if any.
     pub(super) fn poll(
         &mut self,
         now_ns: u64,
-        standing: &Standing,
+        status: &SessionStatus,
         entropy: &mut dyn Entropy,
     ) -> Result<Option<HandshakeDatagram>, HandshakeError> {
-        let Some(wish) = self.wanted(standing) else {
+        let Some(purpose) = self.needed_handshake(status) else {
             self.pending = None;
             return Ok(None);
         };
-        let living = standing.live.as_ref().map(|live| live.id);
+        let living = status.live.as_ref().map(|live| live.id);
         let over = self.pending.take_if(|pending| {
-            let is_other = match wish {
-                Wish::Session => pending.id.epoch != 0,
-                Wish::Keys => living.is_none_or(|living| living.session != pending.id.session),
+            let is_other = match purpose {
+                HandshakePurpose::Session => pending.id.epoch != 0,
+                HandshakePurpose::Keys => living.is_none_or(|living| living.session != pending.id.session),
             };
             is_other || now_ns.saturating_sub(pending.begun_ns) >= ATTEMPT_NS
         });
@@ -268,21 +270,21 @@ impl Initiator {
             pending.next_ns = now_ns + pending.wait_ns;
             return Ok(Some(pending.datagram));
         }
-        if now_ns < self.refused_until_ns && wish == Wish::Session {
+        if now_ns < self.refused_until_ns && purpose == HandshakePurpose::Session {
             return Ok(None);
         }
-        self.begin(now_ns, wish, standing, entropy).map(Some)
+        self.begin(now_ns, purpose, status, entropy).map(Some)
     }
 
     fn begin(
         &mut self,
         now_ns: u64,
-        wish: Wish,
-        standing: &Standing,
+        purpose: HandshakePurpose,
+        status: &SessionStatus,
         entropy: &mut dyn Entropy,
     ) -> Result<HandshakeDatagram, HandshakeError> {
-        let (id, key) = match (wish, &standing.live) {
-            (Wish::Keys, Some(live)) => {
+        let (id, key) = match (purpose, &status.live) {
+            (HandshakePurpose::Keys, Some(live)) => {
                 let before = self.newest.filter(|newest| newest.session == live.id.session);
                 let epoch = before.map_or(live.id.epoch, |newest| newest.epoch.max(live.id.epoch));
                 let epoch = epoch.checked_add(1).ok_or(HandshakeError::Noise)?;
@@ -311,7 +313,7 @@ impl Initiator {
         now_ns: u64,
         header: &Header,
         datagram: &[u8],
-        standing: &Standing,
+        status: &SessionStatus,
     ) -> Result<Outcome, Rejection> {
         let id = EpochId { session: header.session, epoch: header.epoch };
         let pending =
@@ -323,7 +325,7 @@ impl Initiator {
             self.refused_until_ns = now_ns.saturating_add(REFUSED_NS);
             self.ticket = payload.ticket;
             self.renews =
-                id.epoch == 0 && payload.decision == HandshakeDecision::Leased && standing.live.is_some();
+                id.epoch == 0 && payload.decision == HandshakeDecision::Leased && status.live.is_some();
             if self.renews && !self.has_failed {
                 return Ok(Outcome::default());
             }
@@ -337,7 +339,7 @@ impl Initiator {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Wish {
+enum HandshakePurpose {
     Session,
     Keys,
 }
@@ -416,13 +418,13 @@ impl Responder {
         from: SocketAddr,
         header: &Header,
         datagram: &HandshakeDatagram,
-        standing: &Standing,
+        status: &SessionStatus,
         entropy: &mut dyn Entropy,
     ) -> Result<Outcome, Rejection> {
         let id = EpochId { session: header.session, epoch: header.epoch };
-        let is_renewal = standing.is_renewal(id)?;
+        let is_renewal = status.is_renewal(id)?;
         // While the peer is heard, or was heard recently, the answer goes to the address of its frames.
-        let to_peer = is_renewal && standing.silent_ns < self.settings.silence_ns;
+        let to_peer = is_renewal && status.silent_ns < self.settings.silence_ns;
         let (ephemeral, said) = parts(datagram);
         if let Some(answered) = self.answered(datagram, is_renewal) {
             if now_ns.saturating_sub(answered.first_ns) >= REPEATED_NS {
@@ -440,7 +442,7 @@ impl Responder {
         if is_given_up || self.seen.iter().any(|seen| seen == ephemeral) {
             return Err(Rejection::Replayed);
         }
-        let renewal_key = match &standing.live {
+        let renewal_key = match &status.live {
             Some(live) if is_renewal => Some(self.key.within(&live.chain)),
             _ => None,
         };
@@ -455,10 +457,10 @@ impl Responder {
         self.spend(now_ns, from, is_renewal, RENEWALS)?;
         self.seen[self.next_seen].copy_from_slice(ephemeral);
         self.next_seen = (self.next_seen + 1) % SEEN;
-        let decision = self.admit(is_renewal, &payload, standing);
+        let decision = self.admit(is_renewal, &payload, status);
         let mut word = HandshakePayload::new(self.run, self.settings.form, decision);
         // A holder of the lease that lost its session is not a second master.
-        let is_other = decision == HandshakeDecision::Leased && standing.holder != Some(payload.run);
+        let is_other = decision == HandshakeDecision::Leased && status.holder != Some(payload.run);
         let mut lives = false;
         if is_other {
             lives = self.redeem(payload.ticket);
@@ -481,8 +483,13 @@ impl Responder {
         Ok(Outcome { reply: Some(answer), to_peer, keys, event })
     }
 
-    fn admit(&self, is_renewal: bool, payload: &HandshakePayload, standing: &Standing) -> HandshakeDecision {
-        if !is_renewal && standing.holder.is_some() {
+    fn admit(
+        &self,
+        is_renewal: bool,
+        payload: &HandshakePayload,
+        status: &SessionStatus,
+    ) -> HandshakeDecision {
+        if !is_renewal && status.holder.is_some() {
             HandshakeDecision::Leased
         } else if payload.form != self.settings.form {
             HandshakeDecision::PayloadForm

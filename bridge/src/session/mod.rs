@@ -40,7 +40,7 @@ pub use handshake::{Handshake, HandshakeDatagram, HandshakeEvent, Outcome};
 pub(crate) use handshake::{message_is_answer, session_and_epoch};
 pub use keys::{Epoch, KeyError, PreSharedKey};
 pub use noise::{Entropy, HandshakeError, NoEntropy, SeededEntropy, SystemEntropy};
-pub use session::{Incoming, SealError, Session, SessionEvent, Standing, StillHeard};
+pub use session::{Incoming, SealError, Session, SessionEvent, SessionStatus, StillHeard};
 pub use settings::{SessionSettings, SettingsError};
 pub(crate) use wire::is_handshake;
 pub use wire::{

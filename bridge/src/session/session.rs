@@ -363,7 +363,7 @@ impl Session {
     }
 
     /// State of the session for the handshake.
-    pub fn standing(&self, now_ns: u64) -> Standing {
+    pub fn status(&self, now_ns: u64) -> SessionStatus {
         let live = match (&self.epochs.current, &self.epochs.lapsed) {
             (Some(epoch), _) => Some(Live {
                 id: epoch.id,
@@ -376,7 +376,7 @@ impl Session {
             }
             (None, None) => None,
         };
-        Standing {
+        SessionStatus {
             live,
             silent_ns: now_ns.saturating_sub(self.heard_ns),
             holder: self.lease.map(|lease| lease.run),
@@ -470,7 +470,7 @@ pub struct StillHeard {
 
 /// State of the session for the handshake; it may pass to another thread.
 #[derive(Debug, PartialEq, Eq)]
-pub struct Standing {
+pub struct SessionStatus {
     pub(super) live: Option<Live>,
     /// Time in ns since the peer was heard, or since the master installed its keys.
     pub(super) silent_ns: u64,
@@ -480,7 +480,7 @@ pub struct Standing {
     pub(super) due: bool,
 }
 
-impl Standing {
+impl SessionStatus {
     /// Return whether a first message is for the next keys of the present session, and not for a new session.
     /// An error if it is for neither, or for keys that the peer already has.
     pub(super) fn is_renewal(&self, id: EpochId) -> Result<bool, Rejection> {
@@ -491,7 +491,7 @@ impl Standing {
 /// Largest number of failed handshakes of a session between two answered ones.
 const MAX_SKIPPED: u32 = 1024;
 
-/// See [`Standing::is_renewal`].
+/// See [`SessionStatus::is_renewal`].
 pub(super) fn is_renewal(living: Option<EpochId>, id: EpochId) -> Result<bool, Rejection> {
     match living {
         Some(living) if living.session == id.session => match id.epoch.checked_sub(living.epoch) {

@@ -117,9 +117,10 @@ impl Pair {
             shares_trips: true,
         };
         let endpoint = MasterEndpoint::of_pose(&settings, &rotation, RotationLock::Free).unwrap();
-        let master = MasterSide::new(DrivenMaster::default(), endpoint, Clutch::Once).unwrap().turning();
+        let master =
+            MasterSide::new(DrivenMaster::default(), endpoint, Clutch::Once).unwrap().recording_rotation();
         let endpoint = SlaveEndpoint::of_pose(&slave_settings(), &rotation_settings(&set)).unwrap();
-        let slave = SlaveSide::new(DrivenSlave::new(5.0).unwrap(), endpoint).turning();
+        let slave = SlaveSide::new(DrivenSlave::new(5.0).unwrap(), endpoint).recording_rotation();
         let Set { frame, start: [hand, tool], delays, .. } = set;
         let mut pair = Self {
             master,

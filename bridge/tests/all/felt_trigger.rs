@@ -2,9 +2,10 @@
 #![allow(clippy::unwrap_used)] // a test may
 
 use haptether_bridge::{
-    ButtonSettings, ButtonWord, Clutch, DrivenMaster, HeldTrigger, LadderSettings, LadderState, LedGripper,
-    LinkTime, MasterEndpoint, MasterRecord, MasterSettings, MasterSide, OperatorCommand, Side, SlaveEndpoint,
-    SlaveSettings, SlaveSide, TickTime, Trigger, TriggerSettings, coupling::CommandBounds, wire::MAX_FRAME,
+    ButtonSettings, ButtonWord, Clutch, DrivenMaster, HeldTrigger, LadderSettings, LadderState, LinkTime,
+    MasterEndpoint, MasterRecord, MasterSettings, MasterSide, OperatorCommand, Side, SlaveEndpoint,
+    SlaveGripper, SlaveSettings, SlaveSide, TickTime, Trigger, TriggerSettings, coupling::CommandBounds,
+    wire::MAX_FRAME,
 };
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path};
 use haptether_safety::{
@@ -84,7 +85,7 @@ impl Pair {
         let arm = arm_before_wall(1.0, Some(pusher), 2.0);
         let jaws = GripperSettings { position: jaws, speed: 2.0, force_n: JAWS_N, object: Some(0.6) };
         let slave = SlaveSide::new(arm, SlaveEndpoint::new(&settings).unwrap())
-            .with_gripper(Some(LedGripper::simulated(jaws).unwrap()));
+            .with_gripper(Some(SlaveGripper::simulated(jaws).unwrap()));
         Self { master, slave, tick: 0, is_cut: false }
     }
 

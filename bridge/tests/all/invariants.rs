@@ -20,8 +20,9 @@ use std::ops::ControlFlow;
 use drawn::{Control, Drawn};
 use gripped::DrawnGripper;
 use haptether_bridge::{
-    Feeling, LadderState, MasterEndpoint, MasterPlant, MasterSettings, MasterSide, MasterTurn, SlaveEndpoint,
-    SlavePlant, SlaveSettings, SlaveSide, SlaveTurn, VirtualSettings, coupling::ReferencePoint, run_virtual,
+    LadderState, MasterEndpoint, MasterPlant, MasterSettings, MasterSide, MasterTurn, SlaveEndpoint,
+    SlavePlant, SlaveSettings, SlaveSide, SlaveTurn, VirtualSettings, WithTriggerFeedback,
+    coupling::ReferencePoint, run_virtual,
 };
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path, SimulatedMaster};
 use haptether_netsim::EndpointClock;
@@ -110,7 +111,7 @@ fn run<const N: usize>(drawn: &Drawn) -> Result<Seen, String> {
     let near = near_side(near_plant(device::<N>(drawn), drawn), with_felt_trigger(near, drawn)?, drawn);
     let far = SlaveSide::new(Plant::new(arm::<N>(drawn), drawn.broken[1]), far);
     let far = far.with_gripper(drawn.gripper.as_ref().map(DrawnGripper::led));
-    between(drawn, near.feeling(), far, Turning::default())
+    between(drawn, near.recording_trigger(), far, Turning::default())
 }
 
 /// Same as [`run`], with a hand and an arm that turn.
@@ -125,9 +126,10 @@ fn run_pose(drawn: &Drawn, pose: &DrawnPose) -> Result<Seen, String> {
     let reference_point = pose.reference_m.map(|by| ReferencePoint::new(by.into()).unwrap());
     let far = SlaveSide::new(arm, far)
         .with_gripper(drawn.gripper.as_ref().map(DrawnGripper::led))
-        .about(reference_point)
-        .turning();
-    let near = near_side(device, with_felt_trigger(near, drawn)?, drawn).turning().feeling();
+        .with_reference_point(reference_point)
+        .recording_rotation();
+    let near =
+        near_side(device, with_felt_trigger(near, drawn)?, drawn).recording_rotation().recording_trigger();
     let seen = between(drawn, near, far, turning)?;
     complaint.take().map_or(Ok(seen), Err)
 }
@@ -161,7 +163,7 @@ fn near_side<P: MasterPlant<N>, const N: usize>(
 /// Run both sides over their network.
 fn between<P, Q, R, S, const N: usize>(
     drawn: &Drawn,
-    near: MasterSide<Plant<P, N>, N, Feeling<R>>,
+    near: MasterSide<Plant<P, N>, N, WithTriggerFeedback<R>>,
     far: SlaveSide<Plant<Q, N>, N, S>,
     turning: Turning,
 ) -> Result<Seen, String>

@@ -67,7 +67,8 @@ impl Pair {
             shares_trips,
         };
         let endpoint = MasterEndpoint::of_pose(&settings, &rotation, RotationLock::Free).unwrap();
-        let master = MasterSide::new(DrivenMaster::default(), endpoint, Clutch::Once).unwrap().turning();
+        let master =
+            MasterSide::new(DrivenMaster::default(), endpoint, Clutch::Once).unwrap().recording_rotation();
         let settings = SlaveSettings {
             period_ns: MS,
             run_id: 2,
@@ -82,7 +83,7 @@ impl Pair {
             alignment: None,
         };
         let endpoint = SlaveEndpoint::of_pose(&settings, &rotation).unwrap();
-        let slave = SlaveSide::new(DrivenSlave::new(5.0).unwrap(), endpoint).turning();
+        let slave = SlaveSide::new(DrivenSlave::new(5.0).unwrap(), endpoint).recording_rotation();
         let mut pair =
             Self { master, slave, under_way: Default::default(), is_silent: false, tick: 0, last: None };
         pair.hand(turned(0.2, -0.1, 0.3));
@@ -253,7 +254,7 @@ fn arm_with_unknown_rest_orientation_is_held_at_none() {
         let mut pair = Pair::new(RotationBounds::default());
         pair.engage();
         assert!(pair.slave.endpoint.last_orientation().is_some());
-        pair.slave.endpoint.rests(&Axes::zeros(), rest.as_ref());
+        pair.slave.endpoint.set_rest(&Axes::zeros(), rest.as_ref());
         assert_eq!(pair.slave.endpoint.last_orientation(), expected);
     }
     let mut pair = Pair::new(RotationBounds::default());

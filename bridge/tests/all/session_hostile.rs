@@ -288,7 +288,7 @@ fn an_answer_to_the_living_partner_goes_to_it() {
             panic!()
         };
         let outcome = handshake
-            .receive(now_ns, address(9, 9), datagram, &session.standing(now_ns), &mut entropy)
+            .receive(now_ns, address(9, 9), datagram, &session.status(now_ns), &mut entropy)
             .unwrap();
         (outcome, is_renewal)
     };

@@ -6,7 +6,7 @@ use nalgebra::{Quaternion, UnitQuaternion};
 
 use crate::{
     Axes, LegShape, ModelError, Release, ReleaseKind,
-    hand::{or_at_once, whole_ns},
+    hand::{or_at_once, rounded_to_ns},
     path::MIN_LEG_S,
     require,
 };
@@ -180,7 +180,7 @@ impl RotationHand {
             start,
             legs: built,
             release: release.map(|one| Release {
-                at_s: whole_ns(one.at_s),
+                at_s: rounded_to_ns(one.at_s),
                 decay_s: or_at_once(one.decay_s),
                 ..one
             }),
@@ -211,7 +211,7 @@ impl RotationHand {
     pub fn grip_at(&self, t: f64) -> f64 {
         match self.release {
             Some(Release { at_s, decay_s, .. }) if t >= at_s => {
-                if t < whole_ns(at_s + decay_s) {
+                if t < rounded_to_ns(at_s + decay_s) {
                     1.0 - (t - at_s) / decay_s
                 } else {
                     0.0
@@ -224,7 +224,7 @@ impl RotationHand {
     /// Rate of the grip just after time t, in 1/s.
     fn grip_rate(&self, t: f64) -> f64 {
         match self.release {
-            Some(Release { at_s, decay_s, .. }) if t >= at_s && t < whole_ns(at_s + decay_s) => {
+            Some(Release { at_s, decay_s, .. }) if t >= at_s && t < rounded_to_ns(at_s + decay_s) => {
                 -decay_s.recip()
             }
             _ => 0.0,
@@ -278,7 +278,7 @@ impl RotationHand {
         let of_grip = self
             .release
             .into_iter()
-            .flat_map(|Release { at_s, decay_s, .. }| [at_s, whole_ns(at_s + decay_s)]);
+            .flat_map(|Release { at_s, decay_s, .. }| [at_s, rounded_to_ns(at_s + decay_s)]);
         let of_path = self.legs.iter().flat_map(|leg| [leg.begin_s, leg.end_s]);
         of_grip.chain(of_path).filter(|&kink| kink > t).min_by(f64::total_cmp)
     }

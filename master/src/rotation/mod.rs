@@ -179,7 +179,7 @@ impl SimulatedRotation {
     }
 
     /// The same handle with springs that act at every instant.
-    pub fn among(self, springs: Vec<TorsionSpring>) -> Result<Self, ModelError> {
+    pub fn with_springs(self, springs: Vec<TorsionSpring>) -> Result<Self, ModelError> {
         Self { springs, ..self }.with_rate()
     }
 

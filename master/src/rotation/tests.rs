@@ -22,7 +22,7 @@ fn turned(viscous: f64, coulomb: f64, stiffness: f64, angle: f64) -> SimulatedRo
     let device = RotationParameters::ideal(INERTIA, viscous, coulomb);
     let spring = TorsionSpring::new(stiffness, 0.0, UPRIGHT).unwrap();
     let body = SimulatedRotation::new(device, RotationHand::absent(UPRIGHT).unwrap(), 0).unwrap();
-    let mut body = body.among(vec![spring]).unwrap();
+    let mut body = body.with_springs(vec![spring]).unwrap();
     body.place(about_z(angle), &Axes::zeros()).unwrap();
     body
 }
@@ -81,7 +81,7 @@ fn a_symmetric_top_precesses_by_its_closed_form() {
 fn the_order_is_four() {
     let spring = TorsionSpring::new(0.02, 1e-3, about_z(0.3)).unwrap();
     let after = |steps: u32| {
-        let mut body = free([1e-4, 2e-4, 4e-4], [6.0, -9.0, 7.0]).among(vec![spring]).unwrap();
+        let mut body = free([1e-4, 2e-4, 4e-4], [6.0, -9.0, 7.0]).with_springs(vec![spring]).unwrap();
         body.write(&Axes::<3>::new(1e-3, 2e-3, -1e-3));
         for _ in 0..steps {
             body.state = body.stepped(0.4 / f64::from(steps), Friction::None).state;
@@ -137,7 +137,7 @@ fn released_handle_matches_the_closed_form() {
         })
         .unwrap();
         let body = SimulatedRotation::new(device, hand, 0).unwrap();
-        let mut body = body.among(vec![TorsionSpring::new(stiffness, 0.0, UPRIGHT).unwrap()]).unwrap();
+        let mut body = body.with_springs(vec![TorsionSpring::new(stiffness, 0.0, UPRIGHT).unwrap()]).unwrap();
         body.read(1_500 * TICK_NS);
         let (phi, rate) = (angle(&body), (stiffness / INERTIA).sqrt());
         assert!((phi - held * 4.0 / 4.8).abs() <= coulomb / 4.8 + 1e-9, "in balance: {phi}");
@@ -384,7 +384,7 @@ fn rejects_invalid_rotation() {
     assert!(body.place([2.0, 0.0, 0.0, 0.0], &Axes::zeros()).is_err());
     assert!(body.place(UPRIGHT, &Axes::<3>::new(0.0, f64::INFINITY, 0.0)).is_err());
     let rigid = TorsionSpring::new(1e9, 0.0, UPRIGHT).unwrap();
-    assert!(body.among(vec![rigid]).is_err(), "no number of sub-steps follows it");
+    assert!(body.with_springs(vec![rigid]).is_err(), "no number of sub-steps follows it");
 }
 
 proptest! {
@@ -403,7 +403,7 @@ proptest! {
             inertia_kg_m2: Axes::from(inertia), ..RotationParameters::ideal(1.0, viscous, coulomb)
         };
         let body = SimulatedRotation::new(device, RotationHand::absent(UPRIGHT).unwrap(), 0).unwrap();
-        let mut body = body.among(vec![TorsionSpring::new(stiffness, 0.0, about_z(0.4)).unwrap()]).unwrap();
+        let mut body = body.with_springs(vec![TorsionSpring::new(stiffness, 0.0, about_z(0.4)).unwrap()]).unwrap();
         body.place(UPRIGHT, &Axes::from(w)).unwrap();
         let energy = |body: &SimulatedRotation| body.kinetic_energy_j() + body.spring_energy_j();
         let (begun, mut last) = (energy(&body), energy(&body));

@@ -33,7 +33,7 @@ impl<const N: usize> SimulatedMaster<N> {
         moves: bool,
         trembles: bool,
     ) -> Option<[Axes<N>; 2]> {
-        let (map, outlook) = (&self.propagator, &self.clock.outlook);
+        let (map, forecast) = (&self.propagator, &self.clock.forecast);
         let duration = map.duration();
         let (pull, damping) = (map.axes[0].pull, map.axes[0].damping);
         let friction = self.device.coulomb[0] * map.axes[0].inverse_mass;
@@ -49,11 +49,11 @@ impl<const N: usize> SimulatedMaster<N> {
             let mut force = newest * -damping - before * (pull * duration * INVERSE[n]);
             if moves && n <= DEGREE {
                 power *= duration;
-                force += outlook.path[n] * (pull * power);
+                force += forecast.path[n] * (pull * power);
             }
             if trembles {
                 shaken *= map.tremor[1] * INVERSE[n];
-                let [sine, cosine] = outlook.wave;
+                let [sine, cosine] = forecast.wave;
                 force.add_scalar_mut(pull * shaken * [sine, cosine, -sine, -cosine][n % 4]);
             }
             if turns {

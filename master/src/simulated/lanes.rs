@@ -92,7 +92,7 @@ impl<const N: usize, S: Real> MasterLanes<N, S> {
             masters,
         };
         for lane in 0..lanes.masters.len() {
-            lanes.look(lane);
+            lanes.copy_state(lane);
         }
         Some(lanes)
     }
@@ -109,29 +109,29 @@ impl<const N: usize, S: Real> MasterLanes<N, S> {
     /// Advance the lanes in the mask `lanes` to `now_ns` (monotonic) and return their measurements.
     #[inline(always)] // once per tick, from one place
     pub fn read(&mut self, lanes: u64, now_ns: u64) -> MasterLanesSample<N, S> {
-        let mut alone = lanes;
+        let mut scalar = lanes;
         if let Some(fast) = &mut self.fast {
-            alone &= !fast.read(lanes, now_ns, &mut self.masters);
+            scalar &= !fast.read(lanes, now_ns, &mut self.masters);
             (self.position, self.velocity) = (fast.motion.position, fast.motion.velocity);
             self.hand_force = fast.hand_force();
         }
-        if alone != 0 {
-            self.read_alone(alone, now_ns);
+        if scalar != 0 {
+            self.read_scalar(scalar, now_ns);
         }
         let velocity = self.measures_velocity.then_some(self.velocity);
         MasterLanesSample { position: quantised_axes(&self.position, self.quantum, self.is_exact), velocity }
     }
 
     #[inline(never)] // rare and long
-    fn read_alone(&mut self, lanes: u64, now_ns: u64) {
+    fn read_scalar(&mut self, lanes: u64, now_ns: u64) {
         for lane in lanes_of(lanes, self.masters.len()) {
             self.masters[lane].read(now_ns);
-            self.look(lane);
+            self.copy_state(lane);
         }
     }
 
     /// Copy the visible state of a master into its lane.
-    fn look(&mut self, lane: usize) {
+    fn copy_state(&mut self, lane: usize) {
         let master = &self.masters[lane];
         self.position.replace(lane, *master.position());
         self.velocity.replace(lane, *master.velocity());
@@ -141,14 +141,14 @@ impl<const N: usize, S: Real> MasterLanes<N, S> {
     /// Hold this force in N for the lanes in the mask `lanes`, as [`SimulatedMaster::write`].
     #[inline(always)] // once per tick
     pub fn write(&mut self, lanes: u64, force: &Axes<N, S>) {
-        let mut alone = lanes;
+        let mut scalar = lanes;
         if let Some(fast) = &mut self.fast {
             let DeviceLanes { max_force_n, force_quantum_n, is_exact, .. } = fast.device;
             fast.held_force = exerted(force, max_force_n, force_quantum_n, is_exact);
-            alone &= !fast.occupancy.loaded();
+            scalar &= !fast.occupancy.loaded();
         }
-        if alone != 0 {
-            for lane in lanes_of(alone, self.masters.len()) {
+        if scalar != 0 {
+            for lane in lanes_of(scalar, self.masters.len()) {
                 self.masters[lane].write(&force.extract(lane));
             }
         }
@@ -240,11 +240,11 @@ impl<const N: usize, S: Real> Fast<N, S> {
     }
 
     /// Write the state and time of a lane back to its master.
-    fn give_back(&self, lane: usize, master: &mut SimulatedMaster<N>) {
+    fn write_back(&self, lane: usize, master: &mut SimulatedMaster<N>) {
         // An infinite strength does not change.
         let full = master.hand.full_strength();
         master.clock = self.clock;
-        for of in &mut master.clock.outlook.grip[1] {
+        for of in &mut master.clock.forecast.grip[1] {
             *of = if *of == 0.0 { 0.0 } else { *of * full };
         }
         master.motion = Motion {
@@ -260,7 +260,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
     fn read(&mut self, lanes: u64, now_ns: u64, masters: &mut [SimulatedMaster<N>]) -> u64 {
         let past_ns = now_ns.saturating_sub(self.clock.now_ns);
         if past_ns > 0 {
-            let [[gain, _], [strength, _]] = self.clock.outlook.grip;
+            let [[gain, _], [strength, _]] = self.clock.forecast.grip;
             let regime = (gain, strength == 0.0, past_ns);
             let (before, is_smooth) = (self.occupancy.loaded(), self.clock.is_smooth(past_ns));
             if !is_smooth || regime != self.regime {
@@ -288,7 +288,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
     #[inline(never)] // rare
     fn leave(&mut self, lanes: u64, before: u64, masters: &mut [SimulatedMaster<N>]) {
         for lane in lanes_of(self.occupancy.leave(lanes, before), masters.len()) {
-            self.give_back(lane, &mut masters[lane]);
+            self.write_back(lane, &mut masters[lane]);
         }
     }
 
@@ -296,7 +296,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
     #[inline(always)]
     fn one_step(&self) -> OneStep<'_, N, S> {
         let (_, _, past_ns) = self.regime;
-        let [_, [strength, _]] = self.clock.outlook.grip;
+        let [_, [strength, _]] = self.clock.forecast.grip;
         OneStep {
             clock: &self.clock,
             duration: past_ns as f64 * 1e-9,

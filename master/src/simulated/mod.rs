@@ -15,7 +15,7 @@ use crate::{
     Axes, ContinuousWall, DeviceParameters, Hand, ModelError, Real,
     device::{exerted, quantised_axes},
     hand::gripped,
-    propagator::{Outlook, Propagator},
+    propagator::{HandForecast, Propagator},
     require,
 };
 
@@ -81,18 +81,18 @@ struct Clock<const N: usize> {
     now_ns: u64,
     /// Length of the last tick in ns; the second tick of equal length computes a map.
     last_ns: u64,
-    outlook: Outlook<N>,
+    forecast: HandForecast<N>,
 }
 
 impl<const N: usize> Clock<N> {
     fn new(hand: &Hand<N>, now_ns: u64, waits: bool) -> Self {
-        Self { time: 0.0, hand_ns: 0, waits, now_ns, last_ns: 0, outlook: Outlook::new(hand, 0.0) }
+        Self { time: 0.0, hand_ns: 0, waits, now_ns, last_ns: 0, forecast: HandForecast::new(hand, 0.0) }
     }
 
     /// True if path and grip stay smooth over a tick that is as long as the last.
     #[inline(always)] // once per tick
     fn is_smooth(&self, past_ns: u64) -> bool {
-        let Outlook { grip: [gain, strength], until, time, .. } = self.outlook;
+        let HandForecast { grip: [gain, strength], until, time, .. } = self.forecast;
         gain[1] == 0.0
             && strength[1] == 0.0
             && past_ns == self.last_ns
@@ -107,7 +107,7 @@ impl<const N: usize> Clock<N> {
             self.hand_ns += past_ns;
             self.time = self.hand_ns as f64 / 1e9;
         }
-        self.outlook.advance(hand, self.time, past_ns);
+        self.forecast.advance(hand, self.time, past_ns);
         self.now_ns += past_ns;
     }
 }
@@ -160,7 +160,7 @@ impl<const N: usize> SimulatedMaster<N> {
     }
 
     /// The same device with walls that act at every instant.
-    pub fn among(self, walls: Vec<ContinuousWall<N>>) -> Result<Self, ModelError> {
+    pub fn with_walls(self, walls: Vec<ContinuousWall<N>>) -> Result<Self, ModelError> {
         require("walls", walls.len() as f64, walls.len() <= Self::MAX_WALLS, "at most 64")?;
         Ok(Self { walls, ..self })
     }

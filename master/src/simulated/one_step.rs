@@ -1,7 +1,7 @@
 //! A whole tick of device and hand in one step, if bounds on the motion exclude an event: the linear map of
 //! [`Propagator`], or the series of a motion that friction bends (`bend.rs`).
 
-use haptether_numeric::{everywhere, norm, nowhere};
+use haptether_numeric::{all_lanes, no_lanes, norm};
 use nalgebra::SimdBool as _;
 
 use super::{Clock, Motion, STOPPED, SimulatedMaster, across, add_one, bend::MAX_CHANGE};
@@ -65,7 +65,7 @@ pub(super) enum Bend<const N: usize, S: Real> {
 impl<const N: usize> Clock<N> {
     /// True if the target moves along its path.
     pub(super) fn moves(&self) -> bool {
-        !self.waits && self.outlook.moves
+        !self.waits && self.forecast.moves
     }
 
     /// Shift of the target within `duration` in s; `shakes` in m is the part of a tremor, if the hand trembles.
@@ -73,9 +73,9 @@ impl<const N: usize> Clock<N> {
     pub(super) fn shift(&self, duration: f64, shakes: Option<f64>) -> Shift<N> {
         let mut most = Axes::<N>::repeat(shakes.unwrap_or(0.0));
         if self.moves() {
-            most += self.outlook.most_moved(duration);
+            most += self.forecast.most_moved(duration);
         }
-        Shift { most, wave: shakes.map(|_| self.outlook.wave) }
+        Shift { most, wave: shakes.map(|_| self.forecast.wave) }
     }
 }
 
@@ -84,10 +84,10 @@ impl<const N: usize, S: Real> OneStep<'_, N, S> {
     #[inline(always)]
     pub(super) fn wish(&self) -> Axes<N, S> {
         let Motion { position, velocity, .. } = self.motion;
-        let ([stiffness, damping], [gain, _]) = (self.impedance, self.clock.outlook.grip[0]);
+        let ([stiffness, damping], [gain, _]) = (self.impedance, self.clock.forecast.grip[0]);
         let mut wish = *position;
         for axis in 0..N {
-            let away = S::splat(self.clock.outlook.target[axis]) - position[axis];
+            let away = S::splat(self.clock.forecast.target[axis]) - position[axis];
             wish[axis] = (away * stiffness - velocity[axis] * damping) * S::splat(gain);
         }
         wish
@@ -98,12 +98,12 @@ impl<const N: usize, S: Real> OneStep<'_, N, S> {
     #[inline(always)]
     pub(super) fn standing_grip(&self) -> (StandingGrip<N, S>, S::SimdBool) {
         let (zero, force) = (S::zero(), self.wish());
-        let [[gain, _], [strength, _]] = self.clock.outlook.grip;
+        let [[gain, _], [strength, _]] = self.clock.forecast.grip;
         if strength != 0.0 {
             let impedance = [S::splat(gain) * self.impedance[0], S::splat(gain) * self.impedance[1]];
-            return (StandingGrip { force, impedance, has_let_go: false }, everywhere::<S>());
+            return (StandingGrip { force, impedance, has_let_go: false }, all_lanes::<S>());
         }
-        let pulls = force.iter().fold(nowhere::<S>(), |any, x| any | x.simd_ne(zero));
+        let pulls = force.iter().fold(no_lanes::<S>(), |any, x| any | x.simd_ne(zero));
         let stays = (self.impedance[0] + self.impedance[1]).simd_eq(zero) | pulls;
         (StandingGrip { force: Axes::zeros(), impedance: [zero; 2], has_let_go: true }, stays)
     }
@@ -127,8 +127,8 @@ impl<const N: usize, S: Real> OneStep<'_, N, S> {
         grip: &StandingGrip<N, S>,
         shift: &Shift<N>,
     ) -> (StandingFriction<N, S>, S::SimdBool) {
-        let (zero, mut stays) = (S::zero(), everywhere::<S>());
-        let mut found = StandingFriction { force: Axes::zeros(), stuck: [nowhere::<S>(); N], along: None };
+        let (zero, mut stays) = (S::zero(), all_lanes::<S>());
+        let mut found = StandingFriction { force: Axes::zeros(), stuck: [no_lanes::<S>(); N], along: None };
         for axis in 0..N {
             let (coulomb, v) = (self.coulomb[axis], self.motion.velocity[axis]);
             let (rubs, moving) = (coulomb.simd_ne(zero), v.simd_ne(zero));
@@ -170,9 +170,9 @@ impl<const N: usize, S: Real> OneStep<'_, N, S> {
         bend: &Bend<N, S>,
     ) -> (Motion<N, S>, Axes<N, S>, S::SimdBool) {
         let (zero, above) = (S::zero(), S::splat(1.0 + 1e-12));
-        let (mut after, mut stays, step) = (*self.motion, everywhere::<S>(), S::splat(self.duration));
+        let (mut after, mut stays, step) = (*self.motion, all_lanes::<S>(), S::splat(self.duration));
         let (mut most_moved, mut most_gained) = (Axes::<N, S>::zeros(), Axes::<N, S>::zeros());
-        let (moves, outlook) = (self.clock.moves(), &self.clock.outlook);
+        let (moves, forecast) = (self.clock.moves(), &self.clock.forecast);
         for axis in 0..N {
             let (x, v, map) = (after.position[axis], after.velocity[axis], &maps[axis]);
             let (a, rub, stuck) = (acceleration[axis], friction.force[axis], friction.stuck[axis]);
@@ -193,7 +193,7 @@ impl<const N: usize, S: Real> OneStep<'_, N, S> {
             let [moved, gained] = if let Bend::Bends([moved, gained], _) = bend {
                 [moved[axis], gained[axis]]
             } else {
-                let e = map.change(a, v, moves.then(|| outlook.path_of(axis)), shift.wave);
+                let e = map.change(a, v, moves.then(|| forecast.path_of(axis)), shift.wave);
                 [v * step + e[0], e[1]]
             };
             // Friction along an axis may change its sign here.
@@ -243,7 +243,7 @@ impl<const N: usize> SimulatedMaster<N> {
             motion: &self.motion,
             held_force: &self.held_force,
             impedance: [self.hand.stiffness(), self.hand.damping()],
-            strength: self.clock.outlook.grip[1][0],
+            strength: self.clock.forecast.grip[1][0],
             viscous: &self.device.viscous,
             coulomb: &self.device.coulomb,
             stops: [&self.device.stops.0, &self.device.stops.1],
@@ -269,7 +269,7 @@ impl<const N: usize> SimulatedMaster<N> {
         if !self.propagator.is_of(duration, grip.impedance) {
             self.propagator = Propagator::new(&self.device, &self.hand, grip.impedance, duration);
         }
-        let (map, wave) = (&self.propagator, self.clock.outlook.wave);
+        let (map, wave) = (&self.propagator, self.clock.forecast.wave);
         if !map.reaches {
             return false;
         }
@@ -364,7 +364,7 @@ impl<const N: usize> SimulatedMaster<N> {
         }
         if moves {
             let mut power = 1.0;
-            for term in &self.clock.outlook.path[1..] {
+            for term in &self.clock.forecast.path[1..] {
                 power *= duration;
                 moved += term.norm() * power;
                 moved_aside += aside(term) * power;

@@ -94,7 +94,7 @@ fn master<const N: usize>(drawn: &Drawn) -> SimulatedMaster<N> {
     }
     let normal = Axes::from_fn(|axis, _| if axis == 0 { 1.0 } else { 0.3 });
     let walls = drawn.wall.map(|at| ContinuousWall::new(normal * -at, normal, 800.0, 1.0, false).unwrap());
-    SimulatedMaster::new(device, hand, 0).unwrap().among(walls.into_iter().collect()).unwrap()
+    SimulatedMaster::new(device, hand, 0).unwrap().with_walls(walls.into_iter().collect()).unwrap()
 }
 
 /// Largest differences per tick in m and m/s from the same state, and number of ticks in one step.

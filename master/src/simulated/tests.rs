@@ -190,7 +190,7 @@ fn continuous_wall_matches_the_closed_form() {
     for exponent in 4..=24 {
         let stiffness = 10.0_f64.powf(f64::from(exponent) / 4.0);
         let depth = (7.8 / stiffness).min(0.05);
-        let mut master = alone(frictionless(), 0.0).among(vec![wall(stiffness, 0.0)]).unwrap();
+        let mut master = alone(frictionless(), 0.0).with_walls(vec![wall(stiffness, 0.0)]).unwrap();
         master.place(at(-depth), at(0.0)).unwrap();
         for tick in 1..=1000 {
             master.read(tick * TICK_NS);
@@ -207,7 +207,7 @@ fn continuous_wall_matches_the_closed_form() {
 
 #[test]
 fn an_undamped_bounce_keeps_its_energy_over_ten_thousand_contacts() {
-    let mut master = alone(frictionless(), 0.01).among(vec![wall(1000.0, 0.0)]).unwrap();
+    let mut master = alone(frictionless(), 0.01).with_walls(vec![wall(1000.0, 0.0)]).unwrap();
     master.write(&at(-1.0));
     let energy = |master: &SimulatedMaster<1>| {
         let (x, v) = (master.position()[0], master.velocity()[0]);
@@ -229,7 +229,7 @@ fn an_undamped_bounce_keeps_its_energy_over_ten_thousand_contacts() {
 fn damped_wall_matches_the_closed_form() {
     // Under the contact law m x'' + B x' + K x = 0 until K d + B d' = 0.
     let (stiffness, damping) = (1000.0_f64, 2.0_f64);
-    let mut master = alone(frictionless(), 0.0).among(vec![wall(stiffness, damping)]).unwrap();
+    let mut master = alone(frictionless(), 0.0).with_walls(vec![wall(stiffness, damping)]).unwrap();
     master.place(at(0.0), at(-0.5)).unwrap();
     for tick in 1..=100 {
         master.read(tick * TICK_NS);
@@ -249,7 +249,7 @@ fn a_damped_wall_is_met_once_per_bounce() {
     for phase in 0..100_u32 {
         let device = frictionless();
         let mut master =
-            alone(device, 0.02 + 1e-5 * f64::from(phase)).among(vec![wall(1000.0, 0.5)]).unwrap();
+            alone(device, 0.02 + 1e-5 * f64::from(phase)).with_walls(vec![wall(1000.0, 0.5)]).unwrap();
         master.write(&at(-0.5));
         let (mut bounces, mut was_out) = (0, true);
         for tick in 1..=1500 {
@@ -328,7 +328,7 @@ fn the_tick_does_not_change_the_motion_in_space() {
         0.5,
         false,
     );
-    let master = SimulatedMaster::new(device, hand, 0).unwrap().among(vec![wall.unwrap()]).unwrap();
+    let master = SimulatedMaster::new(device, hand, 0).unwrap().with_walls(vec![wall.unwrap()]).unwrap();
     let (mut coarse, mut fine) = (master.clone(), master);
     coarse.write(&Axes::<3>::new(0.3, 0.9, -0.2));
     fine.write(&Axes::<3>::new(0.3, 0.9, -0.2));
@@ -519,7 +519,7 @@ fn stiff_damping_only_removes_energy() {
             let release = Release { at_s: 0.02, decay_s: 0.01, kind };
             let hand = Hand::new(300.0, ratio * MASS / 1e-3, strength, path, Some(release)).unwrap();
             let wall = ContinuousWall::new(start, Axes::<3>::new(1.0, 1.0, 0.0), 500.0, 40.0, false).unwrap();
-            let mut master = SimulatedMaster::new(device, hand, 0).unwrap().among(vec![wall]).unwrap();
+            let mut master = SimulatedMaster::new(device, hand, 0).unwrap().with_walls(vec![wall]).unwrap();
             master.place(start, Axes::<3>::new(0.5, 0.2, -0.1)).unwrap();
             // Energy of motion, spring and wall. A slipping grip stores nothing and adds at most its work.
             let mut given = 0.0;

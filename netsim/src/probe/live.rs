@@ -351,7 +351,7 @@ impl Echo {
         // One extra byte reveals a datagram that is too long.
         let mut buffer = [0; SIZE + 1];
         while !stop.load(Relaxed) {
-            let (length, asker) = match self.socket.receive(&mut buffer) {
+            let (length, reply_address) = match self.socket.receive(&mut buffer) {
                 Ok(received) => received,
                 Err(error) if is_passing(error.kind()) => continue,
                 Err(error) => return Err(error),
@@ -361,12 +361,12 @@ impl Echo {
                 statistics.ignored += 1;
                 continue;
             };
-            let seen = self.take(asker.from, &request, received);
+            let seen = self.take(reply_address.from, &request, received);
             let received_ns = nanoseconds(received - origin);
             let answered_ns = nanoseconds(origin.elapsed());
             let answer = Answer { request, received_ns, answered_ns, seen };
             // An answer refused by the network counts as lost.
-            if self.socket.send(&answer.encode(), asker).is_ok() {
+            if self.socket.send(&answer.encode(), reply_address).is_ok() {
                 statistics.answered += 1;
             }
         }

@@ -2,7 +2,7 @@
 //! datagrams in flight.
 
 use super::statistics::count;
-use crate::reply::{self, Asker, asker};
+use crate::reply::{self, ReplyAddress, reply_address};
 use arrayvec::ArrayVec;
 use nix::errno::Errno;
 use nix::sys::socket::{MsgFlags, MultiHeaders, SockaddrStorage, recvmmsg};
@@ -27,7 +27,7 @@ pub(super) struct Receiver {
     headers: MultiHeaders<SockaddrStorage>,
     bytes: Vec<u8>,
     /// Length and sender of each datagram of the last call.
-    arrived: ArrayVec<(usize, Option<Asker>), MAX_RECEIVED>,
+    arrived: ArrayVec<(usize, Option<ReplyAddress>), MAX_RECEIVED>,
 }
 
 impl Receiver {
@@ -52,7 +52,7 @@ impl Receiver {
             match received {
                 Ok(messages) => {
                     for message in messages {
-                        self.arrived.push((message.bytes, asker(&message, message.address.as_ref())));
+                        self.arrived.push((message.bytes, reply_address(&message, message.address.as_ref())));
                     }
                     return Ok(());
                 }
@@ -71,7 +71,7 @@ impl Receiver {
         }
     }
 
-    pub(super) fn datagrams(&self) -> impl Iterator<Item = (&[u8], Option<Asker>)> {
+    pub(super) fn datagrams(&self) -> impl Iterator<Item = (&[u8], Option<ReplyAddress>)> {
         let cells = self.bytes.chunks_exact(CELL);
         cells.zip(&self.arrived).map(|(cell, &(length, sender))| (&cell[..length.min(CELL)], sender))
     }

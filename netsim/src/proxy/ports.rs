@@ -1,7 +1,7 @@
 //! Sockets of the proxy, and the clients behind them.
 
 use super::settings::{ProxyError, ProxySettings, Source};
-use crate::reply::{Asker, report_asked, report_room};
+use crate::reply::{ReplyAddress, report_asked, report_room};
 use nix::sys::socket::SockaddrStorage;
 use rustix::event::epoll::{self, CreateFlags, Event, EventData, EventFlags};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -20,9 +20,9 @@ pub(super) enum Egress {
     /// To the peer, from a socket of no client.
     PeerBeside,
     /// To a client, from the address that it asked.
-    Client(Asker),
+    Client(ReplyAddress),
     /// To a client, from another port of that address.
-    ClientBeside(Asker),
+    ClientBeside(ReplyAddress),
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -133,7 +133,7 @@ impl Ports {
 
     /// Flow of a client from this machine or an allowed source; `None` for others. A new client gets its own
     /// socket.
-    pub(super) fn admit(&mut self, client: Asker, now_ns: u64) -> Option<FlowId> {
+    pub(super) fn admit(&mut self, client: ReplyAddress, now_ns: u64) -> Option<FlowId> {
         if let Some(known) = self.flows.find(client, now_ns) {
             return Some(known);
         }
@@ -156,7 +156,7 @@ impl Ports {
         place: usize,
         source: SocketAddr,
         now_ns: u64,
-    ) -> Option<(FlowId, Asker)> {
+    ) -> Option<(FlowId, ReplyAddress)> {
         if source != self.peer {
             return None;
         }
@@ -278,7 +278,7 @@ const YIELD_NS: u64 = 1_000_000_000;
 
 #[derive(Debug)]
 pub(super) struct Flow {
-    pub(super) client: Asker,
+    pub(super) client: ReplyAddress,
     /// Connected to the peer, so that the kernel refuses other sources and reports an absent peer.
     pub(super) upstream: UdpSocket,
     generation: u32,
@@ -302,7 +302,7 @@ pub(super) struct Flows {
 
 impl Flows {
     /// Flow of a known client, marked as heard now. Answers leave from the address that it asked last.
-    pub(super) fn find(&mut self, client: Asker, now_ns: u64) -> Option<FlowId> {
+    pub(super) fn find(&mut self, client: ReplyAddress, now_ns: u64) -> Option<FlowId> {
         let is_of = |flow: &Option<Flow>| flow.as_ref().is_some_and(|flow| flow.client.from == client.from);
         let place = if self.places.get(self.last).is_some_and(is_of) {
             self.last
@@ -341,7 +341,7 @@ impl Flows {
     }
 
     /// Admits a client; requires that there is room.
-    pub(super) fn open(&mut self, client: Asker, upstream: UdpSocket, now_ns: u64) -> FlowId {
+    pub(super) fn open(&mut self, client: ReplyAddress, upstream: UdpSocket, now_ns: u64) -> FlowId {
         self.generation = self.generation.wrapping_add(1);
         let generation = self.generation;
         let flow = Some(Flow { client, upstream, generation, heard_ns: now_ns });
@@ -382,7 +382,7 @@ impl Flows {
 mod tests {
     use super::*;
 
-    fn client(number: usize) -> Asker {
+    fn client(number: usize) -> ReplyAddress {
         SocketAddr::from(([127, 0, 0, 1], u16::try_from(1000 + number).unwrap())).into()
     }
 

@@ -5,13 +5,14 @@ use nalgebra::{SimdBool as _, SimdValue as _};
 use crate::{
     Axes, DeviceModel, Fault, Observation, ParameterError, Real,
     controller::{
-        Built, ControllerKind, Controllers, PerController, Tripped, Verdicts, cancel_and_damp, dampable,
+        BuiltControllers, ControllerKind, Controllers, PerController, Tripped, Verdicts, cancel_and_damp,
+        dampable,
         probe::{GraspProbe, GraspProbes, Intervening},
     },
     observer::VelocityForceForm,
     parameter::{in_range, positive},
 };
-use haptether_numeric::{choose, choose_axes, nowhere, option, pack};
+use haptether_numeric::{choose, choose_axes, no_lanes, option, pack};
 
 /// Set of controllers, their thresholds, and the times of an intervention.
 ///
@@ -141,7 +142,7 @@ impl Default for SafetySettings {
 /// Source: paper Eq. 2, 12, 13, 14.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SafetyController<const N: usize, S = f64> {
-    controllers: Built<N, S>,
+    controllers: BuiltControllers<N, S>,
     damping: S,
     hold_off_ticks: S,
     ramp_ticks: S,
@@ -174,7 +175,7 @@ impl<const N: usize> SafetyController<N> {
             // Ticks are counted in S, since each lane has its own count.
             Ok((value / period_s).round())
         };
-        let controllers = Built::new(device, period_s, settings)?;
+        let controllers = BuiltControllers::new(device, period_s, settings)?;
         let damps = ControllerKind::cancelling().any(|kind| settings.controllers.contains(kind));
         let damping = dampable("damping", "mu", settings.damping, device, period_s, damps)?;
         Ok(Self {
@@ -218,7 +219,9 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     /// Thresholds and times may differ; period, window and form of VFC must be equal.
     pub fn gather(of: &[&SafetyController<N>]) -> Option<Self> {
         Some(Self {
-            controllers: Built::gather(&of.iter().map(|one| &one.controllers).collect::<Vec<_>>())?,
+            controllers: BuiltControllers::gather(
+                &of.iter().map(|one| &one.controllers).collect::<Vec<_>>(),
+            )?,
             damping: pack(of, |one| one.damping)?,
             hold_off_ticks: pack(of, |one| one.hold_off_ticks)?,
             ramp_ticks: pack(of, |one| one.ramp_ticks)?,
@@ -231,7 +234,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
 
     /// Compute `F_c` of this tick without checks, with the damping scaled by `authority` (0 to 1).
     ///
-    /// `seen.aligned_rendered_force` is the force [asked](Self::asked) of the device, with the lag of `F_h`.
+    /// `seen.aligned_rendered_force` is the force [asked](Self::asked_force) of the device, with the lag of `F_h`.
     #[inline(always)]
     pub fn respond(&mut self, seen: &Observation<N, S>, authority: S) -> Response<N, S> {
         if S::LANES == 1 && self.controllers.is_empty() && self.probe.is_none() {
@@ -239,7 +242,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         }
         let verdicts = self.judge(seen);
         let is_unsafe = verdicts.is_unsafe();
-        let ease = self.feel(seen, authority, is_unsafe);
+        let ease = self.step_probe(seen, authority, is_unsafe);
         self.answer(seen, authority, &verdicts, Judged { is_unsafe, ease })
     }
 
@@ -255,7 +258,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     /// It is at most 1, and [`NOT_FELT`] in lanes where no hand is felt. None means that no hand is required. Call
     /// [`answer`](Self::answer) afterwards.
     #[inline(always)]
-    pub(crate) fn feel(
+    pub(crate) fn step_probe(
         &mut self,
         seen: &Observation<N, S>,
         authority: S,
@@ -282,17 +285,17 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     ///
     /// At full authority a hand may be felt, and without authority the tries restart. [`UNDECIDED`] is neither.
     #[inline(always)]
-    pub(crate) fn carry(&mut self, seen: &Observation<N, S>) {
+    pub(crate) fn skip_tick(&mut self, seen: &Observation<N, S>) {
         let verdicts = self.judge(seen);
         let is_unsafe = verdicts.is_unsafe();
-        let ease = self.feel(seen, S::splat(UNDECIDED), is_unsafe);
+        let ease = self.step_probe(seen, S::splat(UNDECIDED), is_unsafe);
         self.answer(seen, S::splat(1.0), &verdicts, Judged { is_unsafe, ease });
     }
 
     /// Adopt the result of another device that the same hand holds: a hand is felt or not.
-    pub(crate) fn agree(&mut self, is_felt: bool) {
+    pub(crate) fn adopt_result(&mut self, is_felt: bool) {
         if let Some(probe) = self.probe.as_mut() {
-            probe.agree(is_felt);
+            probe.adopt_result(is_felt);
         }
     }
 
@@ -306,7 +309,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
         judged: Judged<S>,
     ) -> Response<N, S> {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
-        let (mut gain, mut is_on) = (nothing, nowhere::<S>());
+        let (mut gain, mut is_on) = (nothing, no_lanes::<S>());
         let mut safety_force = Axes::<N, S>::zeros();
         // Most ticks need no intervention and then do not wait for the observers.
         let intervenes = (judged.is_unsafe | self.on_for.simd_gt(nothing)).any();
@@ -322,7 +325,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
             }
         }
         let held = is_on & !verdicts.is_unsafe();
-        let (mut withheld, mut yields) = (nowhere::<S>(), nowhere::<S>());
+        let (mut withheld, mut yields) = (no_lanes::<S>(), no_lanes::<S>());
         if let Some(probe) = &self.probe {
             safety_force += probe.force * authority;
             (withheld, yields) = (probe.withheld(), probe.yields());
@@ -335,7 +338,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
             held,
             withheld,
             yields,
-            research: nowhere::<S>(),
+            research: no_lanes::<S>(),
             observed: verdicts.observed(),
         };
         verdicts.add_forces(&self.controllers, gain, authority, &mut response);
@@ -355,14 +358,14 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     /// Mask of lanes where the force returns over a ramp or after a probe, unlike the printed equations.
     #[inline(always)]
     fn fades(&self) -> S::SimdBool {
-        if self.probe.is_some() { !nowhere::<S>() } else { self.ramp_ticks.simd_gt(S::splat(0.0)) }
+        if self.probe.is_some() { !no_lanes::<S>() } else { self.ramp_ticks.simd_gt(S::splat(0.0)) }
     }
 
     /// Return the force that the hand had to hold at a tick, for comparison with `F_h`.
     ///
     /// It is `F_device` where an intervention fades, else `F_v` as printed.
     #[inline(always)]
-    pub(crate) fn asked(&self, rendered_force: &Axes<N, S>, device_force: &Axes<N, S>) -> Axes<N, S> {
+    pub(crate) fn asked_force(&self, rendered_force: &Axes<N, S>, device_force: &Axes<N, S>) -> Axes<N, S> {
         choose_axes!(S, self.fades(), *device_force, *rendered_force)
     }
 
@@ -446,7 +449,7 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
 pub(crate) struct Judged<S: Real> {
     /// Mask of lanes in which the tick is unsafe.
     pub(crate) is_unsafe: S::SimdBool,
-    /// Speed at which an intervention may fade: [`SafetyController::feel`].
+    /// Speed at which an intervention may fade: [`SafetyController::step_probe`].
     pub(crate) ease: Option<S>,
 }
 
@@ -507,16 +510,16 @@ impl<const N: usize, S: Real> Response<N, S> {
     /// Return no force and no observation.
     #[inline(always)]
     fn none() -> Self {
-        let nowhere = nowhere::<S>();
+        let no_lanes = no_lanes::<S>();
         Self {
             safety_force: Axes::zeros(),
             may_act: false,
-            acts: nowhere,
-            tripped: PerController::repeat(nowhere),
-            held: nowhere,
-            withheld: nowhere,
-            yields: nowhere,
-            research: nowhere,
+            acts: no_lanes,
+            tripped: PerController::repeat(no_lanes),
+            held: no_lanes,
+            withheld: no_lanes,
+            yields: no_lanes,
+            research: no_lanes,
             observed: PerController::repeat(S::splat(f64::NAN)),
         }
     }
@@ -547,7 +550,7 @@ impl<const N: usize, S: Real> Response<N, S> {
     #[inline(always)]
     pub(super) fn add_force(&mut self, kind: ControllerKind, force: &Axes<N, S>, gain: S, authority: S) {
         let (nothing, all) = (S::splat(0.0), S::splat(1.0));
-        let mut pushes = nowhere::<S>();
+        let mut pushes = no_lanes::<S>();
         for axis in 0..N {
             pushes = pushes | force[axis].simd_ne(nothing);
         }

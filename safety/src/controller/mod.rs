@@ -25,7 +25,7 @@ use crate::{
     About, Axes, DeviceModel, Observation, ParameterError, Real,
     parameter::{in_range, non_negative},
 };
-use haptether_numeric::{nowhere, option};
+use haptether_numeric::{no_lanes, option};
 
 registry::controllers! {
     /// VFC, Eq. 2.

@@ -5,7 +5,7 @@ use crate::{
     controller::{Controller, Observed, SafetySettings, Verdict, dampable},
     observer::SafetyObserver,
 };
-use haptether_numeric::{choose_axes, lesser, nowhere, pack, part, shared};
+use haptether_numeric::{choose_axes, lesser, no_lanes, pack, part, shared};
 
 /// PC: dissipates the energy that the safety observer finds missing.
 ///
@@ -78,7 +78,7 @@ impl<const N: usize, S: Real> Controller<N, S> for PassivityController<N, S> {
             let missing = -energy_j / (squared_speed * S::splat(self.period_s));
             seen.velocity * -lesser(missing, self.max_damping)
         });
-        Verdict { observed: energy_j, is_unsafe: nowhere::<S>(), force }
+        Verdict { observed: energy_j, is_unsafe: no_lanes::<S>(), force }
     }
 
     /// Return 0, of Eq. 12.

@@ -299,7 +299,7 @@ impl<const N: usize> GraspProbe<N> {
     }
 
     /// Adopt the result of another probe: a hand is felt or not.
-    fn agree(&mut self, is_felt: bool) {
+    fn adopt_result(&mut self, is_felt: bool) {
         match self.phase {
             Phase::Settling | Phase::Probing | Phase::Waiting if is_felt => self.enter(Phase::Felt),
             Phase::Felt if !is_felt => self.give_up(),
@@ -473,8 +473,8 @@ impl<const N: usize, S: Real> GraspProbes<N, S> {
     }
 
     /// Adopt the result of another probe: a hand is felt or not.
-    pub(super) fn agree(&mut self, is_felt: bool) {
-        self.lanes.iter_mut().for_each(|probe| probe.agree(is_felt));
+    pub(super) fn adopt_result(&mut self, is_felt: bool) {
+        self.lanes.iter_mut().for_each(|probe| probe.adopt_result(is_felt));
     }
 
     /// Mask of lanes in which the last try felt a hand and the force is withheld.

@@ -53,11 +53,11 @@ macro_rules! controllers {
 
         /// The controllers in use; the others are not built.
         #[derive(Clone, Debug, PartialEq)]
-        struct Built<const N: usize, S = f64> {
+        struct BuiltControllers<const N: usize, S = f64> {
             $($file: Option<$controller<N, S>>,)+
         }
 
-        impl<const N: usize> Built<N> {
+        impl<const N: usize> BuiltControllers<N> {
             fn new(
                 device: &DeviceModel<N>,
                 period_s: f64,
@@ -74,15 +74,15 @@ macro_rules! controllers {
             }
         }
 
-        impl<const N: usize, S: Real> Built<N, S> {
+        impl<const N: usize, S: Real> BuiltControllers<N, S> {
             /// Gather one set per lane; return None unless all have built the same controllers.
-            fn gather(of: &[&Built<N>]) -> Option<Self> {
+            fn gather(of: &[&BuiltControllers<N>]) -> Option<Self> {
                 Some(Self { $($file: option(of, |one| one.$file.as_ref(), Controller::gather)?,)+ })
             }
 
             #[inline(always)]
             fn step(&mut self, seen: &Observation<N, S>) -> Verdicts<N, S> {
-                let mut is_unsafe = nowhere::<S>();
+                let mut is_unsafe = no_lanes::<S>();
                 Verdicts {
                     $($file: if let Some(controller) = &mut self.$file {
                         let verdict = controller.step(seen);
@@ -90,7 +90,7 @@ macro_rules! controllers {
                         is_unsafe = is_unsafe | verdict.is_unsafe;
                         verdict
                     } else {
-                        Verdict::without_force(S::splat(f64::NAN), nowhere::<S>())
+                        Verdict::without_force(S::splat(f64::NAN), no_lanes::<S>())
                     },)+
                     is_unsafe,
                 }
@@ -164,7 +164,13 @@ macro_rules! controllers {
             /// Add the force of each controller that has one, scaled by the share `1 - gain` that an intervention
             /// leaves.
             #[inline(always)]
-            fn add_forces(&self, built: &Built<N, S>, gain: S, authority: S, response: &mut Response<N, S>) {
+            fn add_forces(
+                &self,
+                built: &BuiltControllers<N, S>,
+                gain: S,
+                authority: S,
+                response: &mut Response<N, S>,
+            ) {
                 $(if $controller::<N, S>::ADDS_FORCE && built.$file.is_some() {
                     response.add_force(ControllerKind::$kind, &self.$file.force, gain, authority);
                 })+

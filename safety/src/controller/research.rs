@@ -7,7 +7,7 @@ use nalgebra::SimdValue as _;
 
 use super::Response;
 use crate::{Axes, Observation, Real, Signal};
-use haptether_numeric::nowhere;
+use haptether_numeric::no_lanes;
 
 /// Controller outside the registry.
 ///
@@ -93,8 +93,8 @@ impl Research {
         } else {
             return;
         }
-        response.research = !nowhere::<S>();
-        (response.may_act, response.acts) = (true, !nowhere::<S>());
+        response.research = !no_lanes::<S>();
+        (response.may_act, response.acts) = (true, !no_lanes::<S>());
     }
 
     pub(crate) fn reset(&mut self) {

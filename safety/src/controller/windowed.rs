@@ -4,7 +4,7 @@ use crate::{
     About, DeviceModel, Observation, ParameterError, Real,
     controller::{Controller, Observed, SafetySettings, Verdict},
     observer::WindowedSafetyObserver,
-    parameter::{in_range, non_negative, whole},
+    parameter::{in_range, integer_in_range, non_negative},
 };
 use haptether_numeric::{norm, pack, part};
 
@@ -63,7 +63,14 @@ impl<const N: usize, S: Real> Controller<N, S> for WindowedSafetyController<N, S
     ) -> Result<Self::One, ParameterError> {
         let SafetySettings { window, energy_ratio, energy_threshold_j, wsc_force_threshold_n, .. } =
             *settings;
-        whole("window", "w", window, 1, WindowedSafetyObserver::<N>::MAX_WINDOW, "1 to 3600000 ticks")?;
+        integer_in_range(
+            "window",
+            "w",
+            window,
+            1,
+            WindowedSafetyObserver::<N>::MAX_WINDOW,
+            "1 to 3600000 ticks",
+        )?;
         // An unused controller reserves no window.
         let window = if is_used { window } else { 1 };
         let observer = WindowedSafetyObserver::new(*device, period_s, energy_ratio, window)?;

@@ -19,7 +19,7 @@ use crate::{
     About, Axes, Real,
     fault::{Fault, Signal},
 };
-use haptether_numeric::{is_within, nowhere};
+use haptether_numeric::{is_within, no_lanes};
 
 /// Name, title and source of each observer.
 pub const OBSERVERS: [About; 5] = [
@@ -63,7 +63,7 @@ impl<const N: usize, S: Real> Observation<N, S> {
             (Signal::GraspForce, &self.grasp_force),
         ]
         .into_iter()
-        .fold(!nowhere::<S>(), |passes, (signal, value)| passes & is_within(value, signal.bound()))
+        .fold(!no_lanes::<S>(), |passes, (signal, value)| passes & is_within(value, signal.bound()))
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::{
     About, DeviceModel, Observation, ParameterError, Real,
-    parameter::{positive, ratio, whole},
+    parameter::{integer_in_range, positive, ratio},
 };
 use haptether_numeric::{pack, padded, part, shared};
 
@@ -45,7 +45,7 @@ impl<const N: usize> WindowedSafetyObserver<N> {
         energy_ratio: f64,
         window: usize,
     ) -> Result<Self, ParameterError> {
-        whole("window", "w", window, 1, Self::MAX_WINDOW, "1 to 3600000 ticks")?;
+        integer_in_range("window", "w", window, 1, Self::MAX_WINDOW, "1 to 3600000 ticks")?;
         Ok(Self {
             device,
             period_s: positive("period_s", "dT", period_s)?,

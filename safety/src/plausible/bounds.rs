@@ -3,7 +3,7 @@
 use std::fmt;
 
 use crate::{Axes, Fault, ParameterError, Real, Signal};
-use haptether_numeric::nowhere;
+use haptether_numeric::no_lanes;
 
 /// Bounds on the samples of a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -110,7 +110,7 @@ pub(super) fn is_short<const N: usize, S: Real>(
     per_axis: bool,
 ) -> S::SimdBool {
     if N == 1 || per_axis {
-        return vector.iter().fold(!nowhere::<S>(), |all, x| all & x.magnitude().simd_le(limit));
+        return vector.iter().fold(!no_lanes::<S>(), |all, x| all & x.magnitude().simd_le(limit));
     }
     vector.dot(vector).simd_le(limit * limit)
 }

@@ -24,7 +24,7 @@ fn taken(guard: &mut Guard<1>, positions: impl IntoIterator<Item = f64>) -> (Vec
         if let Err(excess) = guard.pass(&at(x), 1.0) {
             return (all, Some(excess));
         }
-        all.push(guard.taken().position[0]);
+        all.push(guard.sample_in_use().position[0]);
     }
     (all, None)
 }
@@ -142,7 +142,7 @@ proptest! {
         for n in 0..100 {
             prop_assert_eq!(guard.pass(&at(true_x(n)), 1.0), Ok(()), "{}", n);
             held += u32::from(guard.holds());
-            prop_assert!(n < 60 || guard.taken() == &at(true_x(n)), "{n}");
+            prop_assert!(n < 60 || guard.sample_in_use() == &at(true_x(n)), "{n}");
         }
         prop_assert_eq!(guard.outliers(), 0);
         prop_assert!(held <= 6, "{held}");
@@ -163,7 +163,7 @@ proptest! {
         let after = |n: u32| at(v * f64::from(49 + ticks + n) * PERIOD + by);
         for n in 0..3 {
             prop_assert_eq!(guard.pass(&after(n), f64::from(if n == 0 { ticks } else { 1 })), Ok(()));
-            prop_assert!((guard.taken().position[0] - after(n).position[0] + by).abs() < 1e-9, "predicted");
+            prop_assert!((guard.sample_in_use().position[0] - after(n).position[0] + by).abs() < 1e-9, "predicted");
         }
         let excess = guard.pass(&after(3), 1.0).unwrap_err();
         prop_assert_eq!((excess.signal, excess.bound), (Signal::Position, 20.0));
@@ -185,8 +185,8 @@ proptest! {
             let velocity = Axes::<1>::new(if is_wrong { v - wrong_v } else { v });
             let sample = Sample::point(&Axes::<1>::new(x), Some(&velocity));
             prop_assert_eq!(guard.pass(&sample, 1.0), Ok(()));
-            prop_assert_eq!(guard.taken().velocity.unwrap()[0], v);
-            prop_assert!((guard.taken().position[0] - v * n as f64 * PERIOD).abs() < 6.0 * QUANTUM);
+            prop_assert_eq!(guard.sample_in_use().velocity.unwrap()[0], v);
+            prop_assert!((guard.sample_in_use().position[0] - v * n as f64 * PERIOD).abs() < 6.0 * QUANTUM);
         }
         prop_assert!(guard.outliers() == run as u64);
     }
@@ -223,7 +223,7 @@ proptest! {
                 ended = Some(excess);
                 break;
             }
-            let taken = guard.taken().rotation.unwrap().orientation;
+            let taken = guard.sample_in_use().rotation.unwrap().orientation;
             match kind {
                 1 if (31..34).contains(&n) => {}
                 1 => prop_assert!(taken.angle_to(&stopped) < 1e-6, "{n}"),
@@ -246,12 +246,12 @@ fn joints_are_checked_separately() {
     for n in 0..20 {
         let joints = Axes::<6>::repeat(if n < 10 { 0.0 } else { 3e-3 * f64::from(n - 9) });
         assert_eq!(guard.pass(&Sample::point(&joints, None), 1.0), Ok(()));
-        assert_eq!(guard.taken().position, joints);
+        assert_eq!(guard.sample_in_use().position, joints);
     }
-    let mut wrong = guard.taken().position + Axes::repeat(3e-3);
+    let mut wrong = guard.sample_in_use().position + Axes::repeat(3e-3);
     wrong[4] += 0.007;
     guard.pass(&Sample::point(&wrong, None), 1.0).unwrap();
-    assert!(guard.holds() && (guard.taken().position[4] - wrong[4] + 0.007).abs() < 1e-12);
+    assert!(guard.holds() && (guard.sample_in_use().position[4] - wrong[4] + 0.007).abs() < 1e-12);
 }
 
 /// A sensor at half to a quarter of the loop rate repeats its samples; none is an outlier.
@@ -329,7 +329,7 @@ fn wrong_sample_after_a_late_tick_is_held() {
                 guard.pass(&at(0.0), 1.0).unwrap();
             }
             guard.pass(&at(size), f64::from(gap)).unwrap();
-            assert!(guard.holds() && guard.taken().position[0].abs() < 1e-12, "{gap} {size}");
+            assert!(guard.holds() && guard.sample_in_use().position[0].abs() < 1e-12, "{gap} {size}");
             guard.pass(&at(0.0), 1.0).unwrap();
             assert_eq!((guard.holds(), guard.outliers()), (false, 1), "{gap} {size}");
         }
@@ -511,7 +511,7 @@ fn outliers_below_the_speed_bound_are_no_motion() {
                     }
                     if n >= 200 + run && !guard.holds() {
                         accepted = if accepted == 0 { n } else { accepted };
-                        assert!((guard.taken().position[0] - x(n)).abs() < 1e-12, "{case}: {n}");
+                        assert!((guard.sample_in_use().position[0] - x(n)).abs() < 1e-12, "{case}: {n}");
                     }
                     if let Some(between) = guard.between() {
                         for (late, tick) in (0..=between.ticks).rev().enumerate() {
@@ -567,7 +567,7 @@ fn outliers_of_each_part_are_no_motion() {
                 }
                 assert_eq!(guard.pass(&sample, 1.0), Ok(()), "{wrong:?} {n}");
                 let waits = (100 + tick..103 + tick).contains(&n);
-                assert!(waits || guard.taken() == &right(n), "{wrong:?}, tick {tick}: {n}");
+                assert!(waits || guard.sample_in_use() == &right(n), "{wrong:?}, tick {tick}: {n}");
             }
             assert_eq!(guard.outliers(), 1, "{wrong:?}, tick {tick}");
         }

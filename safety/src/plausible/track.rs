@@ -4,7 +4,7 @@ use nalgebra::SimdBool as _;
 
 use super::bounds::{PerTick, SampleBounds, is_short};
 use crate::{Axes, Real};
-use haptether_numeric::{is_within, nowhere, selected};
+use haptether_numeric::{is_within, no_lanes, selected};
 
 /// Largest number of ticks between two samples of a device that samples more slowly than the loop.
 pub(super) const MAX_EVERY: f64 = 4.0;
@@ -108,7 +108,7 @@ impl<const N: usize, S: Real> Track<N, S> {
         let same_for = (same_for + S::splat(MAX_EVERY)).select(is_gap(ticks, samples), same_for);
         let moved = position - anchor;
         let is_same = is_within(&moved, 0.0);
-        let mut repeats = nowhere::<S>();
+        let mut repeats = no_lanes::<S>();
         if path.rate.is_some() {
             repeats = is_same & k.simd_lt(path.every);
         }
@@ -154,7 +154,7 @@ impl<const N: usize, S: Real> Path<N, S> {
         ticks: S,
         share: S,
     ) -> S::SimdBool {
-        let Some(anchor) = &self.anchor else { return !nowhere::<S>() };
+        let Some(anchor) = &self.anchor else { return !no_lanes::<S>() };
         let [speed, change, quantum] = [bounds.speed, bounds.change, bounds.quantum].map(S::splat);
         let k = self.since + ticks;
         let moved = position - anchor;

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::{
-    Acted,
+    ActiveLimits,
     controller::{ControllerKind, Controllers, Tripped},
     estimator::{Estimator as _, Fit},
 };
@@ -188,7 +188,7 @@ fn held_torque_is_constant_in_the_base_frame() {
         let w = along(2, 30.0);
         let tick = layer.tick(&about(2, 0.03 * f64::from(n)), Some(&w), &torque);
         if n > 60 {
-            assert!(!tick.acted.contains(Acted::SLEW), "{n}");
+            assert!(!tick.acted.contains(ActiveLimits::SLEW), "{n}");
             assert!((tick.device_force - torque).norm() < 1e-14 && (tick.motion.velocity - w).norm() < 1e-13);
         }
     }

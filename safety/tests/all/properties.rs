@@ -9,8 +9,8 @@ use haptether_safety::observer::{
     WindowedSafetyObserver,
 };
 use haptether_safety::{
-    Acted, Axes, DeviceModel, Fault, LayerSettings, Limiter, LimiterSettings, Observation, SafetyLayer,
-    SampleBounds, Signal,
+    ActiveLimits, Axes, DeviceModel, Fault, LayerSettings, Limiter, LimiterSettings, Observation,
+    SafetyLayer, SampleBounds, Signal,
 };
 use nalgebra::Rotation3;
 use proptest::prelude::*;
@@ -563,7 +563,7 @@ proptest! {
         let asked = tick.intervention.safety_force;
         let paid = -tick.device_force.dot(&velocity) * PERIOD_S;
         let missing = MASS_KG * speed * speed;
-        prop_assert_eq!(tick.acted.contains(Acted::NORM), asked.norm() > cap);
+        prop_assert_eq!(tick.acted.contains(ActiveLimits::NORM), asked.norm() > cap);
         prop_assert!((tick.owed_energy_j - (missing - paid)).abs() < 1e-12);
         prop_assert!(paid > 0.0 && paid < missing);
     }

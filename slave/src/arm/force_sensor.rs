@@ -8,7 +8,7 @@ use crate::{Axes, ModelError, require, require_axes};
 const STREAM: u64 = 0x5E << 32;
 
 /// 2^52; every larger number is whole.
-const WHOLE: f64 = 4_503_599_627_370_496.0;
+const INTEGERS_FROM: f64 = 4_503_599_627_370_496.0;
 
 /// Force sensor: `q round((F + bias + noise) / q)`, sampled at its own rate.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,7 +55,7 @@ impl<const N: usize> ForceSensor<N> {
         // From 2^52 quanta on, numbers are whole already, and larger ones may overflow.
         measured.map(|f| {
             let count = f / self.quantum_n;
-            if count.abs() < WHOLE { self.quantum_n * count.round() } else { f }
+            if count.abs() < INTEGERS_FROM { self.quantum_n * count.round() } else { f }
         })
     }
 

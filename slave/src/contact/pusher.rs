@@ -2,7 +2,7 @@
 
 use crate::{
     Axes, ModelError,
-    contact::window::{Window, whole_ns},
+    contact::window::{Window, rounded_to_ns},
     require, require_axes,
 };
 
@@ -142,7 +142,9 @@ impl<const N: usize> Pusher<N> {
         }
         let (piece, since) = (piece - self.at_s, t - self.at_s);
         match &self.course {
-            Course::Shaped(PushShape::Ramp { rise_s }, force) if whole_ns(piece) < whole_ns(*rise_s) => {
+            Course::Shaped(PushShape::Ramp { rise_s }, force)
+                if rounded_to_ns(piece) < rounded_to_ns(*rise_s) =>
+            {
                 force * (since / rise_s).clamp(0.0, 1.0)
             }
             Course::Shaped(PushShape::Step | PushShape::Ramp { .. }, force) => *force,
@@ -165,7 +167,7 @@ impl<const N: usize> Pusher<N> {
         match &self.course {
             Course::Shaped(PushShape::Step, force) => Some(*force),
             Course::Shaped(PushShape::Ramp { rise_s }, force) => {
-                (whole_ns(since) >= whole_ns(*rise_s)).then_some(*force)
+                (rounded_to_ns(since) >= rounded_to_ns(*rise_s)).then_some(*force)
             }
             Course::Shaped(PushShape::HalfSine | PushShape::Sine { .. }, _) => None,
             Course::Recorded(series) => series.level_on(since),
@@ -176,7 +178,9 @@ impl<const N: usize> Pusher<N> {
     pub(crate) fn next_kink(&self, t: f64) -> f64 {
         let bound = self.window.next_bound(t);
         let within = match &self.course {
-            Course::Shaped(PushShape::Ramp { rise_s }, _) => (self.window.from_ns + whole_ns(*rise_s)) / 1e9,
+            Course::Shaped(PushShape::Ramp { rise_s }, _) => {
+                (self.window.from_ns + rounded_to_ns(*rise_s)) / 1e9
+            }
             // A time within rounding of a point counts as that point.
             Course::Recorded(series) => self.at_s + series.next_kink(t - self.at_s + 0.5e-9),
             Course::Shaped(..) => bound,

@@ -4,7 +4,7 @@ use std::f64::consts::{PI, TAU};
 
 use crate::{
     Axes, ModelError, PushShape,
-    contact::window::{Window, whole_ns},
+    contact::window::{Window, rounded_to_ns},
     require,
 };
 
@@ -107,7 +107,11 @@ impl<const N: usize> RenderedWalls<N> {
                 PushShape::Step => (Course::Step, 0.0),
                 PushShape::Ramp { rise_s } => {
                     require("push rise", rise_s, rise_s >= 0.0, "finite and 0 or more")?;
-                    if whole_ns(rise_s) == 0.0 { (Course::Step, 0.0) } else { (Course::Ramp, rise_s.recip()) }
+                    if rounded_to_ns(rise_s) == 0.0 {
+                        (Course::Step, 0.0)
+                    } else {
+                        (Course::Ramp, rise_s.recip())
+                    }
                 }
                 PushShape::HalfSine => (Course::Sine, PI / push.duration_s),
                 PushShape::Sine { frequency_hz } => {
@@ -149,7 +153,7 @@ impl<const N: usize> RenderedWalls<N> {
         if self.pushes.is_empty() {
             return force;
         }
-        let now = whole_ns(t);
+        let now = rounded_to_ns(t);
         for push in &self.pushes {
             let since = (now - push.at) * 1e-9;
             let share = match push.course {

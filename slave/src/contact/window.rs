@@ -1,7 +1,7 @@
 //! Time window in whole nanoseconds; its end is excluded.
 
 /// A time in s as whole ns: exact below 2^53 ns (104 days), while sums of decimal seconds differ by rounding.
-pub(crate) fn whole_ns(time_s: f64) -> f64 {
+pub(crate) fn rounded_to_ns(time_s: f64) -> f64 {
     rounded(time_s * 1e9)
 }
 
@@ -9,8 +9,8 @@ pub(crate) fn whole_ns(time_s: f64) -> f64 {
 /// every tick. The truncation is exact below 2^52, and larger numbers are already whole.
 #[expect(clippy::cast_possible_truncation, reason = "below 2^52 where it is used")]
 fn rounded(number: f64) -> f64 {
-    const WHOLE: f64 = 4_503_599_627_370_496.0;
-    if number.abs() < WHOLE {
+    const INTEGERS_FROM: f64 = 4_503_599_627_370_496.0;
+    if number.abs() < INTEGERS_FROM {
         let below = number.abs() as i64 as f64;
         (below + f64::from(u8::from(number.abs() - below >= 0.5))).copysign(number)
     } else {
@@ -28,21 +28,21 @@ pub(crate) struct Window {
 impl Window {
     /// From `at_s` on for `duration_s`.
     pub(crate) fn lasting(at_s: f64, duration_s: f64) -> Self {
-        let from_ns = whole_ns(at_s);
-        Self { from_ns, until_ns: from_ns + whole_ns(duration_s) }
+        let from_ns = rounded_to_ns(at_s);
+        Self { from_ns, until_ns: from_ns + rounded_to_ns(duration_s) }
     }
 
     /// From `begin_s` until `until_s`.
     pub(crate) fn between(begin_s: f64, until_s: f64) -> Self {
-        Self { from_ns: whole_ns(begin_s), until_ns: whole_ns(until_s) }
+        Self { from_ns: rounded_to_ns(begin_s), until_ns: rounded_to_ns(until_s) }
     }
 
     pub(crate) fn begins_after(&self, time_s: f64) -> bool {
-        whole_ns(time_s) < self.from_ns
+        rounded_to_ns(time_s) < self.from_ns
     }
 
     pub(crate) fn contains(&self, time_s: f64) -> bool {
-        (self.from_ns..self.until_ns).contains(&whole_ns(time_s))
+        (self.from_ns..self.until_ns).contains(&rounded_to_ns(time_s))
     }
 
     pub(crate) fn begin_s(&self) -> f64 {
@@ -55,7 +55,7 @@ impl Window {
 
     /// First bound after a time, in s; infinity after the last.
     pub(crate) fn next_bound(&self, time_s: f64) -> f64 {
-        let now_ns = whole_ns(time_s);
+        let now_ns = rounded_to_ns(time_s);
         if now_ns < self.from_ns {
             self.begin_s()
         } else if now_ns < self.until_ns {

@@ -1,7 +1,7 @@
 //! Several simulated slaves in parallel. A slave advances in its lane if no event occurs on its axes within the tick;
 //! otherwise it advances alone. Both give bit-identical results.
 
-use haptether_numeric::{Occupancy, everywhere, is_finite, lanes_of, pack, shared};
+use haptether_numeric::{Occupancy, all_lanes, is_finite, lanes_of, pack, shared};
 use nalgebra::{SimdBool as _, SimdValue as _};
 
 use super::{Plant, SimulatedSlave, SlaveSample};
@@ -101,13 +101,13 @@ impl<const N: usize, S: Real> SlaveLanes<N, S> {
     /// Command positions in m and the velocities there in m/s to the lanes of the mask, as [`SimulatedSlave::write`].
     #[inline(always)] // once a tick
     pub fn write(&mut self, lanes: u64, position: &Axes<N, S>, velocity: &Axes<N, S>) {
-        let mut alone = lanes;
+        let mut scalar = lanes;
         if let Some(fast) = &mut self.fast {
             fast.state.command(position, velocity);
-            alone &= !fast.occupancy.loaded();
+            scalar &= !fast.occupancy.loaded();
         }
-        if alone != 0 {
-            for lane in lanes_of(alone, self.slaves.len()) {
+        if scalar != 0 {
+            for lane in lanes_of(scalar, self.slaves.len()) {
                 self.slaves[lane].write(&position.extract(lane), &velocity.extract(lane));
             }
         }
@@ -129,19 +129,19 @@ impl<const N: usize, S: Real> SlaveLanes<N, S> {
     /// Advance the lanes of the mask to `now_ns` (monotonic) and return their measurements.
     #[inline(always)] // once a tick, from one caller
     pub fn read(&mut self, lanes: u64, now_ns: u64) -> &SlaveLanesSample<N, S> {
-        let mut alone = lanes;
+        let mut scalar = lanes;
         if let Some(fast) = &mut self.fast {
-            alone &= !fast.read(lanes, now_ns, &mut self.slaves, &mut self.sample);
+            scalar &= !fast.read(lanes, now_ns, &mut self.slaves, &mut self.sample);
         }
-        if alone != 0 {
-            self.read_alone(alone, now_ns);
+        if scalar != 0 {
+            self.read_scalar(scalar, now_ns);
         }
         &self.sample
     }
 
     /// Read each slave of the mask separately.
     #[inline(never)] // rare, and long
-    fn read_alone(&mut self, lanes: u64, now_ns: u64) {
+    fn read_scalar(&mut self, lanes: u64, now_ns: u64) {
         for lane in lanes_of(lanes, self.slaves.len()) {
             let SlaveSample { position, velocity, environment_force, .. } = self.slaves[lane].read(now_ns);
             self.sample.position.replace(lane, position);
@@ -168,7 +168,7 @@ impl<const N: usize, S: Real> ArmLanes<N, S> {
     #[inline(always)] // once a tick
     fn command(&mut self, position: &Axes<N, S>, velocity: &Axes<N, S>) {
         let (taken, moves) = (is_finite(position), is_finite(velocity));
-        let mut same = everywhere::<S>();
+        let mut same = all_lanes::<S>();
         for axis in 0..N {
             let before = [self.command[axis], self.command_velocity[axis]];
             let position = position[axis].select(taken, before[0]);
@@ -289,7 +289,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
     }
 
     /// Copy the state of a lane back to its slave.
-    fn give_back(&self, lane: usize, slave: &mut SimulatedSlave<N>) {
+    fn write_back(&self, lane: usize, slave: &mut SimulatedSlave<N>) {
         slave.now_ns = self.now_ns;
         let ArmLanes { position, velocity, command, command_velocity, stops, set_position } = &self.state;
         let Plant { drive, tool, .. } = &mut slave.plant;
@@ -331,7 +331,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
     #[inline(never)] // rare
     fn leave(&mut self, lanes: u64, before: u64, slaves: &mut [SimulatedSlave<N>]) {
         for lane in lanes_of(self.occupancy.leave(lanes, before), slaves.len()) {
-            self.give_back(lane, &mut slaves[lane]);
+            self.write_back(lane, &mut slaves[lane]);
         }
     }
 
@@ -344,7 +344,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
         lanes: u64,
         slaves: &mut [SimulatedSlave<N>],
     ) -> (ArmLanes<N, S>, S::SimdBool) {
-        let (zero, mut state, mut stays) = (S::zero(), self.state, everywhere::<S>());
+        let (zero, mut state, mut stays) = (S::zero(), self.state, all_lanes::<S>());
         let mut done = 0.0;
         while done < span {
             let now = from + done;
@@ -412,7 +412,7 @@ impl<const N: usize, S: Real> Fast<N, S> {
             let (push, growth) = environment.linear_push(&stretch, inside, [now, from + end], step);
             if self.shares_pushes {
                 if has_kink {
-                    *stays = !everywhere::<S>();
+                    *stays = !all_lanes::<S>();
                 }
                 return [push, growth].map(|of| of.map(S::splat));
             }

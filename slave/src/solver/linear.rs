@@ -5,7 +5,7 @@ mod transition;
 
 use transition::{Transition, TransitionMap};
 
-use haptether_numeric::{everywhere, norm, pack, shared};
+use haptether_numeric::{all_lanes, norm, pack, shared};
 use nalgebra::SimdBool as _;
 
 use crate::{
@@ -45,14 +45,21 @@ struct Regime<S> {
     /// Longest piece in s in which no contact can hide. An undamped contact lasts pi / sqrt(k); this is half a radian.
     /// Infinite without planes; negative before the first regime.
     longest: S,
-    kept: Kept<S>,
+    cached: CachedTransition<S>,
 }
 
 impl<S: Real> Default for Regime<S> {
     fn default() -> Self {
         let (zero, one) = (S::zero(), S::one());
         let transition = Transition::default();
-        Self { arm: [f64::NAN; 3], c: zero, pull: zero, transition, longest: -one, kept: Kept::default() }
+        Self {
+            arm: [f64::NAN; 3],
+            c: zero,
+            pull: zero,
+            transition,
+            longest: -one,
+            cached: CachedTransition::default(),
+        }
     }
 }
 
@@ -65,18 +72,18 @@ impl<S> PartialEq for Regime<S> {
 
 /// Map of the last whole piece, and its time step, which nearly every tick repeats.
 #[derive(Clone, Copy, Debug)]
-struct Kept<S> {
+struct CachedTransition<S> {
     time: f64,
     map: TransitionMap<S>,
 }
 
-impl<S: Real> Default for Kept<S> {
+impl<S: Real> Default for CachedTransition<S> {
     fn default() -> Self {
         Self { time: f64::NAN, map: TransitionMap::default() }
     }
 }
 
-impl<S: Real> Kept<S> {
+impl<S: Real> CachedTransition<S> {
     /// Map of `transition` over `t`; `transition` is that of the regime that owns this.
     #[inline(always)] // nearly every tick finds it
     fn over(&mut self, transition: &Transition<S>, t: f64) -> TransitionMap<S> {
@@ -368,7 +375,7 @@ impl<S: Real> Line<S> {
         regime.pull.replace(lane, of.pull);
         regime.transition.load(lane, &of.transition);
         regime.longest.replace(lane, if lasts { of.longest } else { -1.0 });
-        regime.kept.load(lane, &regime.transition);
+        regime.cached.load(lane, &regime.transition);
     }
 
     /// (x, V) after a step in one piece, and the mask of lanes in which no contact may change within it.
@@ -393,7 +400,7 @@ impl<S: Real> Line<S> {
             impulse = ((bend.slope * bend.at).magnitude() * bend.at).select(bends, zero);
         }
         // First, so that the course stays in registers: no call follows it.
-        let map = self.regime.kept.over(&transition, step);
+        let map = self.regime.cached.over(&transition, step);
         let course = Course::of(transition, c, [later0 + pull, later1, u2], state);
         let mut keeps = longest.simd_ge(S::splat(step));
         if !self.planes.is_empty() {
@@ -432,7 +439,7 @@ impl<S: Real> Line<S> {
         let [farther, fastest] = course.bounds(t);
         let (farther, fastest) = (farther + impulse * S::splat(t), fastest + impulse);
         let [a0, ..] = course.particular;
-        let mut stays = everywhere::<S>();
+        let mut stays = all_lanes::<S>();
         for plane in &self.planes {
             let (depth, mode) = plane.mode(state);
             // Far above the rounding of positions.
@@ -536,7 +543,7 @@ impl Line {
         let (k, c) = (stiffness / mass, damping / mass);
         let longest = if self.planes.is_empty() { f64::INFINITY } else { 0.5 / k.sqrt() };
         let transition = Transition::new(k, c);
-        Regime { arm, c, pull: pull / mass, transition, longest, kept: Kept::default() }
+        Regime { arm, c, pull: pull / mass, transition, longest, cached: CachedTransition::default() }
     }
 
     fn changed(&self, state: [f64; 2]) -> bool {
@@ -695,15 +702,15 @@ mod tests {
     #[test]
     fn a_kept_map_is_that_of_its_time() {
         let (transition, state) = (Transition::new(9.0, 1.0), [0.7, -1.3]);
-        let mut kept = Kept::<f64>::default();
+        let mut cached = CachedTransition::<f64>::default();
         for t in [1e-3, 2e-3, 2e-3, 1e-3] {
-            assert_eq!(kept.over(&transition, t).apply(state), transition.apply(t, state), "{t}");
-            assert_eq!(kept.time, t);
+            assert_eq!(cached.over(&transition, t).apply(state), transition.apply(t, state), "{t}");
+            assert_eq!(cached.time, t);
         }
         // A substituted map is returned, so the map is kept.
         let other = Transition::new(4.0, 1.0).over(1e-3);
-        kept.map = other;
-        assert_eq!(kept.over(&transition, 1e-3).apply(state), other.apply(state));
+        cached.map = other;
+        assert_eq!(cached.over(&transition, 1e-3).apply(state), other.apply(state));
         assert_ne!(other.apply(state), transition.apply(1e-3, state));
     }
 
@@ -724,19 +731,19 @@ mod tests {
             for arm in arms {
                 for x in [0.05, -0.01, -0.02, 0.11, 0.05, -0.01] {
                     line.renew(arm, [x, 0.0]);
-                    let kept = line.regime;
+                    let regime = line.regime;
                     let touched = line.planes.iter().filter(|plane| plane.mode == TOUCHING).count();
                     assert_eq!(touched, usize::from(x != 0.05), "{round} {x}");
                     let fresh = line.regime_of(arm);
                     assert_eq!(
-                        (kept.arm, kept.c, kept.pull, kept.longest, kept.transition),
+                        (regime.arm, regime.c, regime.pull, regime.longest, regime.transition),
                         (fresh.arm, fresh.c, fresh.pull, fresh.longest, fresh.transition)
                     );
                     let stiffness = arm[1] + 10.0 + 3000.0 * f64::from(u8::from(x != 0.05));
-                    assert_eq!(kept.transition.k, stiffness / arm[0]);
+                    assert_eq!(regime.transition.k, stiffness / arm[0]);
                     // No map of another regime is left.
-                    let map = line.regime.kept.over(&kept.transition, 1e-3);
-                    assert_eq!(map.apply([1.0, 2.0]), kept.transition.apply(1e-3, [1.0, 2.0]));
+                    let map = line.regime.cached.over(&regime.transition, 1e-3);
+                    assert_eq!(map.apply([1.0, 2.0]), regime.transition.apply(1e-3, [1.0, 2.0]));
                 }
             }
         }

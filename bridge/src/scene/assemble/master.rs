@@ -14,7 +14,7 @@ use crate::Clutch;
 pub(crate) fn exact_master<const N: usize>(scene: &SceneSpec<N>) -> Result<SimulatedMaster<N>, SceneError> {
     let MasterSpec { device, position, velocity, .. } = scene.master;
     device.check()?;
-    let mut master = SimulatedMaster::new(device, hand(scene)?, 0)?.among(walls_on_device(scene)?)?;
+    let mut master = SimulatedMaster::new(device, hand(scene)?, 0)?.with_walls(walls_on_device(scene)?)?;
     master.place(position, velocity)?;
     Ok(master)
 }

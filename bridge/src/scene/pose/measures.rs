@@ -21,7 +21,7 @@ pub(crate) struct RotationMeasures {
     /// Time in s at which the hand lets go; infinite until engagement.
     release_s: f64,
     /// Newest record of the slave.
-    far: Option<SlaveRotation>,
+    slave: Option<SlaveRotation>,
     peak_rate: f64,
     peak_torque: f64,
     /// Sums of the squared differences of orientation and torque; `samples` counts them.
@@ -42,7 +42,7 @@ impl RotationMeasures {
         Ok(Self {
             coupling,
             release_s: f64::INFINITY,
-            far: None,
+            slave: None,
             peak_rate: 0.0,
             peak_torque: 0.0,
             squares: [0.0; 2],
@@ -68,29 +68,29 @@ impl RotationMeasures {
     }
 
     /// Take a tick of the master; `coupled` is true if both sides are coupled.
-    pub(crate) fn near(&mut self, time_s: f64, record: &MasterRotation, coupled: bool) {
+    pub(crate) fn take_master(&mut self, time_s: f64, record: &MasterRotation, coupled: bool) {
         self.newest_s = time_s;
         self.peak_torque = self.peak_torque.max(record.device_torque.norm());
         if time_s >= self.release_s {
             self.peak_rate = self.peak_rate.max(record.angular_velocity.norm());
         }
-        let (Some(far), true) = (&self.far, coupled) else {
+        let (Some(newest), true) = (&self.slave, coupled) else {
             self.coupling.disengage();
             return;
         };
-        let slave = unit(far.orientation);
+        let slave = unit(newest.orientation);
         let wanted = self.coupling.commanded_orientation(&unit(record.true_orientation), &slave);
         self.squares[0] += wanted.angle_to(&slave).powi(2);
         self.samples[0] += 1;
         let difference: Axes<3> =
-            record.device_torque - self.coupling.rendered_torque(&far.environment_torque);
+            record.device_torque - self.coupling.rendered_torque(&newest.environment_torque);
         self.squares[1] += difference.norm_squared();
         self.samples[1] += 1;
     }
 
     /// Take a tick of the slave.
-    pub(crate) fn far(&mut self, record: &SlaveRotation) {
-        self.far = Some(*record);
+    pub(crate) fn take_slave(&mut self, record: &SlaveRotation) {
+        self.slave = Some(*record);
     }
 
     /// Add the measured values of `metrics`.

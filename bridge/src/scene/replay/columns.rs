@@ -7,7 +7,7 @@ use haptether_safety::{Axes, Fault, controller::ControllerKind};
 
 use super::{HandImpedance, RecordedTick, Replay, ReplayedTick};
 use crate::{
-    endpoint::{HandInput, MasterReading, Past},
+    endpoint::{CarriedState, HandInput, MasterReading},
     scene::{
         assemble::{SceneError, bad_axes},
         outline::{scene_outline, scene_spec},
@@ -129,9 +129,9 @@ impl RecordedColumns {
                 gain: gain.values[row],
                 missed: missed.count(row),
                 past: match past.count(row) {
-                    0 => Past::Kept,
-                    1 => Past::Stalled,
-                    _ => Past::Acknowledged,
+                    0 => CarriedState::All,
+                    1 => CarriedState::FaultOnly,
+                    _ => CarriedState::Nothing,
                 },
                 fault: u8::try_from(fault.count(row)).ok().and_then(Fault::from_code),
                 ..HandInput::idle()

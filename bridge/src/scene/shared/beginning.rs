@@ -14,9 +14,9 @@ use std::{
 
 use super::super::{
     assemble::{SceneError, exact_master},
-    bilateral::{self, Keeping, SESSIONS, Sides},
+    bilateral::{self, RunOptions, SESSIONS, Sides},
     measures::Outcome,
-    sides::{hand_alone, simulated_arm, slave_endpoint, waiting_master},
+    sides::{hand_and_coupling, simulated_arm, slave_endpoint, with_waiting_hand},
     spec::SceneSpec,
     timed::Timed,
     watched::Watched,
@@ -25,7 +25,7 @@ use super::Outcomes;
 use crate::{
     Event, MasterPlant, MasterRecord, MasterSide, ModelArm, Side, SlavePlant, SlaveSide, VirtualSettings,
     endpoint::{Hand, HandInput, MasterReading},
-    virtual_time::{Ahead, Snapshot},
+    virtual_time::{BatchedRun, Snapshot},
 };
 use haptether_safety::{Axes, Fault, controller::Intervention};
 use haptether_slave::SimulatedSlave;
@@ -34,7 +34,7 @@ use haptether_slave::SimulatedSlave;
 const MAX_SINCE_SNAPSHOT: u64 = 400;
 
 /// Return whether two scenes differ only in their controllers.
-pub(super) fn begins_as<const N: usize>(one: &SceneSpec<N>, other: &SceneSpec<N>) -> bool {
+pub(super) fn share_beginning<const N: usize>(one: &SceneSpec<N>, other: &SceneSpec<N>) -> bool {
     let mut same = other.clone();
     same.safety.settings = one.safety.settings;
     same == *one
@@ -54,7 +54,7 @@ pub(super) fn outcomes<const N: usize>(
     let mut outcomes: Outcomes = vec![None; scenes.len()];
     let mut members = Vec::with_capacity(scenes.len());
     for (row, scene) in scenes.iter().enumerate() {
-        match hand_alone(scene) {
+        match hand_and_coupling(scene) {
             Ok((hand, _)) => members.push(Member { row, hand }),
             Err(error) => outcomes[row] = Some(Err(error)),
         }
@@ -64,7 +64,7 @@ pub(super) fn outcomes<const N: usize>(
         return Ok(vec![None; scenes.len()]);
     };
     let shared = exact_master(built)
-        .and_then(|plant| begun(built, waiting_master(plant), members))
+        .and_then(|plant| first_group(built, with_waiting_hand(plant), members))
         .and_then(|group| run(built, group, stop, &mut outcomes));
     match shared {
         Err(SceneError::Stopped) => Err(SceneError::Stopped),
@@ -126,7 +126,7 @@ struct Start<M: Side, S: Side, const N: usize> {
     run: Snapshot<M, S>,
     watched: Watched<N>,
     /// Ticks of the master that are not observed yet; no run intervenes in them.
-    unseen: usize,
+    pending: usize,
 }
 
 /// Runs that were equal so far.
@@ -141,19 +141,19 @@ type Slave<A, const N: usize> = Timed<SlaveSide<A, N>>;
 type Running<P, A, const N: usize> = Group<Master<P, N>, Slave<A, N>, N>;
 
 /// Build the group of all runs before the first tick; None if a run cannot be copied.
-fn begun<P: MasterPlant<N> + Clone, const N: usize>(
+fn first_group<P: MasterPlant<N> + Clone, const N: usize>(
     scene: &SceneSpec<N>,
     plant: P,
     members: Vec<Member<N>>,
 ) -> Result<Option<Running<P, SimulatedSlave<N>, N>>, SceneError> {
-    let kept = Keeping { outcome_only: true, ..Keeping::default() };
+    let options = RunOptions { outcome_only: true, ..RunOptions::default() };
     bilateral::check(scene)?;
     let settings = bilateral::settings(scene)?;
-    let master = bilateral::master(scene, plant, &kept)?;
+    let master = bilateral::master(scene, plant, &options)?;
     let slave = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, SESSIONS.1)?);
-    let (mut master, mut slave, watched) = bilateral::prepared(scene, &settings, master, slave, &kept)?;
-    let run = Ahead::new(&settings, &mut master, &mut slave)?.snapshot();
-    Ok(run.map(|run| Group { start: Arc::new(Start { run, watched, unseen: 0 }), members }))
+    let (mut master, mut slave, watched) = bilateral::prepared(scene, &settings, master, slave, &options)?;
+    let run = BatchedRun::new(&settings, &mut master, &mut slave)?.snapshot();
+    Ok(run.map(|run| Group { start: Arc::new(Start { run, watched, pending: 0 }), members }))
 }
 
 /// Run a group, and the runs that leave it, to the end.
@@ -201,15 +201,15 @@ where
             return Ok(());
         }
         let Member { row, hand } = followers.remove(0);
-        let Start { run, watched, unseen } = &*kept.start;
-        let (mut watched, mut unseen, mut since) = (watched.clone(), *unseen, 0);
+        let Start { run, watched, pending } = &*kept.start;
+        let (mut watched, mut pending, mut since) = (watched.clone(), *pending, 0);
         let (mut master, mut slave) = (run.master.clone(), run.slave.clone());
         master.side.endpoint.set_hand(hand);
-        let mut ahead = Ahead::resume(&self.settings, run, &mut master, &mut slave)?;
+        let mut batched = BatchedRun::resume(&self.settings, run, &mut master, &mut slave)?;
         loop {
             let mut intervenes = false;
             let mut gone = vec![false; followers.len()];
-            let flow = ahead.advance(&mut |event, (master, slave): Sides<'_, '_, P, A, (), (), N>| {
+            let flow = batched.advance(&mut |event, (master, slave): Sides<'_, '_, P, A, (), (), N>| {
                 if stop.load(Ordering::Relaxed) {
                     return ControlFlow::Break(());
                 }
@@ -220,8 +220,8 @@ where
                     && !intervenes
                 {
                     since += 1;
-                    if unseen > 0 {
-                        unseen -= 1;
+                    if pending > 0 {
+                        pending -= 1;
                     } else {
                         intervenes = leader_intervenes(record);
                         for (follower, gone) in followers.iter_mut().zip(&mut gone) {
@@ -240,22 +240,22 @@ where
             if flow.is_break() {
                 break;
             }
-            if since >= MAX_SINCE_SNAPSHOT && !followers.is_empty() && unseen == 0 {
-                let mut members = vec![Member { row, hand: ahead.master().side.endpoint.hand().clone() }];
+            if since >= MAX_SINCE_SNAPSHOT && !followers.is_empty() && pending == 0 {
+                let mut members = vec![Member { row, hand: batched.master().side.endpoint.hand().clone() }];
                 members.extend(followers.iter().cloned());
-                let quiet = ahead.unseen_of_master().all(|record| {
+                let quiet = batched.pending_master_records().all(|record| {
                     !leader_intervenes(record)
                         && !members[1..].iter_mut().any(|member| member.intervenes(record))
                 });
-                if let (true, Some(run)) = (quiet, ahead.snapshot()) {
-                    let unseen = ahead.unseen_of_master().count();
-                    let start = Start { run, watched: watched.clone(), unseen };
+                if let (true, Some(run)) = (quiet, batched.snapshot()) {
+                    let pending = batched.pending_master_records().count();
+                    let start = Start { run, watched: watched.clone(), pending };
                     kept = Group { start: Arc::new(start), members };
                     since = 0;
                 }
             }
         }
-        let counts = ahead.counts();
+        let counts = batched.counts();
         let outcome = watched.finish(self.scene, &self.settings, &master, &slave, &counts);
         let outcome = outcome.map(|run| run.outcome);
         for same in followers {
@@ -299,7 +299,7 @@ where
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::virtual_time::MAX_AHEAD;
+    use crate::virtual_time::MAX_BATCH_TICKS;
     use serde::Deserialize as _;
     use std::cell::Cell;
 
@@ -337,7 +337,7 @@ mod tests {
         let three = ticks(&[&[], &["wsc"], &["hsc"]]);
         // Each intervenes a little after the release, about 1.1 s after the start. It continues from a snapshot that
         // is at most one interval of snapshots and the lead of a side old.
-        let back = MAX_SINCE_SNAPSHOT + MAX_AHEAD as u64;
+        let back = MAX_SINCE_SNAPSHOT + MAX_BATCH_TICKS as u64;
         assert!((2000 + 2 * 700..2000 + 2 * (900 + back)).contains(&three), "{three}");
         // PC intervenes from the start, so only the others share.
         let four = ticks(&[&["pc"], &[], &["wsc"], &["hsc"]]);

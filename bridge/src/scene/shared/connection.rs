@@ -117,13 +117,13 @@ impl LinkSide {
         connection: &Connection,
         scene: &SceneSpec<N>,
     ) -> Result<[Self; 2], SceneError> {
-        let mut near = master_endpoint(scene, SESSIONS.0, None)?.exchange;
+        let mut master = master_endpoint(scene, SESSIONS.0, None)?.exchange;
         if connection.has_buttons {
-            near.carry_buttons();
+            master.carry_buttons();
         }
         let operator = ClutchOperator::new(connection.clutch.clone())?;
-        let far = slave_endpoint(scene, SESSIONS.1)?.exchange;
-        Ok([Self::new(near, Some(operator)), Self::new(far, None)])
+        let slave = slave_endpoint(scene, SESSIONS.1)?.exchange;
+        Ok([Self::new(master, Some(operator)), Self::new(slave, None)])
     }
 
     fn new(mut exchange: Exchange, operator: Option<ClutchOperator>) -> Self {

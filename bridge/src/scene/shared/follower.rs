@@ -26,18 +26,18 @@ use super::{
 use crate::{
     Event, MasterRecord, ModelPlant as _, SlaveReading, SlaveRecord,
     coupling::PositionForce,
-    endpoint::{Arm, ArmInput, Hand, HandInput, MasterReading, MasterState, Past},
+    endpoint::{Arm, ArmInput, CarriedState, Hand, HandInput, MasterReading, MasterState},
     port::PortState,
     scene::{
         assemble::{SceneError, exact_master},
         coupling::commands,
-        sides::{arm_alone, hand_alone, simulated_arm, waiting_master},
+        sides::{hand_and_coupling, point_arm, simulated_arm, with_waiting_hand},
         spec::SceneSpec,
         timed::Commands,
         watched::Watched,
     },
     side::{LeadTransition, is_stopped},
-    virtual_time::{Ahead, Snapshot},
+    virtual_time::{BatchedRun, Snapshot},
     wire::unpadded,
 };
 
@@ -85,7 +85,7 @@ struct Runs<'a, const N: usize> {
 const MAX_AXES: usize = 3;
 
 /// Fewest runs for which lanes are faster.
-const MIN_ABREAST: usize = 3;
+const MIN_LANES: usize = 3;
 
 /// Processor for which lanes are compiled: with AVX2.
 #[cfg(target_arch = "x86_64")]
@@ -105,69 +105,77 @@ fn processor() -> Option<Processor> {
 }
 
 /// Runs in lanes, from their first ticks on.
-type Abreast<const N: usize> = (Processor, Vec<LaneFollowers<N>>);
+type LaneGroups<const N: usize> = (Processor, Vec<LaneFollowers<N>>);
 
 impl<const N: usize> Runs<'_, N> {
     /// Run the scenes to their ends, in lanes if allowed. A scene that cannot be built, or whose link and ladders
     /// differ, gets no outcome.
     fn follow(&self, outcomes: &mut Outcomes) -> Result<(), SceneError> {
         let built = |row: usize| Follower::new(self.connection, row, self.scenes[row]).ok();
-        let mut alone = (0..self.scenes.len()).filter_map(built).collect();
-        let abreast = match processor() {
-            Some(processor) if self.lanes && N <= MAX_AXES => Some((processor, side_by_side(&mut alone))),
+        let mut scalar = (0..self.scenes.len()).filter_map(built).collect();
+        let in_lanes = match processor() {
+            Some(processor) if self.lanes && N <= MAX_AXES => {
+                Some((processor, gather_into_lanes(&mut scalar)))
+            }
             _ => None,
         };
-        let departed = self.follow_all(abreast, alone, outcomes)?;
-        self.follow_all(None, departed.into_iter().filter_map(built).collect(), outcomes)?;
+        let left_lanes = self.follow_all(in_lanes, scalar, outcomes)?;
+        self.follow_all(None, left_lanes.into_iter().filter_map(built).collect(), outcomes)?;
         Ok(())
     }
 
     /// Run all to their ends; return the rows that left their lanes.
     fn follow_all(
         &self,
-        abreast: Option<Abreast<N>>,
-        alone: Vec<Follower<N>>,
+        in_lanes: Option<LaneGroups<N>>,
+        scalar: Vec<Follower<N>>,
         outcomes: &mut Outcomes,
     ) -> Result<Vec<usize>, SceneError> {
-        let mut departed = Vec::new();
-        if abreast.is_none() && alone.is_empty() {
-            return Ok(departed);
+        let mut left_lanes = Vec::new();
+        if in_lanes.is_none() && scalar.is_empty() {
+            return Ok(left_lanes);
         }
-        let Some(scene) = self.scenes.first() else { return Ok(departed) };
+        let Some(scene) = self.scenes.first() else { return Ok(left_lanes) };
         let settings = &self.connection.settings;
         // It was built from the same settings before, so it does not fail.
-        let Ok([mut master, mut slave]) = LinkSide::both(self.connection, scene) else { return Ok(departed) };
+        let Ok([mut master, mut slave]) = LinkSide::both(self.connection, scene) else {
+            return Ok(left_lanes);
+        };
         // Each row refuses an invalid network. A network that alters packets is not shared.
-        let ahead = Ahead::new(settings, &mut master, &mut slave);
-        let Some(ahead) = ahead.ok().filter(|ahead| ahead.snapshot().is_some()) else { return Ok(departed) };
+        let batched = BatchedRun::new(settings, &mut master, &mut slave);
+        let Some(batched) = batched.ok().filter(|batched| batched.snapshot().is_some()) else {
+            return Ok(left_lanes);
+        };
         let mut branches = Vec::new();
-        let mut group = Group { abreast, alone };
-        group.follow(ahead, [0, 0], self.stop, outcomes, &mut branches)?;
-        let abreast = group.abreast.map(|(_, abreast)| abreast).unwrap_or_default();
-        for (row, outcome) in abreast.into_iter().flat_map(LaneFollowers::outcomes) {
+        let mut group = Group { in_lanes, scalar };
+        group.follow(batched, [0, 0], self.stop, outcomes, &mut branches)?;
+        let in_lanes = group.in_lanes.map(|(_, in_lanes)| in_lanes).unwrap_or_default();
+        for (row, outcome) in in_lanes.into_iter().flat_map(LaneFollowers::outcomes) {
             match outcome {
                 Some(outcome) => {
                     #[cfg(test)]
-                    tests::count_abreast(1);
+                    tests::count_in_lanes(1);
                     outcomes[row] = Some(Ok(outcome));
                 }
-                None => departed.push(row),
+                None => left_lanes.push(row),
             }
         }
         while let Some(Branch { checkpoint: (first, snapshot), tick, follower }) = branches.pop() {
             let (mut master, mut slave) = (snapshot.master.clone(), snapshot.slave.clone());
             master.withhold_from(tick);
-            let Ok(ahead) = Ahead::resume(settings, &snapshot, &mut master, &mut slave) else { continue };
-            let mut group = Group { abreast: None, alone: vec![follower] };
-            group.follow(ahead, first, self.stop, outcomes, &mut branches)?;
+            let Ok(batched) = BatchedRun::resume(settings, &snapshot, &mut master, &mut slave) else {
+                continue;
+            };
+            let mut group = Group { in_lanes: None, scalar: vec![follower] };
+            group.follow(batched, first, self.stop, outcomes, &mut branches)?;
         }
-        Ok(departed)
+        Ok(left_lanes)
     }
 }
 
 /// Move runs that fit into lanes out of `runs`, before their first tick.
-fn side_by_side<const N: usize>(runs: &mut Vec<Follower<N>>) -> Vec<LaneFollowers<N>> {
-    let (mut abreast, mut alone) = (Vec::new(), Vec::new());
+fn gather_into_lanes<const N: usize>(runs: &mut Vec<Follower<N>>) -> Vec<LaneFollowers<N>> {
+    let (mut in_lanes, mut scalar) = (Vec::new(), Vec::new());
     while !runs.is_empty() {
         let gathered = |take: &[usize]| {
             let of: Vec<_> = take.iter().map(|index| &runs[*index]).collect();
@@ -181,8 +189,8 @@ fn side_by_side<const N: usize>(runs: &mut Vec<Follower<N>>) -> Vec<LaneFollower
             take = std::iter::once(0).chain((1..runs.len()).filter(fits)).take(WIDTH).collect();
             followers = gathered(&take);
         }
-        match followers.filter(|_| take.len() >= MIN_ABREAST) {
-            Some(followers) => abreast.push(followers),
+        match followers.filter(|_| take.len() >= MIN_LANES) {
+            Some(followers) => in_lanes.push(followers),
             None => take.truncate(1),
         }
         let mut index = 0;
@@ -190,23 +198,23 @@ fn side_by_side<const N: usize>(runs: &mut Vec<Follower<N>>) -> Vec<LaneFollower
             index += 1;
             take.contains(&(index - 1))
         });
-        if take.len() >= MIN_ABREAST { drop(taken.collect::<Vec<_>>()) } else { alone.extend(taken) }
+        if take.len() >= MIN_LANES { drop(taken.collect::<Vec<_>>()) } else { scalar.extend(taken) }
     }
-    *runs = alone;
-    abreast
+    *runs = scalar;
+    in_lanes
 }
 
 /// Runs that follow the same link and ladders.
 struct Group<const N: usize> {
-    abreast: Option<Abreast<N>>,
-    alone: Vec<Follower<N>>,
+    in_lanes: Option<LaneGroups<N>>,
+    scalar: Vec<Follower<N>>,
 }
 
 impl<const N: usize> Group<N> {
     /// Follow link and ladders until each run has ended or differs. `first` has the ticks of master and slave so far.
     fn follow(
         &mut self,
-        mut ahead: Ahead<'_, LinkSide, LinkSide>,
+        mut batched: BatchedRun<'_, LinkSide, LinkSide>,
         mut first: [u64; 2],
         stop: &AtomicBool,
         outcomes: &mut Outcomes,
@@ -220,8 +228,8 @@ impl<const N: usize> Group<N> {
                 return Err(SceneError::Stopped);
             }
             if checkpoints.back().is_none_or(|(at, _)| first[0] - at[0] >= TICKS_BETWEEN_CHECKPOINTS as u64)
-                && self.alone.iter().any(|follower| follower.may_withhold)
-                && let Some(snapshot) = ahead.snapshot()
+                && self.scalar.iter().any(|follower| follower.may_withhold)
+                && let Some(snapshot) = batched.snapshot()
             {
                 checkpoints.push_back((first, Rc::new(snapshot)));
                 // A withheld force is found at most one block after its tick, so two checkpoints suffice.
@@ -230,11 +238,11 @@ impl<const N: usize> Group<N> {
                 }
             }
             block.clear();
-            goes_on = ahead
+            goes_on = batched
                 .advance(&mut |event, _| {
                     block.push(match event {
-                        Event::Master(step) => Tick::Near(*step),
-                        Event::Slave(step) => Tick::Far(*step),
+                        Event::Master(step) => Tick::Master(*step),
+                        Event::Slave(step) => Tick::Slave(*step),
                     });
                     ControlFlow::Continue(())
                 })
@@ -242,14 +250,14 @@ impl<const N: usize> Group<N> {
             let ticks = block.as_slice();
             // Lanes are compiled up to MAX_AXES.
             if N <= MAX_AXES
-                && let Some((processor, abreast)) = &mut self.abreast
+                && let Some((processor, in_lanes)) = &mut self.in_lanes
             {
-                for followers in abreast.iter_mut().filter(|followers| followers.is_running()) {
+                for followers in in_lanes.iter_mut().filter(|followers| followers.is_running()) {
                     take(*processor, followers, ticks);
                 }
             }
-            let mut kept = Vec::with_capacity(self.alone.len());
-            for mut follower in self.alone.drain(..) {
+            let mut kept = Vec::with_capacity(self.scalar.len());
+            for mut follower in self.scalar.drain(..) {
                 match follower.take(first, ticks) {
                     Progress::GoesOn if goes_on => kept.push(follower),
                     Progress::GoesOn | Progress::Ended => {
@@ -264,20 +272,20 @@ impl<const N: usize> Group<N> {
                             branches.push(Branch { checkpoint: before.clone(), tick, follower });
                         }
                     }
-                    Progress::Departs => {}
+                    Progress::Differs => {}
                 }
             }
-            self.alone = kept;
+            self.scalar = kept;
             for tick in ticks {
-                first[usize::from(matches!(tick, Tick::Far(_)))] += 1;
+                first[usize::from(matches!(tick, Tick::Slave(_)))] += 1;
             }
         }
         Ok(())
     }
 
     fn is_running(&self) -> bool {
-        let abreast = self.abreast.iter().flat_map(|(_, abreast)| abreast);
-        !self.alone.is_empty() || abreast.into_iter().any(LaneFollowers::is_running)
+        let in_lanes = self.in_lanes.iter().flat_map(|(_, in_lanes)| in_lanes);
+        !self.scalar.is_empty() || in_lanes.into_iter().any(LaneFollowers::is_running)
     }
 }
 
@@ -309,9 +317,9 @@ fn take<const N: usize>(processor: Processor, _: &mut LaneFollowers<N>, _: &[Tic
 /// Link and ladder at a tick of either side.
 enum Tick {
     /// Tick of the master.
-    Near(Step),
+    Master(Step),
     /// Tick of the slave.
-    Far(Step),
+    Slave(Step),
 }
 
 /// State of a follower after a block of ticks.
@@ -322,14 +330,14 @@ enum Progress {
     /// It begins to withhold its force at this tick of the master; link and ladders do not include that.
     Withholds(u64),
     /// Its link and ladders would differ.
-    Departs,
+    Differs,
 }
 
 /// Both sides of a run, which follow shared link and ladders.
 struct Follower<const N: usize> {
     row: usize,
-    near: Near<N>,
-    far: Far<N>,
+    master: MasterPart<N>,
+    slave: SlavePart<N>,
     watched: Watched<N>,
     /// Ticks of master and slave so far.
     done: [u64; 2],
@@ -340,7 +348,7 @@ struct Follower<const N: usize> {
 }
 
 /// Side of the hand.
-struct Near<const N: usize> {
+struct MasterPart<const N: usize> {
     plant: SimulatedMaster<N>,
     hand: Hand<N>,
     coupling: PositionForce<N>,
@@ -351,7 +359,7 @@ struct Near<const N: usize> {
 }
 
 /// Side of the robot.
-struct Far<const N: usize> {
+struct SlavePart<const N: usize> {
     plant: SimulatedSlave<N>,
     arm: Arm<N>,
     led: LeadTransition,
@@ -369,14 +377,14 @@ impl<const N: usize> Follower<N> {
         row: usize,
         scene: &SceneSpec<N>,
     ) -> Result<Self, SceneError> {
-        let mut plant = waiting_master(exact_master(scene)?);
+        let mut plant = with_waiting_hand(exact_master(scene)?);
         let list = commands::<N>(scene.coupled()?.1)?;
         let start = *plant.position();
         let mut arm = simulated_arm(scene)?;
-        let (hand, coupling) = hand_alone(scene)?;
+        let (hand, coupling) = hand_and_coupling(scene)?;
         plant.begin(0);
         arm.begin(0);
-        let near = Near {
+        let master = MasterPart {
             plant,
             hand,
             coupling,
@@ -384,9 +392,9 @@ impl<const N: usize> Follower<N> {
             sent: History::new(),
             heard: 0,
         };
-        let far = Far {
+        let slave = SlavePart {
             plant: arm,
-            arm: arm_alone(scene)?,
+            arm: point_arm(scene)?,
             led: LeadTransition::default(),
             commands: Commands::new(list.clone()),
             outgoing: PortState::default(),
@@ -395,44 +403,44 @@ impl<const N: usize> Follower<N> {
         };
         let watched = Watched::new(scene, settings, list, &start, false)?;
         let may_withhold = scene.safety.settings.release_tries > 0;
-        Ok(Self { row, near, far, watched, done: [0, 0], pending: None, may_withhold })
+        Ok(Self { row, master, slave, watched, done: [0, 0], pending: None, may_withhold })
     }
 
     /// Take a block of ticks and skip those already done. `first` has the numbers of its first ticks.
     fn take(&mut self, first: [u64; 2], ticks: &[Tick]) -> Progress {
-        let [mut near, mut far] = first;
+        let [mut master, mut slave] = first;
         for tick in ticks {
             let flow = match tick {
-                Tick::Near(step) => {
-                    near += 1;
-                    if near <= self.done[0] {
+                Tick::Master(step) => {
+                    master += 1;
+                    if master <= self.done[0] {
                         continue;
                     }
                     let waited = self.pending.take();
                     let has_waited = waited.is_some();
                     let decided =
-                        waited.map_or_else(|| self.near.decide(step, &self.far.sent), |decided| *decided);
+                        waited.map_or_else(|| self.master.decide(step, &self.slave.sent), |decided| *decided);
                     // `act` handles a force that link and ladders withhold already, or never will.
                     if decided.safety.intervention.withheld && !step.withholds && !has_waited {
                         self.pending = Some(Box::new(decided));
                         return Progress::Withholds(self.done[0]);
                     }
-                    self.done[0] = near;
-                    self.near.act(step, &decided, self.far.heard, &mut self.watched)
+                    self.done[0] = master;
+                    self.master.act(step, &decided, self.slave.heard, &mut self.watched)
                 }
-                Tick::Far(step) => {
-                    far += 1;
-                    if far <= self.done[1] {
+                Tick::Slave(step) => {
+                    slave += 1;
+                    if slave <= self.done[1] {
                         continue;
                     }
-                    self.done[1] = far;
-                    self.far.tick(step, &self.near.sent, self.near.heard, &mut self.watched)
+                    self.done[1] = slave;
+                    self.slave.tick(step, &self.master.sent, self.master.heard, &mut self.watched)
                 }
             };
             match flow {
                 Some(ControlFlow::Continue(())) => {}
                 Some(ControlFlow::Break(())) => return Progress::Ended,
-                None => return Progress::Departs,
+                None => return Progress::Differs,
             }
         }
         Progress::GoesOn
@@ -445,27 +453,27 @@ struct Decided<const N: usize> {
     safety: SafetyTick<N>,
 }
 
-impl<const N: usize> Near<N> {
+impl<const N: usize> MasterPart<N> {
     /// Read the device and decide as [`MasterSide`](crate::MasterSide) does.
     #[inline(always)]
-    fn decide(&mut self, step: &Step, far: &History<N>) -> Decided<N> {
+    fn decide(&mut self, step: &Step, slave: &History<N>) -> Decided<N> {
         while let Some(command) = self.commands.due(step.now_ns) {
             // The commands were checked when the scene was built, and apply at its start.
             let _ = self.coupling.command_at_master(command, 0);
         }
         let MasterSample { position, velocity } = self.plant.read(step.now_ns);
-        let received = step.newest().map(|tick| far.of(tick).force);
+        let received = step.newest().map(|tick| slave.of(tick).force);
         self.heard = step.newest().unwrap_or(0);
         let input = HandInput {
             received_force: received.unwrap_or(Axes::zeros()),
             requested_force: received.map_or(Axes::zeros(), |force| self.coupling.rendered_force(&force)),
             gain: step.gain,
             missed: step.missed,
-            past: if step.has_stalled { Past::Stalled } else { Past::Kept },
+            past: if step.has_stalled { CarriedState::FaultOnly } else { CarriedState::All },
             ..HandInput::idle()
         };
         let (safety, _) = self.hand.tick(&MasterReading::point(position, velocity), &input);
-        Decided { position: self.hand.taken().position, safety }
+        Decided { position: self.hand.sample_in_use().position, safety }
     }
 
     /// Write the device and measure. Returns None if link and ladders would differ from `step`.
@@ -497,7 +505,7 @@ impl<const N: usize> Near<N> {
             self.plant.set_waiting(false);
         }
         // Only the measured fields.
-        Some(watched.measure_near(&MasterRecord::<N> {
+        Some(watched.measure_master(&MasterRecord::<N> {
             time_ns: step.now_ns,
             true_position: truth.position,
             velocity: truth.velocity,
@@ -513,13 +521,13 @@ impl<const N: usize> Near<N> {
     }
 }
 
-impl<const N: usize> Far<N> {
+impl<const N: usize> SlavePart<N> {
     /// Step a tick as [`SlaveSide`](crate::SlaveSide) does. Returns None if its ladder would differ.
     #[inline(always)]
     fn tick(
         &mut self,
         step: &Step,
-        near: &History<N>,
+        master: &History<N>,
         peer_heard: u64,
         watched: &mut Watched<N>,
     ) -> Option<ControlFlow<()>> {
@@ -535,7 +543,7 @@ impl<const N: usize> Far<N> {
         let checked = self.arm.check(step.clock_ns, &reading, false);
         let fault = checked.map_or_else(Fault::code, |_| 0);
         let reading = checked.ok().flatten().unwrap_or(reading);
-        let newest = step.newest().map(|tick| near.of(tick));
+        let newest = step.newest().map(|tick| master.of(tick));
         self.heard = step.newest().unwrap_or(0);
         let newest = newest.map(|Sent { position, velocity, .. }| MasterState {
             position: *position,
@@ -545,7 +553,7 @@ impl<const N: usize> Far<N> {
         let input = ArmInput { state: step.state, turns: false, stale_ns: step.stale_ns, newest };
         let tick = self.arm.tick(step.clock_ns, &reading, None, &input, &mut self.outgoing);
         if let Some(rest) = self.led.rest(&mut self.plant, step.state, step.state.is_coupled()) {
-            self.arm.rests(&rest, None);
+            self.arm.set_rest(&rest, None);
         }
         if let Some(command) = self.arm.last_command().filter(|_| !is_stopped(step.state)) {
             self.plant.write(&command, &tick.command_velocity);
@@ -566,7 +574,7 @@ impl<const N: usize> Far<N> {
             }
         }
         // Only the measured fields.
-        Some(watched.measure_far(&SlaveRecord::<N> {
+        Some(watched.measure_slave(&SlaveRecord::<N> {
             time_ns: step.now_ns,
             position,
             environment_force,

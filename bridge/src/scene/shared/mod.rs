@@ -7,7 +7,7 @@ mod follower;
 use std::sync::atomic::AtomicBool;
 
 use super::{assemble::SceneError, measures::Outcome, pose, spec::SceneSpec};
-use beginning::begins_as;
+use beginning::share_beginning;
 use connection::Connection;
 
 /// Outcome of each scene; None for a scene that was not run.
@@ -49,7 +49,7 @@ pub(super) fn outcomes<const N: usize>(
         && !others.is_empty()
         && can_share(first)
     {
-        if others.iter().all(|other| begins_as(first, other)) {
+        if others.iter().all(|other| share_beginning(first, other)) {
             outcomes = beginning::outcomes(scenes, stop)?;
         } else if let Ok(connection) = Connection::of(first) {
             // The fade of a change depends on the ladder.

@@ -1,6 +1,6 @@
 //! Measures of both sides of runs in lanes that share link and ladders.
 
-use haptether_numeric::{nowhere, pack};
+use haptether_numeric::{no_lanes, pack};
 use haptether_safety::{Advance, Axes, Real, norm};
 
 use super::{Watched, from_engagement};
@@ -13,7 +13,7 @@ use crate::{
 };
 
 /// Tick of the master in each lane.
-pub(in crate::scene) struct NearTick<'a, const N: usize, S: Real> {
+pub(in crate::scene) struct MasterLaneTick<'a, const N: usize, S: Real> {
     /// True time in ns.
     pub(in crate::scene) now_ns: u64,
     pub(in crate::scene) state: LadderState,
@@ -65,7 +65,7 @@ impl<const N: usize, S: Real> WatchedLanes<N, S> {
         }
         let changed = self.tracking.coupling.advance(now_ns);
         if changed == Ok(true) {
-            self.tracking.begin_anew();
+            self.tracking.restart();
         }
         changed.is_ok()
     }
@@ -82,21 +82,21 @@ impl<const N: usize, S: Real> WatchedLanes<N, S> {
         }
     }
 
-    /// Take a tick of the master as [`Watched::measure_near`]. Return the masks of lanes that have not diverged, and
+    /// Take a tick of the master as [`Watched::measure_master`]. Return the masks of lanes that have not diverged, and
     /// of lanes that have settled. The measures of a diverged lane are invalid.
     #[inline(always)] // once a tick, from one place
-    pub(in crate::scene) fn near(&mut self, tick: &NearTick<'_, N, S>) -> [S::SimdBool; 2] {
-        let NearTick { now_ns, state, truth, decided } = *tick;
+    pub(in crate::scene) fn take_master(&mut self, tick: &MasterLaneTick<'_, N, S>) -> [S::SimdBool; 2] {
+        let MasterLaneTick { now_ns, state, truth, decided } = *tick;
         let time_s = now_ns as f64 / 1e9;
         if !self.change(now_ns) {
-            return [nowhere::<S>(); 2];
+            return [no_lanes::<S>(); 2];
         }
         self.states[0] = state;
         if state.is_coupled() && !self.has_engaged {
             self.engage(time_s, &truth.position);
         }
         let (x, v, force) = (&truth.position, &truth.velocity, &decided.device_force);
-        let mut stays = !nowhere::<S>();
+        let mut stays = !no_lanes::<S>();
         if self.measures.may_have_diverged(x, v, force) {
             // A copy, so that the call does not force the original into memory.
             let measures = self.measures;
@@ -107,24 +107,24 @@ impl<const N: usize, S: Real> WatchedLanes<N, S> {
         let settled =
             self.measures.take(time_s, x, v, &decided.rendered_force, force, &truth.hand_force, is_on);
         self.ticks += 1;
-        self.tracking.near(self.is_coupled(), x, force);
-        [stays, settled.filter(|_| self.has_engaged).unwrap_or(nowhere::<S>())]
+        self.tracking.take_master(self.is_coupled(), x, force);
+        [stays, settled.filter(|_| self.has_engaged).unwrap_or(no_lanes::<S>())]
     }
 
-    /// Take a tick of the slave as [`Watched::measure_far`], with x and `F_e`; return the mask of lanes not diverged.
+    /// Take a tick of the slave as [`Watched::measure_slave`], with x and `F_e`; return the mask of lanes not diverged.
     #[inline(always)] // as of the master
-    pub(in crate::scene) fn far(
+    pub(in crate::scene) fn take_slave(
         &mut self,
         now_ns: u64,
         state: LadderState,
         [position, environment_force]: [&Axes<N, S>; 2],
     ) -> S::SimdBool {
         if !self.change(now_ns) {
-            return nowhere::<S>();
+            return no_lanes::<S>();
         }
         self.states[1] = state;
         let is_coupled = self.is_coupled();
-        self.tracking.far(is_coupled, position, environment_force);
+        self.tracking.take_slave(is_coupled, position, environment_force);
         norm(position).simd_le(self.max_distance)
     }
 

@@ -1,7 +1,7 @@
 //! Fuzz target: the decoder of frames.
 
 use haptether_bridge::{
-    HeardText, SideKind,
+    ReceivedText, SideKind,
     coupling::{canonical, is_canonical},
     wire::{Frame, FrameLayout, MAX_FRAME, Role, WireError},
 };
@@ -61,7 +61,7 @@ fn decode(bytes: &[u8], role: Role, layout: FrameLayout) -> Result<(), WireError
                 }
             }
             assert!(frame.gripper.is_none_or(|gripper| gripper.is_possible()), "{frame:?}");
-            let mut heard = HeardText::default();
+            let mut heard = ReceivedText::default();
             heard.take(&frame.text);
             assert!(heard.text().as_str().chars().all(|letter| !letter.is_control()), "{frame:?}");
             let mut buffer = [0; MAX_FRAME];

@@ -32,7 +32,7 @@ impl Numbers {
         low + (high - low) * (self.draw() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    pub(crate) fn whole(&mut self, low: u64, high: u64) -> u64 {
+    pub(crate) fn integer(&mut self, low: u64, high: u64) -> u64 {
         low + self.draw() % (high - low + 1)
     }
 
@@ -57,8 +57,8 @@ pub(crate) struct Broken {
 
 impl Broken {
     pub(crate) fn draw(numbers: &mut Numbers, end_ns: u64) -> Option<Self> {
-        let from_ns = numbers.whole(0, end_ns);
-        let until_ns = from_ns + numbers.whole(1, 60 * MS);
+        let from_ns = numbers.integer(0, end_ns);
+        let until_ns = from_ns + numbers.integer(1, 60 * MS);
         let value = numbers.one_of(&[
             f64::NAN,
             f64::INFINITY,
@@ -133,12 +133,12 @@ impl Drawn {
         n.0 = n.draw();
         // A press waits at least 0.5 s. Few runs are so long, because they are slow.
         let is_long = n.chance(0.01);
-        let end_ns = if is_long { 1200 } else { n.whole(120, 500) } * MS;
+        let end_ns = if is_long { 1200 } else { n.integer(120, 500) } * MS;
         let turns = n.chance(0.33);
         let axes = if turns || n.chance(0.1) { 3 } else { 1 };
-        let stale_after_ns = n.whole(MS / 2, 10 * MS);
+        let stale_after_ns = n.integer(MS / 2, 10 * MS);
         let align_ns = if is_long { 500 * MS } else { LadderSettings::default().align_ns };
-        let hold_after_ns = stale_after_ns + n.whole(MS / 2, 30 * MS);
+        let hold_after_ns = stale_after_ns + n.integer(MS / 2, 30 * MS);
         let drawn = Self {
             axes,
             periods_ns: [n.one_of(&[MS, MS, 2 * MS, 3 * MS]), n.one_of(&[MS, MS, 2 * MS, 4 * MS])],
@@ -146,7 +146,7 @@ impl Drawn {
             seed: n.draw(),
             device: [n.real(0.05, 0.5), n.real(0.0, 0.1), n.one_of(&[0.0, 2.3e-5, 1e-4])],
             hand: [n.real(20.0, 800.0), n.real(0.0, 20.0), n.real(0.5, 40.0)],
-            legs: (0..n.whole(1, 3)).map(|_| (n.real(0.02, 0.3), n.real(-0.1, 0.1))).collect(),
+            legs: (0..n.integer(1, 3)).map(|_| (n.real(0.02, 0.3), n.real(-0.1, 0.1))).collect(),
             estimator: estimator(n),
             safety: safety(n),
             limiter: LimiterSettings {
@@ -159,10 +159,10 @@ impl Drawn {
             ladder: LadderSettings {
                 stale_after_ns,
                 hold_after_ns,
-                stop_after_ns: hold_after_ns + n.whole(1, 120 * MS),
-                extrapolate_ns: n.whole(0, (20 * MS).min(hold_after_ns - stale_after_ns)),
-                fade_out_ns: n.whole(50 * MS, 100 * MS),
-                fade_in_ns: n.whole(200 * MS, 400 * MS),
+                stop_after_ns: hold_after_ns + n.integer(1, 120 * MS),
+                extrapolate_ns: n.integer(0, (20 * MS).min(hold_after_ns - stale_after_ns)),
+                fade_out_ns: n.integer(50 * MS, 100 * MS),
+                fade_in_ns: n.integer(200 * MS, 400 * MS),
                 align_ns,
             },
             // Held from the start, through a silence that is longer than a press waits.
@@ -223,14 +223,14 @@ pub(crate) fn safety(n: &mut Numbers) -> SafetySettings {
 
 fn clutch(n: &mut Numbers, end_ns: u64) -> Clutch {
     if n.chance(0.2) {
-        return Clutch::Auto { reaction_ns: n.whole(50 * MS, 150 * MS) };
+        return Clutch::Auto { reaction_ns: n.integer(50 * MS, 150 * MS) };
     }
-    let (mut times, mut at_ns) = (Vec::new(), n.whole(0, 20 * MS));
+    let (mut times, mut at_ns) = (Vec::new(), n.integer(0, 20 * MS));
     while at_ns < end_ns {
         let press_ns = at_ns;
-        at_ns += if n.chance(0.3) { end_ns } else { n.whole(1, 200 * MS) };
+        at_ns += if n.chance(0.3) { end_ns } else { n.integer(1, 200 * MS) };
         times.push((press_ns, at_ns));
-        at_ns += n.whole(1, 60 * MS);
+        at_ns += n.integer(1, 60 * MS);
     }
     Clutch::Schedule(times)
 }
@@ -252,8 +252,8 @@ fn link(n: &mut Numbers) -> LinkSettings {
     let settings = LinkSettings {
         mean_burst: (settings.loss > 0.0).then(|| n.real(2.0, 40.0)),
         jitter_correlation_s: (jitter_s > 0.0).then(|| n.real(4.0, 40.0) * jitter_s),
-        outages: (0..n.whole(0, 2)).map(|_| outage(n)).collect(),
-        attacks: (0..n.whole(0, 4) / 3).map(|_| attack(n)).collect(),
+        outages: (0..n.integer(0, 2)).map(|_| outage(n)).collect(),
+        attacks: (0..n.integer(0, 4) / 3).map(|_| attack(n)).collect(),
         reorder_depth: 3,
         truncate_bytes: 40,
         ..settings
@@ -311,11 +311,11 @@ fn clock(n: &mut Numbers) -> Option<ClockSettings> {
 }
 
 fn commands(n: &mut Numbers, end_ns: u64, axes: usize) -> Vec<(u64, OperatorCommand)> {
-    let mut commands: Vec<_> = (0..n.whole(0, 4))
+    let mut commands: Vec<_> = (0..n.integer(0, 4))
         .map(|_| {
             let half = n.real(-1.5, 1.5);
             let turned = if axes == 3 { [half.cos(), 0.0, half.sin(), 0.0] } else { [1.0, 0.0, 0.0, 0.0] };
-            let command = match n.whole(0, 8) {
+            let command = match n.integer(0, 8) {
                 0 => OperatorCommand::PositionScale(n.real(0.1, 5.0)),
                 1 => OperatorCommand::ForceScale(n.real(0.1, 5.0)),
                 3 => OperatorCommand::RotationScale(n.real(0.1, 5.0)),
@@ -328,7 +328,7 @@ fn commands(n: &mut Numbers, end_ns: u64, axes: usize) -> Vec<(u64, OperatorComm
                 },
                 _ => OperatorCommand::Acknowledge,
             };
-            (n.whole(0, end_ns), command)
+            (n.integer(0, end_ns), command)
         })
         .collect();
     commands.sort_by_key(|(at_ns, _)| *at_ns);

@@ -1,12 +1,12 @@
 //! Gripper and its trigger, with or without force feedback: drawn values and invariants.
 
 use haptether_bridge::{
-    FingerTick, GripperOrder, HeldTrigger, LadderState, LedGripper, TickTime, Trigger, TriggerSettings,
+    FingerTick, GripperOrder, HeldTrigger, LadderState, SlaveGripper, TickTime, Trigger, TriggerSettings,
     coupling::GripperState,
 };
 use haptether_master::{DeviceParameters, Hand, Leg, LegShape, Path};
 use haptether_safety::{
-    Acted, Axes, DeviceModel, LimiterSettings, SafetyTick,
+    ActiveLimits, Axes, DeviceModel, LimiterSettings, SafetyTick,
     controller::{ControllerKind, SafetySettings, Tripped},
 };
 use haptether_slave::{GripperCommand, GripperSample, GripperSettings, SimulatedGripper};
@@ -88,7 +88,7 @@ pub(crate) struct DrawnGripper {
 impl DrawnGripper {
     pub(crate) fn draw(n: &mut Numbers, end_ns: u64) -> Self {
         let mut at_s = 0.0;
-        let course = (0..n.whole(1, 6))
+        let course = (0..n.integer(1, 6))
             .map(|_| {
                 at_s += n.one_of(&[1e-3, 0.02, 0.1]) * n.real(0.5, 1.5);
                 [at_s, n.one_of(&[0.0, 1.0, n.clone().real(0.0, 1.0)])]
@@ -119,8 +119,8 @@ impl DrawnGripper {
     }
 
     /// Return the led gripper.
-    pub(crate) fn led(&self) -> LedGripper {
-        let new = if self.is_driven[1] { LedGripper::driven } else { LedGripper::simulated };
+    pub(crate) fn led(&self) -> SlaveGripper {
+        let new = if self.is_driven[1] { SlaveGripper::driven } else { SlaveGripper::simulated };
         new(self.settings).unwrap()
     }
 
@@ -207,7 +207,7 @@ impl GripperWatch {
     }
 
     /// Read the jaws before the tick, as a driver does.
-    pub(crate) fn read(&mut self, now_ns: u64, gripper: &mut LedGripper) {
+    pub(crate) fn read(&mut self, now_ns: u64, gripper: &mut SlaveGripper) {
         let Some(jaws) = &mut self.jaws else { return };
         let sample = jaws.read(now_ns);
         let broken = Broken::at(self.broken, now_ns);
@@ -223,7 +223,7 @@ impl GripperWatch {
         &mut self,
         watch: &mut Watch,
         time: TickTime,
-        gripper: &LedGripper,
+        gripper: &SlaveGripper,
         trigger: Option<f64>,
     ) {
         let elapsed_s = (time.now_ns - std::mem::replace(&mut self.now_ns, time.now_ns)) as f64 * 1e-9;
@@ -360,7 +360,7 @@ impl FingerWatch {
         watch.hold(fits, time, || format!("{force_n} N on the finger, beyond {max_force_n}"));
         let unloads = force_n * before_n >= 0.0;
         let growth_n = if unloads { force_n.abs() - before_n.abs() } else { force_n.abs() };
-        let by_power = felt.acted.bits() & Acted::POWER.bits() != 0;
+        let by_power = felt.acted.bits() & ActiveLimits::POWER.bits() != 0;
         let most_n = max_slew_n_per_s * self.period_s * (1.0 + ROUNDING) + 1e-12;
         watch.hold(by_power || growth_n <= most_n, time, || {
             format!("{before_n} to {force_n} N on the finger, by more than {most_n}")

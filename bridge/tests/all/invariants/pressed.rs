@@ -28,11 +28,11 @@ impl DrawnButtons {
             word = 1 << bit;
         }
         while at_ns < end_ns {
-            at_ns += match n.whole(0, 5) {
+            at_ns += match n.integer(0, 5) {
                 // A contact that bounces.
-                0 => n.whole(MS / 2, 6 * MS),
-                1 | 2 => n.whole(15 * MS, 40 * MS),
-                _ => n.whole(30 * MS, 250 * MS),
+                0 => n.integer(MS / 2, 6 * MS),
+                1 | 2 => n.integer(15 * MS, 40 * MS),
+                _ => n.integer(30 * MS, 250 * MS),
             };
             let said = if n.chance(0.12) { ButtonWord::UNKNOWN } else { ButtonWord(Some(word)) };
             course.push((at_ns, said));

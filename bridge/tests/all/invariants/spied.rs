@@ -6,13 +6,13 @@ use std::{
 };
 
 use haptether_bridge::{
-    ButtonWord, Exchange, Feeling, LadderState, LinkTime, MasterPlant, MasterRecord, MasterSide, MasterTurn,
+    ButtonWord, Exchange, LadderState, LinkTime, MasterPlant, MasterRecord, MasterSide, MasterTurn,
     OperatorCommand, PortEnergy, Reason, RejectReason, Side, SlavePlant, SlaveRecord, SlaveSide, SlaveTurn,
-    TickTime,
+    TickTime, WithTriggerFeedback,
     coupling::{CommandBounds, CouplingError, RotationState},
     wire::{Frame, FrameLayout, MAX_FRAME, Role},
 };
-use haptether_safety::{Acted, Axes, LimiterSettings};
+use haptether_safety::{ActiveLimits, Axes, LimiterSettings};
 use nalgebra::{Quaternion, UnitQuaternion};
 
 use super::{
@@ -328,7 +328,7 @@ fn axes<const N: usize>(of: Axes<3>) -> Axes<N> {
 /// Master with checks.
 #[derive(Clone, Debug)]
 pub(crate) struct Near<P, const N: usize, R> {
-    side: MasterSide<Plant<P, N>, N, Feeling<R>>,
+    side: MasterSide<Plant<P, N>, N, WithTriggerFeedback<R>>,
     watch: Watch,
     limiter: LimiterSettings,
     period_s: f64,
@@ -366,7 +366,7 @@ pub(crate) struct Far<P, const N: usize, S> {
 
 impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
     pub(crate) fn new(
-        side: MasterSide<Plant<P, N>, N, Feeling<R>>,
+        side: MasterSide<Plant<P, N>, N, WithTriggerFeedback<R>>,
         drawn: &Drawn,
         sent: Option<Sent>,
         turning: Turning,
@@ -393,7 +393,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
     }
 
     /// Check that the device receives only the recorded torque, and none if it measures no orientation.
-    fn turn(&mut self, time: TickTime, record: &MasterRecord<N, Feeling<R>>) {
+    fn turn(&mut self, time: TickTime, record: &MasterRecord<N, WithTriggerFeedback<R>>) {
         let (Some(torque), Some(rotation)) = (&mut self.torque, record.rotation.rotation()) else { return };
         let (plant, watch) = (&mut self.side.plant, &mut self.watch);
         let written = plant.torque.take();
@@ -409,7 +409,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
     }
 
     /// Add `-(F·V + tau·w) dT` of the request, as far as the device can render it.
-    fn energy(&mut self, time: TickTime, record: &MasterRecord<N, Feeling<R>>) {
+    fn energy(&mut self, time: TickTime, record: &MasterRecord<N, WithTriggerFeedback<R>>) {
         if record.fault != 0 {
             return;
         }
@@ -420,7 +420,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
     }
 
     /// Check that no force is rendered during alignment, except the fade of an earlier force.
-    fn while_turned(&mut self, time: TickTime, record: &MasterRecord<N, Feeling<R>>) {
+    fn while_turned(&mut self, time: TickTime, record: &MasterRecord<N, WithTriggerFeedback<R>>) {
         let coupled = record.state.is_coupled();
         let turning = self.turning.get();
         self.watch.hold(!(turning && coupled), time, || "engaged with an arm that is turned".into());
@@ -438,7 +438,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
     }
 
     /// Check norm and growth of the force. Unloading is not limited, and the power bound may exceed the growth limit.
-    fn force(&mut self, time: TickTime, record: &MasterRecord<N, Feeling<R>>) {
+    fn force(&mut self, time: TickTime, record: &MasterRecord<N, WithTriggerFeedback<R>>) {
         let last = std::mem::replace(&mut self.force, record.device_force);
         let force = self.force;
         let LimiterSettings { max_force_n, max_slew_n_per_s, .. } = self.limiter;
@@ -448,8 +448,8 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
         let share = if squared > 0.0 { (last.dot(&force) / squared).clamp(0.0, 1.0) } else { 0.0 };
         let growth = (force - last * share).norm();
         let most = max_slew_n_per_s * self.period_s;
-        let by_power = record.acted & Acted::POWER.bits() != 0;
-        self.watch.seen.growth_limited += u64::from(record.acted & Acted::SLEW.bits() != 0);
+        let by_power = record.acted & ActiveLimits::POWER.bits() != 0;
+        self.watch.seen.growth_limited += u64::from(record.acted & ActiveLimits::SLEW.bits() != 0);
         self.watch.hold(by_power || growth <= most * (1.0 + ROUNDING), time, || {
             format!("growth {growth} > {most}")
         });
@@ -653,7 +653,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
 }
 
 impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for Near<P, N, R> {
-    type Record = MasterRecord<N, Feeling<R>>;
+    type Record = MasterRecord<N, WithTriggerFeedback<R>>;
 
     fn begin(&mut self, now_ns: u64) {
         self.side.begin(now_ns);
@@ -666,7 +666,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for Near<P, N, R> {
         taken
     }
 
-    fn tick_into(&mut self, time: TickTime, record: &mut MasterRecord<N, Feeling<R>>) {
+    fn tick_into(&mut self, time: TickTime, record: &mut MasterRecord<N, WithTriggerFeedback<R>>) {
         let released = act(&mut self.side, &mut self.watch, time);
         if let Some(read) = self.gripper.as_ref().and_then(|drawn| drawn.read_trigger(time.now_ns)) {
             self.side.trigger = Some(read);

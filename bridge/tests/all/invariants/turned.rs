@@ -5,7 +5,7 @@ use haptether_bridge::{
     coupling::{AlignmentSettings, RotationBounds, RotationLock},
 };
 use haptether_safety::{
-    Acted, Axes, LimiterSettings, RotationModel,
+    ActiveLimits, Axes, LimiterSettings, RotationModel,
     controller::{ControllerKind, Tripped},
 };
 use nalgebra::UnitQuaternion;
@@ -64,10 +64,10 @@ pub(crate) struct BrokenTurn {
 
 impl BrokenTurn {
     fn draw(n: &mut Numbers, end_ns: u64) -> Option<Self> {
-        let from_ns = n.whole(0, end_ns);
-        let until_ns = from_ns + n.whole(1, 60 * MS);
+        let from_ns = n.integer(0, end_ns);
+        let until_ns = from_ns + n.integer(1, 60 * MS);
         let number = n.one_of(&[f64::NAN, f64::INFINITY, 1e300, -1e7, f64::MIN_POSITIVE / 8.0]);
-        let wrong = match n.whole(0, 6) {
+        let wrong = match n.integer(0, 6) {
             0 => Wrong::Unknown,
             1 => Wrong::Speed(number),
             2 => Wrong::Torque(number),
@@ -122,7 +122,7 @@ impl DrawnPose {
         let mut at_s = 0.0;
         // Turn about one axis by more than 2 pi, or about several axes.
         let (axis, is_steady) = (direction(n), n.chance(0.4));
-        let turns = (0..n.whole(1, 5))
+        let turns = (0..n.integer(1, 5))
             .map(|_| {
                 at_s += n.real(0.01, 0.3);
                 let about = if is_steady { axis } else { direction(n) };
@@ -130,7 +130,7 @@ impl DrawnPose {
                 (at_s, about * n.real(0.0, fastest))
             })
             .collect();
-        let lock = match n.whole(0, 9) {
+        let lock = match n.integer(0, 9) {
             0 => RotationLock::Locked,
             1 | 2 => RotationLock::only_about(direction(n).into()).unwrap(),
             _ => RotationLock::Free,
@@ -317,7 +317,7 @@ impl TorqueWatch {
         let squared = last.norm_squared();
         let share = if squared > 0.0 { (last.dot(&torque) / squared).clamp(0.0, 1.0) } else { 0.0 };
         let (growth, most) = ((torque - last * share).norm(), slew * period_s);
-        let by_power = record.acted & Acted::POWER.bits() != 0;
+        let by_power = record.acted & ActiveLimits::POWER.bits() != 0;
         // An orientation whose norm is off by up to 1e-9 scales a rotated vector by twice that.
         let rounding = ROUNDING * (most + 2.0 * last.norm()) + 1e-12;
         watch.hold(by_power || growth <= most + rounding, time, || {
@@ -338,7 +338,7 @@ impl TorqueWatch {
         });
         let seen = &mut watch.seen.turn;
         seen.torques += u64::from(torque != Axes::<3>::zeros());
-        seen.growth_limited += u64::from(record.acted & Acted::SLEW.bits() != 0);
+        seen.growth_limited += u64::from(record.acted & ActiveLimits::SLEW.bits() != 0);
         seen.tripped += u64::from(either.1);
         seen.shared += u64::from(self.shares_trips && either.1);
         seen.alone += u64::from(either.0 != either.1);

@@ -119,17 +119,18 @@ fn shifted(at_ns: u64, delay_ns: u64, mean_ns: u64, sent_ns: u64) -> u64 {
 
 /// Round as `round` does, which is a function call if the target has no guaranteed rounding instruction.
 #[inline]
-fn whole(ns: f64) -> u64 {
+fn rounded_ns(ns: f64) -> u64 {
     /// From here up to its double, floats are the consecutive integers, in value and in bits.
-    const WHOLES: f64 = 4_503_599_627_370_496.0;
-    if (0.0..WHOLES).contains(&ns) {
+    const INTEGERS_FROM: f64 = 4_503_599_627_370_496.0;
+    if (0.0..INTEGERS_FROM).contains(&ns) {
         // The sum rounds to nearest, ties to even; the last term rounds ties up.
-        let nearest = ns + WHOLES;
-        return (nearest.to_bits() - WHOLES.to_bits()) + u64::from(ns - (nearest - WHOLES) >= 0.5);
+        let nearest = ns + INTEGERS_FROM;
+        return (nearest.to_bits() - INTEGERS_FROM.to_bits())
+            + u64::from(ns - (nearest - INTEGERS_FROM) >= 0.5);
     }
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "never negative; saturates")]
-    let whole = ns as u64;
-    whole
+    let integer = ns as u64;
+    integer
 }
 
 #[derive(Clone, Debug)]
@@ -142,7 +143,7 @@ struct Independent {
 impl Rule for Independent {
     fn judge(&mut self, packet: &Packet, at_ns: u64) -> Verdict {
         let z = gaussian::quantile(unit(self.draws.bits(packet.index)));
-        let delay_ns = whole(self.cells.delay_ns(z));
+        let delay_ns = rounded_ns(self.cells.delay_ns(z));
         Verdict::Deliver { at_ns: shifted(at_ns, delay_ns, self.mean_ns, packet.sent_ns) }
     }
 }
@@ -187,7 +188,7 @@ impl Run {
 
 impl Wander {
     fn new(path: Arc<Path>, mean_ns: u64, stream: Stream) -> Self {
-        let bin_ns = whole(BIN_TAUS * path.tau_ns);
+        let bin_ns = rounded_ns(BIN_TAUS * path.tau_ns);
         Self {
             path,
             mean_ns,
@@ -202,18 +203,18 @@ impl Wander {
 
     /// Advances to the run at `time_ns`, which must not decrease between calls.
     #[inline]
-    fn go_on(&mut self, time_ns: u64) {
+    fn advance_to(&mut self, time_ns: u64) {
         if self.run().end_ns <= time_ns {
-            self.go_on_to_later_run(time_ns);
+            self.advance_to_later_run(time_ns);
         }
     }
 
     /// Advance past an ended run, and draw the run after the new one.
     #[inline(never)] // about every second packet
-    fn go_on_to_later_run(&mut self, time_ns: u64) {
+    fn advance_to_later_run(&mut self, time_ns: u64) {
         let end_ns = self.run().end_ns;
         if end_ns == 0 || self.forgets(end_ns, time_ns) {
-            self.begin_anew(time_ns / self.bin_ns * self.bin_ns);
+            self.restart_at(time_ns / self.bin_ns * self.bin_ns);
         }
         while self.run().end_ns <= time_ns && self.run().end_ns < u64::MAX {
             self.at = 1 - self.at;
@@ -233,7 +234,7 @@ impl Wander {
 
     /// Draw the first run after a silence from the distribution, and the next run.
     #[inline(never)] // rare
-    fn begin_anew(&mut self, begin_ns: u64) {
+    fn restart_at(&mut self, begin_ns: u64) {
         let [place, direction] = self.beginnings.pair(begin_ns / self.bin_ns);
         let (cell, part) = Cells::place(gaussian::quantile(unit(place)));
         let rises = direction & 1 == 1;
@@ -265,11 +266,11 @@ impl Wander {
 
     #[inline(always)] // as `judge`
     fn delay_ns(&mut self, time_ns: u64) -> u64 {
-        self.go_on(time_ns);
+        self.advance_to(time_ns);
         let run = self.run();
         let traversal = self.path.traversal(run.rises);
         let y_ns = run.from.y_ns + (time_ns - run.begin_ns).cast_signed() as f64;
-        whole(traversal.delay_between(y_ns, run.from.cell, run.to.cell))
+        rounded_ns(traversal.delay_between(y_ns, run.from.cell, run.to.cell))
     }
 }
 
@@ -310,7 +311,7 @@ mod tests {
             f64::NAN,
         ];
         for ns in edges {
-            assert_eq!(whole(ns), ns.round() as u64, "{ns}");
+            assert_eq!(rounded_ns(ns), ns.round() as u64, "{ns}");
         }
     }
 

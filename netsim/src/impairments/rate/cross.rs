@@ -83,8 +83,8 @@ impl Cross {
         let mut cross = Self {
             packet_bytes: settings.packet_bytes as u64,
             mean_gap_ns,
-            bin_ns: whole(PER_BIN * mean_gap_ns).max(1),
-            settle_ns: whole(settle_ns),
+            bin_ns: truncated_ns(PER_BIN * mean_gap_ns).max(1),
+            settle_ns: truncated_ns(settle_ns),
             stream,
             pauses,
             bin: 0,
@@ -117,7 +117,7 @@ impl Cross {
     pub(super) fn next_before(&mut self, now_ns: u64) -> Option<u64> {
         loop {
             let begin_ns = self.bin.saturating_mul(self.bin_ns);
-            let arrival_ns = begin_ns.saturating_add(whole(self.offset_ns));
+            let arrival_ns = begin_ns.saturating_add(truncated_ns(self.offset_ns));
             if arrival_ns >= now_ns {
                 return None;
             }
@@ -179,7 +179,7 @@ impl Pauses {
         within("cross_traffic.mean_on_s", on_s, MIN_MEAN_S, MAX_MEAN_S)?;
         within("cross_traffic.mean_off_s", off_s, MIN_MEAN_S, MAX_MEAN_S)?;
         let (mean_on_ns, mean_off_ns) = (on_s * 1e9, off_s * 1e9);
-        let bin_ns = whole(PAUSES_PER_BIN * (mean_on_ns + mean_off_ns));
+        let bin_ns = truncated_ns(PAUSES_PER_BIN * (mean_on_ns + mean_off_ns));
         let mut pauses =
             Self { mean_on_ns, mean_off_ns, bin_ns, stream, bin: 0, period: 0, sends: false, until_ns: 0.0 };
         pauses.begin(0);
@@ -222,6 +222,6 @@ fn exponential(bits: u64) -> f64 {
 }
 
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates; nothing is negative")]
-fn whole(ns: f64) -> u64 {
+fn truncated_ns(ns: f64) -> u64 {
     ns as u64
 }

@@ -79,7 +79,7 @@ fn no_response_without_controllers() {
         let answer = short.respond(&seen, 1.0);
         let verdicts = long.judge(&seen);
         let is_unsafe = verdicts.is_unsafe();
-        let ease = long.feel(&seen, 1.0, is_unsafe);
+        let ease = long.step_probe(&seen, 1.0, is_unsafe);
         let expected = long.answer(&seen, 1.0, &verdicts, Judged { is_unsafe, ease });
         assert_eq!(
             format!("{answer:?}"),
@@ -272,7 +272,7 @@ fn missed_tick_decides_nothing() {
     let fades = SafetySettings { release_ramp_s: 0.05, ..probing() };
     let (mut controller, driven) = tripped_and_driven(&fades);
     for _ in 0..5000 {
-        controller.carry(&driven);
+        controller.skip_tick(&driven);
     }
     // The missed ticks decided neither that a hand is there, which would have ended the ramp, nor that none is.
     assert!(controller.step(&driven).unwrap().tripped.any());
@@ -282,7 +282,7 @@ fn missed_tick_decides_nothing() {
         assert!(ticks < 150, "a hand that drives the device is felt");
     }
     let (mut controller, driven) = tripped_and_driven(&SafetySettings { probe_force_n: 0.0, ..probing() });
-    controller.carry(&driven);
+    controller.skip_tick(&driven);
     assert!(controller.step(&driven).unwrap().tripped.any(), "no decision without a probe either");
 }
 
@@ -293,7 +293,7 @@ fn hand_felt_by_another_probe_is_adopted() {
     for _ in 0..20 {
         assert!(controller.step(&still).unwrap().tripped.any());
     }
-    controller.agree(true);
+    controller.adopt_result(true);
     assert!(!controller.step(&still).unwrap().tripped.any());
 }
 

@@ -1,6 +1,6 @@
 //! Closed-form solution of `y'' + c y' + k y = 0`, for one state or for several in lanes.
 
-use haptether_numeric::everywhere;
+use haptether_numeric::all_lanes;
 
 use crate::Real;
 
@@ -132,7 +132,7 @@ impl<S: Real> Transition<S> {
         if S::LANES == 1 {
             let mut map = TransitionMap::default();
             map.load(0, &self.of_lane(0).over(t.extract(0)));
-            return (map, everywhere::<S>());
+            return (map, all_lanes::<S>());
         }
         let z = self.discriminant * t * t;
         let is_near = z.magnitude().simd_le(S::splat(NEARLY_CRITICAL))

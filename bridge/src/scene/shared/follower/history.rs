@@ -1,6 +1,6 @@
 //! Frames of a side that its peer may still receive, for one run or for one run per lane.
 
-use haptether_numeric::nowhere;
+use haptether_numeric::no_lanes;
 use haptether_safety::{Axes, Real, Signal, is_within};
 
 /// Content of the frame of a tick.
@@ -38,7 +38,7 @@ impl<const N: usize, S: Real> History<N, S> {
     #[inline(always)]
     pub(super) fn push(&mut self, sent: Sent<N, S>, force: Signal, heard: u64) -> S::SimdBool {
         if self.next - heard >= self.sent.len() as u64 && !self.grow() {
-            return nowhere::<S>();
+            return no_lanes::<S>();
         }
         let slot = self.slot(self.next);
         self.sent[slot] = sent;

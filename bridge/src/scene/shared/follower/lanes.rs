@@ -19,7 +19,7 @@ use crate::{
         measures::Outcome,
         shared::connection::Step,
         timed::Commands,
-        watched::{NearTick, WatchedLanes},
+        watched::{MasterLaneTick, WatchedLanes},
     },
     side::{LeadTransition, is_stopped},
 };
@@ -31,15 +31,15 @@ pub(super) struct LaneFollowers<const N: usize> {
     /// Bit masks of running lanes, and of lanes whose run has left.
     running: u64,
     left: u64,
-    near: Near<N>,
-    far: Far<N>,
+    master: MasterPart<N>,
+    slave: SlavePart<N>,
     watched: WatchedLanes<N, Lanes>,
     /// Outcomes of settled lanes.
     settled: Vec<Option<Outcome>>,
 }
 
 /// Sides of the hands.
-struct Near<const N: usize> {
+struct MasterPart<const N: usize> {
     plants: MasterLanes<N, Lanes>,
     hands: HandLanes<N, Lanes>,
     coupling: PositionForce<N, Lanes>,
@@ -50,7 +50,7 @@ struct Near<const N: usize> {
 }
 
 /// Sides of the robots.
-struct Far<const N: usize> {
+struct SlavePart<const N: usize> {
     plants: SlaveLanes<N, Lanes>,
     translation: SlaveTranslation<N, Lanes>,
     led: LeadTransition,
@@ -71,9 +71,9 @@ struct Deciding<const N: usize> {
 impl<const N: usize> Deciding<N> {
     /// Gather followers before their first tick; None if they differ in more than numbers.
     fn gather(of: &[&Follower<N>]) -> Option<Self> {
-        let hands: Vec<_> = of.iter().map(|one| &one.near.hand).collect();
-        let couplings: Vec<_> = of.iter().map(|one| &one.near.coupling).collect();
-        let arms: Vec<_> = of.iter().map(|one| &one.far.arm).collect();
+        let hands: Vec<_> = of.iter().map(|one| &one.master.hand).collect();
+        let couplings: Vec<_> = of.iter().map(|one| &one.master.coupling).collect();
+        let arms: Vec<_> = of.iter().map(|one| &one.slave.arm).collect();
         let watched: Vec<_> = of.iter().map(|one| &one.watched).collect();
         Some(Self {
             hands: HandLanes::gather(&hands)?,
@@ -93,21 +93,21 @@ impl<const N: usize> LaneFollowers<N> {
             return None;
         }
         let Deciding { hands, coupling, translation, watched } = Deciding::gather(of)?;
-        let commands = of.first()?.near.commands.clone();
+        let commands = of.first()?.master.commands.clone();
         Some(Self {
             rows: of.iter().map(|one| one.row).collect(),
             running: (1 << count) - 1,
             left: 0,
-            near: Near {
-                plants: MasterLanes::new(of.iter().map(|one| one.near.plant.clone()).collect())?,
+            master: MasterPart {
+                plants: MasterLanes::new(of.iter().map(|one| one.master.plant.clone()).collect())?,
                 hands,
                 coupling,
                 commands: commands.clone(),
                 sent: History::new(),
                 heard: 0,
             },
-            far: Far {
-                plants: SlaveLanes::new(of.iter().map(|one| one.far.plant.clone()).collect())?,
+            slave: SlavePart {
+                plants: SlaveLanes::new(of.iter().map(|one| one.slave.plant.clone()).collect())?,
                 translation,
                 led: LeadTransition::default(),
                 commands,
@@ -146,8 +146,8 @@ impl<const N: usize> LaneFollowers<N> {
                 return;
             }
             match tick {
-                Tick::Near(step) => self.near(step),
-                Tick::Far(step) => self.far(step),
+                Tick::Master(step) => self.tick_master(step),
+                Tick::Slave(step) => self.tick_slave(step),
             }
         }
     }
@@ -159,28 +159,29 @@ impl<const N: usize> LaneFollowers<N> {
         self.running &= !lanes;
     }
 
-    /// Step a tick of the master as [`super::Near`] does.
+    /// Step a tick of the master as [`super::MasterPart`] does.
     #[inline(always)]
-    fn near(&mut self, step: &Step) {
+    fn tick_master(&mut self, step: &Step) {
         if step.missed != 0 || step.has_stalled || step.withholds {
             return self.leave(u64::MAX);
         }
         let running = self.running;
-        let Near { plants, hands, coupling, commands, sent, heard } = &mut self.near;
+        let MasterPart { plants, hands, coupling, commands, sent, heard } = &mut self.master;
         while let Some(command) = commands.due(step.now_ns) {
             // The commands were checked when the scene was built, and apply at its start.
             let _ = coupling.command_at_master(command, 0);
         }
         let MasterLanesSample { position, velocity } = plants.read(running, step.now_ns);
         let requested = match step.newest() {
-            Some(tick) => coupling.rendered_force(&self.far.sent.of(tick).force),
+            Some(tick) => coupling.rendered_force(&self.slave.sent.of(tick).force),
             None => Axes::zeros(),
         };
         *heard = step.newest().unwrap_or(0);
         let (decided, mut stays) = hands.tick(&position, velocity.as_ref(), &requested, step.gain);
         stays = stays & !decided.response.withheld;
         let (velocity, force) = (decided.motion.velocity, decided.device_force);
-        stays = stays & sent.push(Sent { position, velocity, force }, Signal::RenderedForce, self.far.heard);
+        stays =
+            stays & sent.push(Sent { position, velocity, force }, Signal::RenderedForce, self.slave.heard);
         let truth = Truth {
             position: *plants.position(),
             velocity: *plants.velocity(),
@@ -190,8 +191,9 @@ impl<const N: usize> LaneFollowers<N> {
         if step.state.is_coupled() {
             plants.set_waiting(false);
         }
-        let tick = NearTick { now_ns: step.now_ns, state: step.state, truth: &truth, decided: &decided };
-        let [still, settled] = self.watched.near(&tick);
+        let tick =
+            MasterLaneTick { now_ns: step.now_ns, state: step.state, truth: &truth, decided: &decided };
+        let [still, settled] = self.watched.take_master(&tick);
         stays = stays & still;
         if !stays.all() {
             self.leave(!stays.bitmask());
@@ -204,11 +206,11 @@ impl<const N: usize> LaneFollowers<N> {
         }
     }
 
-    /// Step a tick of the slave as [`super::Far`] does.
+    /// Step a tick of the slave as [`super::SlavePart`] does.
     #[inline(always)]
-    fn far(&mut self, step: &Step) {
+    fn tick_slave(&mut self, step: &Step) {
         let running = self.running;
-        let Far { plants, translation, led, commands, sent, heard } = &mut self.far;
+        let SlavePart { plants, translation, led, commands, sent, heard } = &mut self.slave;
         while let Some(command) = commands.due(step.now_ns) {
             // Checked like those of the master.
             let _ = translation.coupling().command_at_slave(command, 0);
@@ -219,7 +221,7 @@ impl<const N: usize> LaneFollowers<N> {
             translation.disengage();
         }
         let mut stays = translation.passes(step.clock_ns, [&position, &velocity, &force]);
-        let newest = step.newest().map(|tick| self.near.sent.of(tick));
+        let newest = step.newest().map(|tick| self.master.sent.of(tick));
         *heard = step.newest().unwrap_or(0);
         let newest = newest.map(|Sent { position, velocity, .. }| [position, velocity]);
         let input = TranslationInput { state: step.state, stale_ns: step.stale_ns, newest };
@@ -231,7 +233,7 @@ impl<const N: usize> LaneFollowers<N> {
             // The stop of a model is a hold.
             let rests = plants.stop(running);
             stays = stays & is_within(&rests, Signal::Position.bound());
-            translation.rests(Some(rests));
+            translation.set_rest(Some(rests));
         }
         if let Some(command) = translation.last_command().filter(|_| !is_stopped(step.state)) {
             plants.write(running, &command, &command_velocity);
@@ -239,9 +241,9 @@ impl<const N: usize> LaneFollowers<N> {
         if step.state.is_coupled() {
             plants.start(step.now_ns);
         }
-        stays =
-            stays & sent.push(Sent { position, velocity, force }, Signal::EnvironmentForce, self.near.heard);
-        stays = stays & self.watched.far(step.now_ns, step.state, [&position, &force]);
+        stays = stays
+            & sent.push(Sent { position, velocity, force }, Signal::EnvironmentForce, self.master.heard);
+        stays = stays & self.watched.take_slave(step.now_ns, step.state, [&position, &force]);
         if !stays.all() {
             self.leave(!stays.bitmask());
         }

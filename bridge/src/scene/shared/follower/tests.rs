@@ -9,12 +9,12 @@ use crate::scene::{DivergenceCause, Ending, Outcome};
 
 thread_local! {
     static WITHHELD: Cell<u64> = const { Cell::new(0) };
-    static ABREAST: Cell<usize> = const { Cell::new(0) };
+    static IN_LANES: Cell<usize> = const { Cell::new(0) };
 }
 
 /// Count runs followed in lanes to their ends.
-pub(super) fn count_abreast(rows: usize) {
-    ABREAST.with(|count| count.set(count.get() + rows));
+pub(super) fn count_in_lanes(rows: usize) {
+    IN_LANES.with(|count| count.set(count.get() + rows));
 }
 
 /// Count a run that leaves the shared link and ladders.
@@ -56,7 +56,7 @@ struct Followed {
     /// Number of runs that left.
     branched: u64,
     /// Number of runs in lanes to their ends.
-    abreast: usize,
+    in_lanes: usize,
 }
 
 /// Return how many rows this processor runs in lanes.
@@ -72,7 +72,7 @@ fn followed<const N: usize>(rows: &[SceneSpec<N>]) -> Followed {
     let mut branched = 0;
     for lanes in [false, true] {
         WITHHELD.with(|count| count.set(0));
-        ABREAST.with(|count| count.set(0));
+        IN_LANES.with(|count| count.set(0));
         let found = outcomes(&connection, &rows.iter().collect::<Vec<_>>(), lanes, &NO_STOP).unwrap();
         for (outcome, alone) in found.into_iter().zip(&alone) {
             // Bit for bit; NaN is None.
@@ -83,7 +83,7 @@ fn followed<const N: usize>(rows: &[SceneSpec<N>]) -> Followed {
         assert!(!lanes || seen == branched, "as often in lanes");
         branched = seen;
     }
-    Followed { outcomes: alone, branched, abreast: ABREAST.with(Cell::get) }
+    Followed { outcomes: alone, branched, in_lanes: IN_LANES.with(Cell::get) }
 }
 
 #[test]
@@ -159,12 +159,12 @@ fn rows_of_one_connection_are_as_alone() {
         let found = followed(&rows::<1>(&scene, "slave.bandwidth_hz", &bandwidths));
         assert_eq!(found.branched, 0, "{name}");
         // Runs that stall, skip ticks, diverge or leave their path at a stop are run separately.
-        let abreast = match name {
+        let in_lanes = match name {
             "clocks" | "stalls" | "leaves" | "too fast" | "meets a stop" => 0,
             "arm" => found.outcomes.iter().filter(|one| one.diverged.is_none()).count(),
             _ => bandwidths.len(),
         };
-        assert_eq!(found.abreast, here(abreast), "{name}");
+        assert_eq!(found.in_lanes, here(in_lanes), "{name}");
         assert!(found.outcomes.iter().all(|one| one.ending != Ending::NeverEngaged), "{name}");
     }
 }
@@ -192,13 +192,13 @@ fn rows_of_three_axes_are_as_alone() {
     let path = "environment.objects.0.contact.stiffness";
     let found = followed(&rows::<3>(&scene, path, &[50.0, 100.0, 200.0]));
     assert!(found.outcomes.iter().all(|one| one.ending == Ending::Complete), "{:?}", found.outcomes);
-    assert_eq!(found.abreast, here(3));
+    assert_eq!(found.in_lanes, here(3));
     // Along the axes and rotated, with friction per joint.
     scene["environment"]["objects"][0]["shape"]["normal"] = json!([0.0, 1.0, 0.0]);
     scene["master"]["friction"] = json!("axis");
     scene["coupling"]["quat_wxyz"] = json!([0.96, 0.0, 0.28, 0.0]);
-    assert_eq!(followed(&rows::<3>(&scene, path, &[50.0, 100.0, 200.0])).abreast, here(3));
-    assert_eq!(followed(&rows::<3>(&scene, path, &[50.0, 200.0])).abreast, 0, "too few");
+    assert_eq!(followed(&rows::<3>(&scene, path, &[50.0, 100.0, 200.0])).in_lanes, here(3));
+    assert_eq!(followed(&rows::<3>(&scene, path, &[50.0, 200.0])).in_lanes, 0, "too few");
 }
 
 /// Rows may differ in anything: those that do not fit into lanes run separately, the others in several groups.
@@ -217,7 +217,7 @@ fn rows_that_differ_in_anything_are_as_alone() {
         let value = |row: i32| low + (high - low) * f64::from(row) / 10.0;
         (0..11).map(|row| json!((value(row) * 1e6).round() / 1e6)).collect()
     };
-    for (path, values, abreast) in [
+    for (path, values, in_lanes) in [
         ("operator.stiffness", ramp(0.0, 600.0), 11),
         ("operator.grip_strength_n", ramp(1.0, 15.0), 11),
         ("operator.release.at_s", ramp(0.7, 1.6), 11),
@@ -247,7 +247,7 @@ fn rows_that_differ_in_anything_are_as_alone() {
             SceneSpec::<1>::deserialize(&scene).unwrap()
         };
         let all: Vec<_> = values.iter().map(row).collect();
-        assert_eq!(followed(&all).abreast, here(abreast), "{path}");
+        assert_eq!(followed(&all).in_lanes, here(in_lanes), "{path}");
     }
 }
 
@@ -262,7 +262,7 @@ fn rows_whose_force_is_withheld_are_as_alone() {
     ]);
     let found = followed(&rows::<1>(&scene, "operator.stiffness", &[200.0, 300.0, 400.0]));
     assert!(found.branched >= 6, "{}: more than once each", found.branched);
-    assert_eq!(found.abreast, 0);
+    assert_eq!(found.in_lanes, 0);
     // Beside rows without it, and with skipped ticks.
     let mut with_clocks = scene;
     *at(&mut with_clocks, "link.master_clock") =
@@ -288,8 +288,8 @@ fn a_fault_ends_a_row_as_alone() {
         ("coupling.force_scale", json!(400.0)),
     ]);
     let path = "environment.objects.0.contact.stiffness";
-    let Followed { outcomes: found, abreast, .. } = followed(&rows::<1>(&scene, path, &[10.0, 2e3, 3e4]));
-    assert!(abreast < 3, "{abreast}");
+    let Followed { outcomes: found, in_lanes, .. } = followed(&rows::<1>(&scene, path, &[10.0, 2e3, 3e4]));
+    assert!(in_lanes < 3, "{in_lanes}");
     let is_fault = |one: &Outcome| {
         one.diverged.is_some_and(|diverged| matches!(diverged.cause, DivergenceCause::Fault(..)))
     };
@@ -300,8 +300,8 @@ fn a_fault_ends_a_row_as_alone() {
         "frequency_hz": 0.0, "force_n": [0.05], "recorded": null}]);
     let stiffness: Vec<_> =
         (0..11).map(|row| if row < 3 { 3e4 } else { 0.1 + 0.01 * f64::from(row) }).collect();
-    let Followed { outcomes: found, abreast, .. } = followed(&rows::<1>(&pushed, path, &stiffness));
-    assert!(found[..3].iter().all(is_fault) && abreast == here(8), "{abreast} {found:?}");
+    let Followed { outcomes: found, in_lanes, .. } = followed(&rows::<1>(&pushed, path, &stiffness));
+    assert!(found[..3].iter().all(is_fault) && in_lanes == here(8), "{in_lanes} {found:?}");
 }
 
 #[test]
@@ -338,10 +338,10 @@ fn what_changes_its_coupling_is_run_alone() {
     let changes = json!([change("position_scale", json!(2.0)), change("locked_axes", json!([0]))]);
     let scene = changed(&[("run.duration_s", json!(1.0)), ("coupling.changes", changes)]);
     let rows = rows::<1>(&scene, "slave.bandwidth_hz", &[8.0, 15.0, 20.0]);
-    ABREAST.with(|count| count.set(0));
+    IN_LANES.with(|count| count.set(0));
     let found = crate::scene::shared::outcomes(&rows.iter().collect::<Vec<_>>(), true, &NO_STOP).unwrap();
     let alone = rows.iter().map(|row| crate::scene::outcome(row, &NO_STOP, None)).collect::<Vec<_>>();
-    assert!(alone.iter().all(Result::is_ok) && ABREAST.with(Cell::get) == 0);
+    assert!(alone.iter().all(Result::is_ok) && IN_LANES.with(Cell::get) == 0);
     assert_eq!(format!("{found:?}"), format!("{alone:?}"));
 }
 
