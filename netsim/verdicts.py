@@ -103,7 +103,7 @@ def judge(
 ) -> Times:
     """Return the arrival time of each packet of one direction in ns, -1 for a loss, shape `(n_packets,)`.
 
-    Same as `judge_all`, without causes and additional arrivals.
+    Same as `judge_all`, with the same arguments, without causes and additional arrivals.
 
     Raises:
         LinkError: The settings are invalid.

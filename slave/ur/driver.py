@@ -176,7 +176,14 @@ class UrSlave:
         orientation: tuple[float, ...] | None = None,
         angular_velocity: tuple[float, ...] | None = None,
     ) -> None:
-        """Send the tool on within its bounds; no effect during a fault or without an armed watchdog."""
+        """Send the tool on within its bounds; no effect during a fault or without an armed watchdog.
+
+        Args:
+            position: Commanded position in m, shape `(axes,)`.
+            velocity: Commanded velocity in m/s, shape `(axes,)`.
+            orientation: Unit quaternion w, x, y, z of kind "pose"; None for other kinds.
+            angular_velocity: w in rad/s of kind "pose", shape `(3,)`; None for other kinds.
+        """
         if self._recovery is not None:
             self._latch("engaged before the arm was ready: acknowledge again, and wait for the line that says so")
         if self._fault is not None or not self._watchdog.armed or self._motion is None:
