@@ -342,7 +342,7 @@ class Estimator:
 
         Args:
             position: x in m, shape `(n_ticks, axes)`.
-            device_force: F_device in N held before each position, the same shape.
+            device_force: F_device in N held before each position, the same shape; None skips `align`.
 
         Returns:
             V in m/s, A in m/s² and the aligned force in N (None without `device_force`), each of shape `(n_ticks,
@@ -2699,13 +2699,13 @@ class MasterLoop(_MasterSide, _DrivenLoop):
             clutch: True if pressed, from a device with a button; None without one.
             fault: Fault text of the device, which both sides show: up to 239 bytes of UTF-8 on one line; None without.
             trigger: Command of the slave's gripper, 0 (open) to 1 (closed); None or another number leaves it unchanged.
-            orientation: R of kind "pose", as a unit quaternion w, x, y, z; ignored for other kinds.
+            orientation: R of kind "pose", as a unit quaternion w, x, y, z; None or ignored for other kinds.
             angular_velocity: w in rad/s, shape `(3,)`, in the base frame, from a device that measures it, at every
                 sample or at none.
             buttons: Bit n: button n is pressed; None if unknown, which is no release. The scene's `[master.buttons]`
                 sets their functions.
-            time_s: Time of the sample in s on the device's own clock, present at every sample or at none. It never
-                decreases.
+            time_s: Time of the sample in s on the device's own clock, at every sample or at none; None without a
+                clock. It never decreases.
 
         Returns:
             F_device in N, shape `(axes,)`, for kind "pose" also the torque in N m, shape `(3,)` each; None if the run
@@ -2780,14 +2780,14 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
             velocity: Tool velocity in m/s, shape `(axes,)`.
             force: F_e in N, shape `(axes,)`.
             fault: Fault text of the arm, which both sides show: up to 239 bytes of UTF-8 on one line; None without.
-            gripper: For a scene with `[slave.gripper]`: position, 0 (open) to 1 (closed), velocity in 1/s, force in N,
-                and True if it holds an object. Invalid numbers are sent as unknown.
-            orientation: R of kind "pose", as a unit quaternion w, x, y, z; ignored for other kinds.
+            gripper: Position, 0 (open) to 1 (closed), velocity in 1/s, force in N, and True if it holds an object; None
+                without `[slave.gripper]`. Invalid numbers are sent as unknown.
+            orientation: R of kind "pose", as a unit quaternion w, x, y, z; None or ignored for other kinds.
             angular_velocity: w in rad/s, shape `(3,)`, in the base frame; only for kind "pose".
             torque: Environment torque on the tool in N m, shape `(3,)`, in the base frame about the tool point; only
                 for kind "pose".
-            time_s: Time of the sample in s on the arm's own clock, present at every sample or at none. It never
-                decreases.
+            time_s: Time of the sample in s on the arm's own clock, at every sample or at none; None without a
+                clock. It never decreases.
 
         Returns:
             "wait", "move" or "stop", and the commanded position in m and velocity in m/s, shape `(axes,)` each, both
@@ -2913,6 +2913,12 @@ class DynamixelBus:
     def sync_write(self, address: int, length: int, ids: bytes, written: bytes) -> None:
         """Write `length` bytes of each servo; none answers, so a refusal is not detected.
 
+        Args:
+            address: First address.
+            length: Bytes per servo.
+            ids: Ids of the servos, a byte each.
+            written: Bytes of all servos, in the order of `ids`.
+
         Raises:
             ValueError: The bytes do not fit the ids, or the bus is closed.
             OSError, RuntimeError: As `ping`.
@@ -2924,6 +2930,8 @@ class DynamixelBus:
         It is sent three times. The first is sent at once, or after the few ms in which a call of another thread ends.
         Each other one follows after the remaining time of an answer that it may have collided with, at most
         `timeout_s`.
+
+        The arguments are those of `sync_write`.
 
         Raises:
             ValueError: The bytes do not fit the ids, or the bus is closed.

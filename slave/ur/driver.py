@@ -47,8 +47,7 @@ class UrSlave:
         options: Fields of `UrOptions`.
 
     Raises:
-        ValueError: The options are invalid. `open` also raises `UrRefusedError` if the arm is not ready,
-            `RtdeConnectionError` if ur-rtde is missing, and `ClosedError` once it is given up.
+        ValueError: The options are invalid.
     """
 
     paces = True
@@ -107,7 +106,13 @@ class UrSlave:
     # ---------------------------------------------------------------------------------------------- SlaveDevice
 
     def open(self) -> None:
-        """Run the checklist and connect; the arm does not move."""
+        """Run the checklist and connect; the arm does not move.
+
+        Raises:
+            UrRefusedError: The arm is not ready.
+            RtdeConnectionError: ur-rtde is missing.
+            ClosedError: The driver was closed meanwhile.
+        """
         self._closed = False
         vendor_module()
         checklist = Checklist(f"ur {self.options.host}", self._report_check, UrRefusedError)

@@ -22,16 +22,16 @@ const STUB: &str = "haptether/_core.pyi";
 pub fn documented(name: TokenStream, item: TokenStream) -> TokenStream {
     let name = parse_macro_input!(name as Option<Ident>).map(|name| name.to_string());
     let item = parse_macro_input!(item as Item);
-    expand(name, item).unwrap_or_else(|error| error.to_compile_error()).into()
+    expand(name.as_deref(), item).unwrap_or_else(|error| error.to_compile_error()).into()
 }
 
-fn expand(name: Option<String>, mut item: Item) -> Result<proc_macro2::TokenStream, Error> {
+fn expand(name: Option<&str>, mut item: Item) -> Result<proc_macro2::TokenStream, Error> {
     let root = std::env::var("CARGO_MANIFEST_DIR").map_err(|error| unread(&error))?;
     let path = Path::new(&root).join(STUB);
     let stub = Stub::parse(&std::fs::read_to_string(&path).map_err(|error| unread(&error))?);
     let in_python = |ident: &Ident| {
         let ident = ident.to_string();
-        name.clone().unwrap_or_else(|| ident.strip_prefix("Py").unwrap_or(&ident).to_owned())
+        name.unwrap_or_else(|| ident.strip_prefix("Py").unwrap_or(&ident)).to_owned()
     };
     match &mut item {
         Item::Struct(class) => {

@@ -14,7 +14,7 @@ impl Stub {
     pub(crate) fn parse(source: &str) -> Self {
         let mut stub = Self::default();
         let mut class = String::new();
-        // What a docstring on the next line would describe.
+        // Name that a docstring on the next line describes.
         let mut subject = Some("_core".to_owned());
         let mut lines = source.lines();
         while let Some(line) = lines.next() {
@@ -40,7 +40,7 @@ impl Stub {
                     stub.texts.insert(subject, text);
                 }
             } else if !code.is_empty() {
-                // A constant or an import: what follows describes it.
+                // A docstring after a constant or an import describes that.
                 subject = None;
             }
         }

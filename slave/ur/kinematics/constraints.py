@@ -45,7 +45,7 @@ class WorkspacePlane(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         """Return the plane `n . p = d` for the tool point.
 
         Args:
-            nx: x of a normal n towards the allowed side, of any length above 0.
+            nx: x of a normal n towards the allowed side, without unit, of any length above 0.
             ny: y of n.
             nz: z of n.
             d: Offset in m times |n|.
