@@ -22,9 +22,9 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export VIRTUAL_ENV := $(CURDIR)/.venv
 export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 
-CRATES := numeric safety netsim dynamixel master slave bridge python
+CRATES := numeric safety netsim dynamixel master slave bridge python python/documented
 RUST_SOURCES := Cargo.toml Cargo.lock $(wildcard $(CRATES:%=%/Cargo.toml)) \
-    $(shell find $(CRATES:%=%/src) -type f)
+    $(shell find $(CRATES:%=%/src) -type f) python/haptether/_core.pyi
 PYTHON_CODE := python/haptether \
     $(foreach folder,tests benches examples,$(if $(wildcard $(folder)/*.py),$(folder)))
 

@@ -17,7 +17,10 @@ _BESIDE = VERDICT_CAUSES.index("duplicate")
 
 
 class Verdicts:
-    """Verdicts on packets, one row each; additional arrivals follow directly after their packet."""
+    """Verdicts on packets, one row each; additional arrivals follow directly after their packet.
+
+    Each array has the shape `(n_rows,)`.
+    """
 
     def __init__(self, index: Times, t_in_ns: Times, t_out_ns: Times, cause_code: npt.NDArray[np.uint8]) -> None:
         self.index = index
@@ -103,7 +106,7 @@ def judge(
 ) -> Times:
     """Return the arrival time of each packet of one direction in ns, -1 for a loss, shape `(n_packets,)`.
 
-    Same as `judge_all`, without causes and additional arrivals.
+    Same as `judge_all`, with the same arguments, without causes and additional arrivals.
 
     Raises:
         LinkError: The settings are invalid.

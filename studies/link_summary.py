@@ -64,7 +64,13 @@ class LinkSummary(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def summarise_link(trace: MasterTrace | SlaveTrace, report: LoopReport, period_s: float = 1e-3) -> LinkSummary:
-    """Summarise a run of one side with loop period `period_s`."""
+    """Summarise a run of one side.
+
+    Args:
+        trace: Ticks of the side.
+        report: Report of its loop.
+        period_s: dT of the loop in s.
+    """
     time_s, overshoot_s = trace.time_s, trace.overshoot_s
     fresh = trace.age_s == 0.0
     round_trips = trace.round_trip_s[fresh & np.isfinite(trace.round_trip_s)]
@@ -144,7 +150,7 @@ def judge_link(
 
     Args:
         summary: Summary of the link.
-        bearable_delay_s: Result of `largest_delay_s`.
+        bearable_delay_s: Result of `largest_delay_s` in s.
         bearable_gap_s: Longest silence in s that the ladder tolerates.
         period_s: dT, the longer period of the two sides in s.
         stable_delays_s: Result of `stable_together`; a link is also valid if its round trips lie in one interval,

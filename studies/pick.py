@@ -160,7 +160,13 @@ def picked(signals: dict[str, npt.NDArray[Any]]) -> PickResult:
 
 
 def draw_pick(scene: PickScene, folder: Path, path: Path, columns: Columns = 2) -> None:
-    """Draw height, sideways motion, rotation and gripper of hand and arm over time, from the files in `folder`.
+    """Draw height, sideways motion, rotation and gripper of hand and arm over time.
+
+    Args:
+        scene: Scene of the run.
+        folder: Folder with the files of `run_pick`.
+        path: Target picture, .png, .pdf or .svg.
+        columns: Width in page columns.
 
     Raises:
         ImportError: matplotlib (`haptether[analysis]`) is not installed.

@@ -99,7 +99,7 @@ def raven_suite(*, progress: Callable[[int, int], None] | None = None) -> RavenR
     """Run every attack with every security setting, and without the attack.
 
     Args:
-        progress: Called after each run with the finished and the total number.
+        progress: If given, called after each run with the finished and the total number.
     """
     pairs = [(attack, security) for attack in RAVEN_ATTACKS for security in SECURITY]
     rows = []

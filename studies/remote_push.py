@@ -98,7 +98,14 @@ def _along(signal: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def measure_push(controller: str, trace: MasterTrace, report: LoopReport, release_after_s: float | None) -> PushResult:
-    """Measure a run whose hand was released `release_after_s` after engagement; None for no release."""
+    """Measure a run of a master.
+
+    Args:
+        controller: Name of the controller set, for the result.
+        trace: Ticks of the master.
+        report: Report of its loop.
+        release_after_s: Time of the release in s after engagement; None without a release.
+    """
     time_s, velocity, force = trace.time_s, _along(trace.velocity), _along(trace.device_force)
     on = trace.tripped > 0
     period_s = float(time_s[-1]) / max(len(trace) - 1, 1) if len(trace) else 0.0

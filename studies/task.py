@@ -145,11 +145,11 @@ class Network(Struct, frozen=True, kw_only=True):
         return None if self.own_delay_s is None else round(sum(self.own_delay_s), 4)
 
     def links(self, delay_s: float) -> tuple[LinkSettings, LinkSettings]:
-        """Return the forward and backward link; `delay_s` applies to each unless the network has its own."""
+        """Return the forward and backward link; `delay_s` in s applies to each unless the network has its own."""
         return self.own or (self.link(delay_s),) * 2
 
     def link(self, delay_s: float) -> LinkSettings:
-        """Return one direction of a network without its own delay."""
+        """Return one direction, with `delay_s` in s, of a network without its own delay."""
         settings = LinkSettings(delay_s=delay_s)
         if self.jitter > 0.0 and delay_s > 0.0:
             settings = replace(settings, jitter_s=self.jitter * delay_s, distribution="gamma")

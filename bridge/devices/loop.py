@@ -55,8 +55,9 @@ def drive_master(
     Args:
         device: Driver of the haptic device.
         loop: Loop in the extension.
-        notes: Faults of the device, and acknowledgements by the operator beside it.
-        period_s: Period of the scene's loop in s; an open device with another period is refused.
+        notes: Faults of the device, and acknowledgements by the operator beside it; by default new ones.
+        period_s: Period of the scene's loop in s; an open device with another period is refused. By default any is
+            accepted.
 
     Raises:
         DeviceError: The device has another period, or the driver raised an exception. The force was removed and the
@@ -108,10 +109,17 @@ def drive_slave(
     period_s: float | None = None,
     gripper: "Gripper | None" = None,
 ) -> None:
-    """Run the loop of a slave with its arm to the end; arguments as for `drive_master`, plus the arm's `gripper`.
+    """Run the loop of a slave with its arm to the end.
 
-    Opens both here and closes both at the end. The arm is then stopped and the gripper keeps its grip. A gripper fault
-    is a fault of this side.
+    Opens arm and gripper here and closes both at the end. The arm is then stopped and the gripper keeps its grip. A
+    gripper fault is a fault of this side.
+
+    Args:
+        device: Driver of the arm.
+        loop: Loop in the extension.
+        notes: As for `drive_master`.
+        period_s: As for `drive_master`.
+        gripper: Driver of the gripper; by default none.
 
     Raises:
         DeviceError: The device has another period, or the driver raised an exception. The arm was stopped and the
@@ -261,7 +269,13 @@ def _acknowledge(
 
 
 class DeviceRun(_LiveSide):
-    """Loop and device on a separate thread, with the interface of `LiveMaster` and `LiveSlave`."""
+    """Loop and device on a separate thread, with the interface of `LiveMaster` and `LiveSlave`.
+
+    Args:
+        device: Driver of the device.
+        loop: Loop in the extension.
+        drive: Runs the loop with the device to its end, and fills in the notes.
+    """
 
     _FROM_LOOP: ClassVar = frozenset(
         {
@@ -388,7 +402,7 @@ class DeviceRun(_LiveSide):
 
 
 class MasterRun(DeviceRun):
-    """Master and its device on a separate thread; `period_s` as for `drive_master`."""
+    """Master and its device on a separate thread; arguments as for `drive_master`."""
 
     def __init__(self, device: "MasterDevice", loop: MasterLoop, *, period_s: float | None = None) -> None:
         super().__init__(device, loop, lambda notes: drive_master(device, loop, notes, period_s=period_s))
@@ -409,7 +423,7 @@ class MasterRun(DeviceRun):
 
 
 class SlaveRun(DeviceRun):
-    """Slave and its arm on a separate thread; `period_s` and `gripper` as for `drive_slave`."""
+    """Slave and its arm on a separate thread; arguments as for `drive_slave`."""
 
     def __init__(
         self,

@@ -30,7 +30,10 @@ LEAST_N = 1e-2
 
 
 class HandFit(Struct, frozen=True, kw_only=True):
-    """Hand that holds a device: `F_hand = K (x_wanted - x) - B V - M A`."""
+    """Hand that holds a device: `F_hand = K (x_wanted - x) - B V - M A`.
+
+    Source: Hogan 1989 (impedance).
+    """
 
     stiffness: float
     """K in N/m."""

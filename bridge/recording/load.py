@@ -43,7 +43,7 @@ def load(
 
     Args:
         file: MCAP file of master or slave, or the result of `read_recording`.
-        other: File of the other side, to get the whole run on the master's time.
+        other: File of the other side, to get the whole run on the master's time; by default one side.
         slave_begun_s: Start of the slave's run after the master's in s; by default from the wall clocks of both
             machines.
 

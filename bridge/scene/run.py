@@ -63,7 +63,7 @@ class Signals(Mapping[str, npt.NDArray[Any]]):
         return "slave_time_s" if name.startswith(SLAVE_SIGNALS) or "time_s" not in self._arrays else "time_s"
 
     def between(self, begin_s: float, end_s: float) -> "Signals":
-        """Return the signals from `begin_s` to `end_s`, each by its own times."""
+        """Return the signals from `begin_s` to `end_s` in s, both included, each by its own times."""
 
         def cut(name: str) -> npt.NDArray[Any]:
             times = self[name] if name in {"time_s", "slave_time_s"} else self[self.time_of(name)]
@@ -250,7 +250,7 @@ class Run(Struct, frozen=True, kw_only=True):
         """Draw the run like `haptether simulate --plot`, and write it if a path is given.
 
         Args:
-            path: Target file, .png, .pdf or .svg.
+            path: Target file, .png, .pdf or .svg; None writes no file.
             columns: Width in page columns: 3.5 or 7.16 inches.
 
         Raises:
@@ -328,7 +328,7 @@ def simulate(
     Args:
         scene: A `Scene`, the name of a shipped scene, or the path of a TOML file.
         overrides: Fields to change, `table.key=value` each.
-        record: MCAP files for master and slave, same as `--record` of live sides; they contain every tick.
+        record: MCAP files for master and slave, same as `--record` of live sides, with every tick; by default none.
 
     Raises:
         SceneError: The scene is invalid or has no two sides to record, or a file cannot be written.

@@ -28,6 +28,11 @@ def scene_toml(scene: Scene, comment: str = "") -> str:
 def save_scene(scene: Scene, path: str | PathLike[str], comment: str = "") -> None:
     """Write the scene with mode 0600.
 
+    Args:
+        scene: Scene to write.
+        path: Target TOML file, which is replaced.
+        comment: Text above the tables.
+
     Raises:
         OSError: The file cannot be written, or is a symbolic link.
     """

@@ -152,19 +152,19 @@ def sweep(
 
     Args:
         scene: A `Scene`, the name of a shipped scene, or the path of a TOML file.
-        grid: Values by dotted path ("safety.window"). Every combination is run; the last path varies fastest. Values
-            are numbers, strings, booleans, lists or tables, as the field allows. The path "scene" takes scenes in the
-            form of the first argument. A duplicate value is run twice, because drawn values may repeat; the command
-            line refuses duplicates.
-        samples: Values by dotted path, all of one length: row i takes value i of each.
+        grid: Values by dotted path ("safety.window"); None with `samples`. Every combination is run; the last path
+            varies fastest. Values are numbers, strings, booleans, lists or tables, as the field allows. The path
+            "scene" takes scenes in the form of the first argument. A duplicate value is run twice, because drawn values
+            may repeat; the command line refuses duplicates.
+        samples: Values by dotted path, all of one length: row i takes value i of each; None with `grid`.
         population: Source of one hand per sample: a `Population`, one of `population_names()`, or the path of a TOML
-            file.
+            file; by default none.
         seed: Seed of these hands, 0 or more.
-        ties: Paths that take the value of a varied path in each row.
+        ties: Paths that take the value of a varied path in each row; by default none.
         overrides: Fields to change for all rows, `table.key=value` each.
         threads: Number of threads; by default the number of processors.
         lanes: True to advance rows side by side in one thread; the numbers do not change.
-        progress: Called repeatedly with the number of finished rows, and at the end with the total.
+        progress: If given, called repeatedly with the number of finished rows, and at the end with the total.
         metrics: Columns to measure in addition to `outcome`, `diverged`, `ticks` and `reason`; by default all, with
             rotation columns for poses only. The selection does not change values.
 

@@ -71,7 +71,12 @@ def link_json(settings: LinkSettings, direction: Direction) -> str:
 
 
 def with_files(settings: LinkSettings, folder: Path, direction: Direction) -> LinkSettings:
-    """Return the settings with the contents of their files; paths are relative to `folder`.
+    """Return the settings with the contents of their files.
+
+    Args:
+        settings: Settings of the link.
+        folder: Folder of relative paths.
+        direction: Direction of the delays in a recording of both directions.
 
     Raises:
         LinkError: A file cannot be read (gives line and column), or both a file and numbers are given.

@@ -152,8 +152,8 @@ class DeviceModel:
         cls,
         *,
         mass_kg: _Sample,
-        viscous: _Sample = ...,
-        coulomb: _Sample = ...,
+        viscous: _Sample = 0.0,
+        coulomb: _Sample = 0.0,
         axes: int = 1,
     ) -> DeviceModel: ...
     @staticmethod
@@ -210,8 +210,10 @@ class EstimatorKind:
     def backward_difference() -> EstimatorKind:
         """Differences: `V[n] = (x[n] - x[n-1]) / dT`, `A[n] = (V[n] - V[n-1]) / dT`.
 
-        A is the mean of the last two ticks. This estimator has the smallest lag; a position quantum q appears in A as q
-        / dT².
+        V is in m/s, A in m/s² and the mean of the last two ticks. This estimator has the smallest lag. A position
+        quantum q appears in A as q / dT².
+
+        Source: paper Eq. 4.
         """
 
     @staticmethod
@@ -286,6 +288,8 @@ class Estimator:
 
     Assumes that the device was at rest at the first position.
 
+    One sample is a float for one axis, else `axes` floats.
+
     Args:
         kind: Estimator; by default that of `EstimatorKind`.
         period_s: dT in s, above 0.
@@ -304,7 +308,7 @@ class Estimator:
         """Process one position.
 
         Args:
-            position: x in m.
+            position: x in m, shape `(axes,)`.
 
         Returns:
             V in m/s and A in m/s², each of shape `(axes,)`.
@@ -319,7 +323,7 @@ class Estimator:
         Call it after every `step` or never: it stores past forces.
 
         Args:
-            device_force: Force in N held over the tick that ended with the newest position.
+            device_force: Force in N, shape `(axes,)`, held over the tick that ended with the newest position.
 
         Returns:
             The force in N that Eq. 4 may subtract from m A, shape `(axes,)`.
@@ -338,7 +342,7 @@ class Estimator:
 
         Args:
             position: x in m, shape `(n_ticks, axes)`.
-            device_force: F_device in N held before each position, the same shape.
+            device_force: F_device in N held before each position, the same shape; None skips `align`.
 
         Returns:
             V in m/s, A in m/s² and the aligned force in N (None without `device_force`), each of shape `(n_ticks,
@@ -355,6 +359,8 @@ class VelocityForceObserver:
 
     "product" is Eq. 1 as printed, `S_vf = V·F_v / (V_t F_t)`; "both" is the paper's text, `S_vf = min(V/V_t,
     |F_v|/F_t)` with V the speed along F_v. Above 1 is unsafe.
+
+    One sample is a float for one axis, else `axes` floats.
 
     Args:
         velocity_threshold: V_t in m/s, above 0.
@@ -380,9 +386,9 @@ class VelocityForceObserver:
         """Return S_vf of one tick, without unit.
 
         Args:
-            velocity: V in m/s.
-            rendered_force: F_v in N.
-            grasp_force: F_h in N; checked, not used.
+            velocity: V in m/s, shape `(axes,)`.
+            rendered_force: F_v in N, shape `(axes,)`.
+            grasp_force: F_h in N, shape `(axes,)`; checked, not used.
 
         Raises:
             ValueError: A number is not finite or out of bounds, or the number of axes differs.
@@ -405,6 +411,8 @@ class HandGraspObserver:
 
     `S_h = |F_v| / (|F_h| + alpha)`
 
+    One sample is a float for one axis, else `axes` floats.
+
     Args:
         grasp_floor_n: alpha in N, above 0.
         axes: 1 to 7.
@@ -420,9 +428,9 @@ class HandGraspObserver:
         """Return S_h of one tick, without unit; safe up to zeta.
 
         Args:
-            velocity: V in m/s; checked, not used.
-            rendered_force: F_v in N.
-            grasp_force: F_h in N.
+            velocity: V in m/s, shape `(axes,)`; checked, not used.
+            rendered_force: F_v in N, shape `(axes,)`.
+            grasp_force: F_h in N, shape `(axes,)`.
 
         Raises:
             ValueError: A number is not finite or out of bounds, or the number of axes differs.
@@ -447,6 +455,8 @@ class SafetyObserver:
 
     It keeps all energy, so a long press hides a later ejection.
 
+    One sample is a float for one axis, else `axes` floats.
+
     Args:
         device: M, and the number of axes.
         period_s: dT in s, above 0.
@@ -463,9 +473,9 @@ class SafetyObserver:
         """Return E_so in J after one tick.
 
         Args:
-            velocity: V in m/s.
-            rendered_force: F_v in N; checked, not used.
-            grasp_force: F_h in N.
+            velocity: V in m/s, shape `(axes,)`.
+            rendered_force: F_v in N, shape `(axes,)`; checked, not used.
+            grasp_force: F_h in N, shape `(axes,)`.
 
         Raises:
             ValueError: A number is not finite or out of bounds, or the number of axes differs; the state is unchanged.
@@ -492,6 +502,8 @@ class WindowedSafetyObserver:
 
     `E_wso(n) = dT sum_{i=max(1, n-w+1)..n} F_h(i)·V(i) - V(n)' M V(n) / (2 eta)`
 
+    One sample is a float for one axis, else `axes` floats.
+
     Args:
         device: M, and the number of axes.
         period_s: dT in s, above 0.
@@ -516,9 +528,9 @@ class WindowedSafetyObserver:
         """Return E_wso in J after one tick.
 
         Args:
-            velocity: V in m/s.
-            rendered_force: F_v in N; checked, not used.
-            grasp_force: F_h in N.
+            velocity: V in m/s, shape `(axes,)`.
+            rendered_force: F_v in N, shape `(axes,)`; checked, not used.
+            grasp_force: F_h in N, shape `(axes,)`.
 
         Raises:
             ValueError: A number is not finite or out of bounds, or the number of axes differs; the state is unchanged.
@@ -546,6 +558,8 @@ class PassivityObserver:
     `E(n) = - sum_{k<n} F_device(k)·(x(k+1) - x(k))`; negative: the environment has given out more than it took. Force
     times displacement is the exact work of a force that is held over a tick.
 
+    One sample is a float for one axis, else `axes` floats.
+
     Args:
         axes: 1 to 7.
 
@@ -560,8 +574,8 @@ class PassivityObserver:
         """Return E in J at one position.
 
         Args:
-            position: x in m.
-            held_force: F_device in N exerted since the last position; not used at the first.
+            position: x in m, shape `(axes,)`.
+            held_force: F_device in N, shape `(axes,)`, exerted since the last position; not used at the first.
 
         Raises:
             ValueError: A number is not finite or out of bounds, or the number of axes differs; the state is unchanged.
@@ -629,7 +643,7 @@ class SafetySettings:
 
     def __new__(
         cls,
-        controllers: Sequence[ControllerName] = ...,
+        controllers: Sequence[ControllerName] = (),
         *,
         damping: float = 5.0,
         velocity_threshold: float = 0.6,
@@ -639,7 +653,7 @@ class SafetySettings:
         grasp_floor_n: float = 1e-3,
         hsc_force_threshold_n: float = 0.1,
         hsc_velocity_threshold: float = 0.0,
-        energy_threshold_j: float = ...,
+        energy_threshold_j: float = -0.03,
         wsc_force_threshold_n: float = 0.0,
         energy_ratio: float = 0.5,
         window: int = 100,
@@ -663,6 +677,8 @@ class SafetyController:
     The force lasts for the hold-off, then fades over the release ramp. PC, scaled by the rest of the fade, dissipates
     the energy that SO finds missing: `F_c = E_so V / (|V|² dT)` for E_so < 0, never more than `pc_max_damping` V. Keeps
     its state between calls.
+
+    One sample is a float for one axis, else `axes` floats.
 
     Args:
         device: M, and the number of axes.
@@ -693,10 +709,11 @@ class SafetyController:
         state is unchanged.
 
         Args:
-            velocity: V in m/s.
-            rendered_force: F_v in N.
-            grasp_force: F_h in N.
-            aligned_rendered_force: F_v in N with the delay of F_h (`Estimator.align`); F_v itself if not given.
+            velocity: V in m/s, shape `(axes,)`.
+            rendered_force: F_v in N, shape `(axes,)`.
+            grasp_force: F_h in N, shape `(axes,)`.
+            aligned_rendered_force: F_v in N, shape `(axes,)`, with the delay of F_h (`Estimator.align`); by default F_v
+                itself.
 
         Raises:
             ValueError: Wrong number of axes.
@@ -759,11 +776,11 @@ class Intervention:
 
     @property
     def windowed_energy_j(self) -> float:
-        """E_wso in J; NaN without WSC or at a fault."""
+        """E_wso [J]; NaN without WSC or at a fault."""
 
     @property
     def energy_j(self) -> float:
-        """E_so in J; NaN without PC or at a fault."""
+        """E_so [J]; NaN without PC or at a fault."""
 
 @final
 class Interventions:
@@ -798,11 +815,11 @@ class Interventions:
 
     @property
     def windowed_energy_j(self) -> _Array | None:
-        """E_wso in J, shape `(n_ticks,)`; NaN at a fault, None without WSC."""
+        """E_wso [J], shape `(n_ticks,)`; NaN at a fault, None without WSC."""
 
     @property
     def energy_j(self) -> _Array | None:
-        """E_so in J, shape `(n_ticks,)`; NaN at a fault, None without PC."""
+        """E_so [J], shape `(n_ticks,)`; NaN at a fault, None without PC."""
 
 @final
 class LimiterSettings:
@@ -835,6 +852,8 @@ class Limiter:
     the part along V is reduced until `F·V <= P_max`. The bounds on |F| and power hold at every tick. Only a reduction
     by the power bound may exceed the slew bound.
 
+    One sample is a float for one axis, else `axes` floats.
+
     Args:
         settings: Bounds; by default those of `LimiterSettings`.
         period_s: dT in s, above 0.
@@ -849,8 +868,8 @@ class Limiter:
         """Limit the force of one tick.
 
         Args:
-            force: Requested force in N.
-            velocity: V in m/s.
+            force: Requested force in N, shape `(axes,)`.
+            velocity: V in m/s, shape `(axes,)`.
 
         Returns:
             The limited force in N, shape `(axes,)`, and the bounds that acted: sum of |F| 1, slew 2, power 4, ramp-in
@@ -919,6 +938,8 @@ class SampleBounds:
 
     Raises:
         ValueError: A number is outside its range.
+
+    Source: derived here.
     """
 
     __hash__: ClassVar[None]  # type: ignore[assignment]
@@ -970,9 +991,9 @@ class Renewal:
         """Take the sample of a tick.
 
         Args:
-            position: x in m (rad), shape `(axes,)`, of which seven count.
-            orientation: Of a device that turns, as a unit quaternion.
-            time_s: Time of the sample in s on the device's own clock, from a device that gives it.
+            position: x in m (rad), shape `(axes,)`; the first seven axes count.
+            orientation: Unit quaternion of a device that turns, shape `(4,)`; None for any other.
+            time_s: Time of the sample in s on the device's own clock; None from a device without one.
             is_late: True if the tick was half a period late or more; it does not count then, nor does the next.
         """
 
@@ -997,11 +1018,13 @@ class SafetyLayer:
 
     The same code runs in the live endpoint. Keeps its state between calls.
 
+    One sample is a float for one axis, else `axes` floats.
+
     Args:
         device: m, b, c of Eq. 3, and the number of axes.
         settings: Controllers and thresholds.
-        estimator: Source of V and A from positions; the default is the Kalman filter.
-        limiter: Bounds on the device force, always on.
+        estimator: Source of V and A from positions; by default that of `EstimatorKind`.
+        limiter: Bounds on the device force, always on; by default those of `LimiterSettings`.
         samples: Bounds on samples; by default those of joints for four or more axes, else of a point.
         period_s: dT in s, above 0.
 
@@ -1036,9 +1059,9 @@ class SafetyLayer:
         the device's speed bound. A sample off the path is held, and its prediction replaces it.
 
         Args:
-            position: x in m.
-            rendered_force: F_v in N.
-            velocity: V in m/s from a device that measures it, at every tick or at none.
+            position: x in m, shape `(axes,)`.
+            rendered_force: F_v in N, shape `(axes,)`.
+            velocity: V in m/s, shape `(axes,)`, from a device that measures it, at every tick or at none; None without.
 
         Raises:
             ValueError: Wrong number of axes.
@@ -1046,6 +1069,8 @@ class SafetyLayer:
 
     def run(self, position: _Array, rendered_force: _Array, velocity: _Array | None = None) -> SafetyTicks:
         """Run `step` over arrays of shape `(n_ticks, axes)`, or `(n_ticks,)` for one axis.
+
+        A fault is recorded at its tick and raises no error.
 
         Raises:
             ValueError: Wrong shape or length.
@@ -1226,8 +1251,8 @@ class Hand:
         damping: B_h in N s/m, 0 or more.
         strength_n: Grip strength in N, 0 or more.
         start: Start of the path in m.
-        legs: Legs of the path: duration in s (above 0), final position in m, "linear" or "minimum-jerk". The hand rests
-            after the last.
+        legs: Legs of the path: duration in s (above 0), final position in m, and "linear", "smooth" or "minimum-jerk".
+            The hand rests after the last.
         release: Start of the release in s, and its duration in s (0 or more) until the falling quantity is zero; None
             for no release.
         release_kind: Falling quantity: "strength", so that nothing moves until it has fallen to the load, or "gain",
@@ -1248,7 +1273,7 @@ class Hand:
         damping: float,
         strength_n: float,
         start: float,
-        legs: Sequence[tuple[float, float, Literal["linear", "minimum-jerk"]]] = ...,
+        legs: Sequence[tuple[float, float, Literal["linear", "smooth", "minimum-jerk"]]] = (),
         release: tuple[float, float] | None = None,
         release_kind: Literal["strength", "gain"] = "strength",
     ) -> Hand: ...
@@ -1302,10 +1327,10 @@ class SceneTouch:
     The caller sets the scene's time: the `time_s` of every call. Pushers do not push before `start_pushers`.
 
     Args:
-        scene_json: As `haptether.bridge.scene_json` gives it.
+        scene_json: Output of `haptether.bridge.scene_json`.
 
     Raises:
-        ValueError: The scene cannot be built or has more than 3 axes. From every method: a number is not finite.
+        ValueError: The scene cannot be built or has more than 3 axes.
     """
 
     def __new__(cls, scene_json: bytes) -> SceneTouch: ...
@@ -1321,17 +1346,34 @@ class SceneTouch:
     def reset(self) -> None:
         """Restore the initial state; the pushers wait."""
     def start_pushers(self, time_s: float) -> None:
-        """Start the time of the pushers at a time in s of the scene."""
+        """Start the time of the pushers at a time in s of the scene.
+
+        Raises:
+            ValueError: The time is not finite.
+        """
     def force(self, time_s: float, position: Sequence[float], velocity: Sequence[float]) -> tuple[float, float, float]:
         """Return the force in N of objects and pushers on the tool at one instant; free bodies keep their state.
 
         Args:
             time_s: Time of the scene in s.
-            position: Tool position in m, (3,).
-            velocity: Tool velocity in m/s, (3,).
+            position: Tool position in m, shape `(3,)`.
+            velocity: Tool velocity in m/s, shape `(3,)`.
+
+        Raises:
+            ValueError: A number is not finite.
         """
     def advance(self, time_s: float, step_s: float, position: Sequence[float], velocity: Sequence[float]) -> None:
-        """Move the free bodies over a step in s that begins at `time_s`; the tool keeps its velocity."""
+        """Move the free bodies over one step; the tool keeps its velocity.
+
+        Args:
+            time_s: Time of the scene in s at which the step begins.
+            step_s: Duration of the step in s.
+            position: Tool position in m, shape `(3,)`.
+            velocity: Tool velocity in m/s, shape `(3,)`.
+
+        Raises:
+            ValueError: A number is not finite.
+        """
 
 @final
 class ForceSensor:
@@ -1339,19 +1381,23 @@ class ForceSensor:
 
     Args:
         noise_n: Standard deviation in N, 0 or more.
-        bias_n: Offsets in N, (3,).
+        bias_n: Offsets in N, shape `(3,)`.
         quantum_n: Resolution in N; 0 is exact.
         seed: Seed of the noise.
 
     Raises:
-        ValueError: A parameter is outside its range. From `sample`: a force is not finite.
+        ValueError: A parameter is outside its range.
     """
 
     def __new__(
-        cls, *, noise_n: float = 0.0, bias_n: Sequence[float] = ..., quantum_n: float = 0.0, seed: int = 0
+        cls, *, noise_n: float = 0.0, bias_n: Sequence[float] = (0.0, 0.0, 0.0), quantum_n: float = 0.0, seed: int = 0
     ) -> ForceSensor: ...
     def sample(self, force: Sequence[float], index: int) -> tuple[float, float, float]:
-        """Return sample number `index` of a force in N, (3,): the same index yields the same noise."""
+        """Return sample number `index` of a force in N, shape `(3,)`: the same index yields the same noise.
+
+        Raises:
+            ValueError: A force is not finite.
+        """
 
 @final
 class UrInverseSolver:
@@ -1359,10 +1405,10 @@ class UrInverseSolver:
 
     Args:
         model: Denavit-Hartenberg rows theta, a, d and alpha, six numbers each, in m and rad.
-        unit: Same rows of a unit that differs from its model.
-        position_min: Least joint angles in rad, -inf without a limit.
-        position_max: Largest joint angles in rad.
-        flange_from_tool: Rigid transform, (4, 4).
+        unit: Same rows of a unit that differs from its model; None for a unit that does not.
+        position_min: Least joint angles in rad, shape `(6,)`; -inf without a limit.
+        position_max: Largest joint angles in rad, shape `(6,)`.
+        flange_from_tool: Rigid transform in m, shape `(4, 4)`.
 
     Raises:
         ValueError: The model is not a UR arm, a number is not finite, limits leave no range, or a transform is not
@@ -1378,17 +1424,17 @@ class UrInverseSolver:
         flange_from_tool: _Array,
     ) -> UrInverseSolver: ...
     def all(self, base_from_tool: _Array) -> _Array:
-        """Return all branches in rad, (n, 6), n up to 8.
+        """Return all branches in rad, shape `(n, 6)`, n up to 8.
 
         Raises:
-            ValueError: Not a rigid transform, (4, 4).
+            ValueError: Not a rigid transform of shape `(4, 4)`.
         """
 
     def nearest(self, base_from_tool: _Array, near: _Array) -> _Array | str:
-        """Return the posture nearest to `near` in rad, (6,), or the reason if there is none.
+        """Return the posture nearest to `near` in rad, shape `(6,)`, or the reason if there is none.
 
         Raises:
-            ValueError: Not a rigid transform, (4, 4), or not six finite numbers.
+            ValueError: Not a rigid transform of shape `(4, 4)`, or not six finite numbers.
         """
 
 # ---------------------------------------------------------------------------------------------- netsim
@@ -1529,13 +1575,14 @@ class Proxy:
         allow: Additional sources to serve beside this machine, `IP` or `IP:PORT`; by default none.
         realtime: True to request real-time scheduling; the statistics show the scheduling granted.
         max_error_s: Largest p99 of the scheduling error in s with which a run is valid.
-        log: CSV file with the result of each datagram: `direction,index,kind,t_in_ns,t_due_ns,t_out_ns,cause,
-            error_ns,size`. `kind` is empty for the packet itself, else the reason for a copy; `t_out_ns` is the start
-            of the sending call.
+        log: CSV file, by default none, with the result of each datagram:
+            `direction,index,kind,t_in_ns,t_due_ns,t_out_ns,cause,error_ns,size`. `kind` is empty for the packet itself,
+            else the reason for a copy; `t_out_ns` is the start of the sending call.
 
     Raises:
-        ValueError: An address is invalid.
-        OSError: An address cannot be used.
+        ValueError: An address or the settings of a link are invalid.
+        OSError: An address or the log cannot be used.
+        RuntimeError: No thread can be created.
     """
 
     def __new__(
@@ -1546,7 +1593,7 @@ class Proxy:
         forward_link: str,
         backward_link: str,
         seed: int = 0,
-        allow: Sequence[str] = ...,
+        allow: Sequence[str] = (),
         realtime: bool = True,
         max_error_s: float = 1e-3,
         log: str | PathLike[str] | None = None,
@@ -1566,8 +1613,12 @@ class Proxy:
     def change(self, direction: Literal["forward", "backward"], settings: str) -> None:
         """Change the settings for datagrams that arrive from now on; acts within 20 ms, in order.
 
+        Args:
+            direction: Direction that changes.
+            settings: New settings of its link, as JSON.
+
         Raises:
-            ValueError: The `direction` is invalid.
+            ValueError: The `direction` or the settings are invalid.
         """
 
     def statistics(self) -> ProxyStatistics:
@@ -1689,7 +1740,7 @@ def check_link(settings: str) -> None:
     """Check the settings of a link, as JSON.
 
     Raises:
-        ValueError: `key = seen: must be ...` or `key: problem`.
+        ValueError: A setting is invalid; the message names its key, the value and the limits.
     """
 
 def link_bounds(settings: str) -> tuple[float, float]:
@@ -1705,10 +1756,10 @@ def read_link_file(form: str, data: bytes, direction: str) -> str:
     Args:
         form: "csv", "irtt", "mahimahi" or "dist".
         data: Bytes of the file.
-        direction: Direction of the delays in a recording of both directions.
+        direction: "forward" or "backward": that of the delays in a recording of both directions.
 
     Raises:
-        ValueError: The file is invalid; the message gives line and column.
+        ValueError: `form` or `direction` is invalid, or the file; the message then gives line and column.
     """
 
 def translate_netem(text: str) -> str:
@@ -1731,10 +1782,20 @@ def judge_packets(
     direction: str,
     seed: int,
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.uint8]]:
-    """Return index, times of sending and arrival, and cause code of each packet; see `netsim.judge_all`.
+    """Return index, times of sending and arrival in ns, and cause code of each packet; see `netsim.judge_all`.
+
+    Args:
+        settings: Settings of the link, as JSON.
+        sent_ns: Times of sending in ns, shape `(n,)`, not decreasing.
+        sizes: Sizes in bytes, shape `(n,)`; None for 0.
+        direction: "forward" or "backward".
+        seed: Key of all draws.
+
+    Returns:
+        Four arrays of equal shape, one entry per packet and per additional packet; the arrival is -1 for a loss.
 
     Raises:
-        ValueError: As `check_link`, a number below 0, times that decrease, or an invalid `direction`.
+        ValueError: As `check_link`, a number below 0, times that decrease, wrong lengths or an invalid `direction`.
     """
 
 # ---------------------------------------------------------------------------------------------- bridge
@@ -1845,7 +1906,7 @@ def run_local(
     The force is computed once per tick and held; between ticks the motion is exact.
 
     Args:
-        device: The device.
+        device: Model of the device, with its encoder.
         hand: Hand that holds it.
         rendered: Source of the rendered force.
         ticks: Number of ticks, at most 2e7.
@@ -2265,7 +2326,11 @@ class SignalRelay:
         """Return the descriptor that takes the numbers of signals, a byte each; it never blocks."""
 
     def attach(self, of: LiveMaster | LiveSlave | MasterLoop | SlaveLoop) -> None:
-        """Pass signals to a loop; one that has already arrived ends it."""
+        """Pass signals to a loop; one that has already arrived ends it.
+
+        Raises:
+            TypeError: `of` is no live loop.
+        """
 
     def stop(self) -> None:
         """End the attached loops, as SIGTERM does."""
@@ -2285,7 +2350,11 @@ class SignalRelay:
         """Return True if SIGUSR2 has arrived within the last 0.5 s and was not yet taken."""
 
     def close(self) -> None:
-        """End its thread."""
+        """End its thread.
+
+        Raises:
+            OSError: The system refuses to close its socket.
+        """
 
 @type_check_only
 class _LiveSide:
@@ -2424,29 +2493,42 @@ class _DrivenLoop:
         """Start time, request real time for this thread, and return the settings granted.
 
         Args:
-            driver: Driver name; a thread then monitors it. Each turn begins with `take_acknowledgement`. If `read`
-                (before `step`) or `write` (after it) does not return for 0.5 s, or the first `read` for 1 s, the thread
-                ticks in its place. Both sides then have a fault that names the driver and the call.
+            driver: Driver name; a thread then monitors it. By default none does. Each turn begins with
+                `take_acknowledgement`. If `read` (before `step`) or `write` (after it) does not return for 0.5 s, or
+                the first `read` for 1 s, the thread ticks in its place. Both sides then have a fault that names the
+                driver and the call.
 
         Raises:
             OSError: Required real time is refused, or no thread can be created; the loop is over.
+            RuntimeError: Another thread steps it.
         """
 
     def wait(self) -> None:
-        """Sleep until the next tick is due: for a device that does not wait in `read`."""
+        """Sleep until the next tick is due: for a device that does not wait in `read`.
+
+        Raises:
+            RuntimeError: Another thread steps it.
+        """
 
     def fail(self, text: str = "") -> None:
         """Report a lost device: the fault is sent to the peer for 60 ticks, and the loop is over.
 
         Args:
             text: The driver's text, which both sides show: up to 239 bytes of UTF-8 on one line.
+
+        Raises:
+            RuntimeError: Another thread steps it.
         """
 
     def take_acknowledgement(self) -> bool:
         """Return True if the control socket acknowledged the device's fault since the last call and within 0.25 s."""
 
     def announce_end(self) -> None:
-        """Announce to the peer within 20 ms that this side ends; the loop is over. Otherwise `finish` does it."""
+        """Announce to the peer within 20 ms that this side ends; the loop is over. Otherwise `finish` does it.
+
+        Raises:
+            RuntimeError: Another thread steps it.
+        """
 
 @final
 class LiveMaster(_MasterSide):
@@ -2456,7 +2538,8 @@ class LiveMaster(_MasterSide):
         scene: Output of `scene_json`; its device is a model that its operator holds.
         peer: Address of the slave or a proxy before it, `HOST:PORT`.
         run_id: New random number at every start, 0 to 2⁶⁴ - 1.
-        key: The 32 bytes that both sides share, of `read_key`. They are copied: a bytearray may then be wiped.
+        key: The 32 bytes that both sides share, of `read_key`; None with `insecure`. They are copied: a bytearray may
+            then be wiped.
         insecure: True to run without a key: frames are not encrypted, and any sender can steer.
         listen: Own address, `HOST:PORT`, of the peer's kind (IPv4 or IPv6). By default the system's source address for
             the peer (loopback for a peer on this machine), with any free port.
@@ -2464,24 +2547,26 @@ class LiveMaster(_MasterSide):
         patience_s: Time in s after which it ends unless the two sides have engaged; by default never.
         started_s: Time of the operator's start, by `time.monotonic()`; by default now. At the first tick it counts as a
             press of the clutch if it is at most 5 s old.
-        keep_s: Time in s before the end that the trace holds; its memory is allocated at the start. By default 16 MiB:
-            87 s of a master along one axis, 24 s of poses.
+        keep_s: Time in s before the end that the trace holds, above 0 and at most 3600; its memory is allocated at the
+            start. By default 16 MiB: 87 s of a master along one axis, 24 s of poses.
         realtime: "auto": requests SCHED_FIFO and locked memory, and continues without; "off": requests nothing;
             "require": fails without.
         priority: Under SCHED_FIFO, 1 to 99.
-        cpu: Processor of the loop; by default the kernel chooses.
-        record: File for an MCAP recording of every tick (`read_recording`); an existing file is replaced.
+        cpu: Processor of the loop, not with `realtime` "off"; by default the kernel chooses.
+        record: File for an MCAP recording of every tick (`read_recording`), by default none; an existing file is
+            replaced.
         min_free_bytes: Free bytes on the disk below which the recording ends, and nothing else.
-        telemetry: A Unix socket of this path sends samples and events, see `TelemetryReader`; the loop waits for no
-            reader.
-        control: A Unix socket of this path takes requests (docs/console.md): stop, press and hold, scales. A thread of
-            its own serves it without the interpreter.
+        telemetry: Path of a Unix socket that sends samples and events, see `TelemetryReader`; by default none. The loop
+            waits for no reader.
+        control: Path of a Unix socket that takes requests (docs/console.md): stop, press and hold, scales; by default
+            none. A separate thread serves it without the interpreter.
 
     Raises:
         ValueError: An address or `realtime` is invalid; a time is outside 0 to 1e9 s; a start is in the future; a key
             has the wrong length; key and `insecure` are both given or both missing; or the scene lacks a [slave] or a
             [coupling].
         OSError: An address or a file cannot be used, or required real time is refused.
+        MemoryError: The memory for the trace, or the reserve for the end of a run, is not available.
     """
 
     def __new__(
@@ -2501,7 +2586,7 @@ class LiveMaster(_MasterSide):
         priority: int = 80,
         cpu: int | None = None,
         record: str | PathLike[str] | None = None,
-        min_free_bytes: int = ...,
+        min_free_bytes: int = 1000000000,
         telemetry: str | PathLike[str] | None = None,
         control: str | PathLike[str] | None = None,
     ) -> LiveMaster: ...
@@ -2523,6 +2608,7 @@ class LiveSlave(_SlaveSide):
         ValueError: An address or `realtime` is invalid; a time is outside 0 to 1e9 s; a key has the wrong length; key
             and `insecure` are both given or both missing; or the scene lacks a [slave] or a [coupling].
         OSError: An address or a file cannot be used, or required real time is refused.
+        MemoryError: The memory for the trace, or the reserve for the end of a run, is not available.
     """
 
     def __new__(
@@ -2540,7 +2626,7 @@ class LiveSlave(_SlaveSide):
         priority: int = 80,
         cpu: int | None = None,
         record: str | PathLike[str] | None = None,
-        min_free_bytes: int = ...,
+        min_free_bytes: int = 1000000000,
         telemetry: str | PathLike[str] | None = None,
         control: str | PathLike[str] | None = None,
     ) -> LiveSlave: ...
@@ -2565,6 +2651,7 @@ class MasterLoop(_MasterSide, _DrivenLoop):
             future; a key has the wrong length; key and `insecure` are both given or both missing; or the scene lacks a
             [slave] or a [coupling], or has times at which its operator presses.
         OSError: An address or a file cannot be used.
+        MemoryError: The memory for the trace, or the reserve for the end of a run, is not available.
     """
 
     def __new__(
@@ -2585,7 +2672,7 @@ class MasterLoop(_MasterSide, _DrivenLoop):
         priority: int = 80,
         cpu: int | None = None,
         record: str | PathLike[str] | None = None,
-        min_free_bytes: int = ...,
+        min_free_bytes: int = 1000000000,
         telemetry: str | PathLike[str] | None = None,
         control: str | PathLike[str] | None = None,
     ) -> MasterLoop: ...
@@ -2608,23 +2695,25 @@ class MasterLoop(_MasterSide, _DrivenLoop):
 
         Args:
             position: x in m, a number for one axis or shape `(axes,)`.
-            velocity: V in m/s from a device that measures it, at every sample or at none.
+            velocity: V in m/s, shape `(axes,)`, from a device that measures it, at every sample or at none.
             clutch: True if pressed, from a device with a button; None without one.
-            fault: Fault text of the device, which both sides show: up to 239 bytes of UTF-8 on one line.
+            fault: Fault text of the device, which both sides show: up to 239 bytes of UTF-8 on one line; None without.
             trigger: Command of the slave's gripper, 0 (open) to 1 (closed); None or another number leaves it unchanged.
-            orientation: R of kind "pose", as a unit quaternion w, x, y, z; ignored for other kinds.
-            angular_velocity: w in rad/s in the base frame from a device that measures it, at every sample or at none.
+            orientation: R of kind "pose", as a unit quaternion w, x, y, z; None or ignored for other kinds.
+            angular_velocity: w in rad/s, shape `(3,)`, in the base frame, from a device that measures it, at every
+                sample or at none.
             buttons: Bit n: button n is pressed; None if unknown, which is no release. The scene's `[master.buttons]`
                 sets their functions.
-            time_s: Time of the sample in s on the device's own clock, present at every sample or at none. It never decreases.
+            time_s: Time of the sample in s on the device's own clock, at every sample or at none; None without a
+                clock. It never decreases.
 
         Returns:
             F_device in N, shape `(axes,)`, for kind "pose" also the torque in N m, shape `(3,)` each; None if the run
             is over.
 
         Raises:
-            TypeError: A sample is no number, has a wrong number of axes, or lacks an orientation of kind "pose"; the
-                tick did not run.
+            TypeError: A sample is no number, has a wrong number of axes, lacks an orientation of kind "pose", or has a
+                field that only some samples have; the tick did not run.
             ValueError: `time_s` is not finite or decreases; the tick did not run.
             RuntimeError: Another thread steps it.
         """
@@ -2647,6 +2736,7 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
         ValueError: An address or `realtime` is invalid; a time is outside 0 to 1e9 s; a key has the wrong length; key
             and `insecure` are both given or both missing; or the scene lacks a [slave] or a [coupling].
         OSError: An address or a file cannot be used.
+        MemoryError: The memory for the trace, or the reserve for the end of a run, is not available.
     """
 
     def __new__(
@@ -2664,7 +2754,7 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
         priority: int = 80,
         cpu: int | None = None,
         record: str | PathLike[str] | None = None,
-        min_free_bytes: int = ...,
+        min_free_bytes: int = 1000000000,
         telemetry: str | PathLike[str] | None = None,
         control: str | PathLike[str] | None = None,
     ) -> SlaveLoop: ...
@@ -2687,15 +2777,17 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
 
         Args:
             position: Tool position in m, a number for one axis or shape `(axes,)`.
-            velocity: Tool velocity in m/s.
-            force: F_e in N.
-            fault: Fault text of the arm, which both sides show: up to 239 bytes of UTF-8 on one line.
-            gripper: For a scene with `[slave.gripper]`: position, 0 (open) to 1 (closed), velocity in 1/s, force in N,
-                and True if it holds an object. Invalid numbers are sent as unknown.
-            orientation: R of kind "pose", as a unit quaternion w, x, y, z; ignored for other kinds.
-            angular_velocity: w in rad/s in the base frame, for kind "pose".
-            torque: Environment torque on the tool in N m, in the base frame about the tool point, for kind "pose".
-            time_s: Time of the sample in s on the arm's own clock, present at every sample or at none. It never decreases.
+            velocity: Tool velocity in m/s, shape `(axes,)`.
+            force: F_e in N, shape `(axes,)`.
+            fault: Fault text of the arm, which both sides show: up to 239 bytes of UTF-8 on one line; None without.
+            gripper: Position, 0 (open) to 1 (closed), velocity in 1/s, force in N, and True if it holds an object; None
+                without `[slave.gripper]`. Invalid numbers are sent as unknown.
+            orientation: R of kind "pose", as a unit quaternion w, x, y, z; None or ignored for other kinds.
+            angular_velocity: w in rad/s, shape `(3,)`, in the base frame; only for kind "pose".
+            torque: Environment torque on the tool in N m, shape `(3,)`, in the base frame about the tool point; only
+                for kind "pose".
+            time_s: Time of the sample in s on the arm's own clock, at every sample or at none; None without a
+                clock. It never decreases.
 
         Returns:
             "wait", "move" or "stop", and the commanded position in m and velocity in m/s, shape `(axes,)` each, both
@@ -2704,8 +2796,8 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
             `slave.max_acceleration` of the scene or 5 m/s², and 25 rad/s².
 
         Raises:
-            TypeError: A sample is no number, has a wrong number of axes, or for kind "pose" lacks one of the last
-                three; the tick did not run.
+            TypeError: A sample is no number, has a wrong number of axes, has `time_s` unlike earlier samples, or for kind
+                "pose" lacks orientation, angular velocity or torque; the tick did not run.
             ValueError: `time_s` is not finite or decreases; the tick did not run.
             RuntimeError: Another thread steps it.
         """
@@ -2784,28 +2876,52 @@ class DynamixelBus:
         """Return model number and firmware version.
 
         Raises:
-            TimeoutError: No answer; also below.
-            OSError: The port is gone; also below.
-            RuntimeError: A wrong or negative answer; also below.
+            TimeoutError: No answer.
+            OSError: The port is gone.
+            RuntimeError: A wrong or negative answer, or another thread has called `stop`.
+            ValueError: The bus is closed.
         """
 
     def read(self, servo_id: int, address: int, length: int) -> bytes:
-        """Read bytes from an address."""
+        """Read `length` bytes from an address.
+
+        Raises:
+            TimeoutError, OSError, RuntimeError, ValueError: As `ping`.
+        """
 
     def write(self, servo_id: int, address: int, written: bytes) -> bool:
-        """Write bytes from an address; return True if the servo has a hardware error. `BROADCAST` gets no answer."""
+        """Write bytes from an address; return True if the servo has a hardware error. `BROADCAST` gets no answer.
+
+        Raises:
+            TimeoutError, OSError, RuntimeError, ValueError: As `ping`, or the bytes do not fit into a packet.
+        """
 
     def reboot(self, servo_id: int) -> None:
-        """Restart a servo, which is then silent for a while."""
+        """Restart a servo, which is then silent for a while.
+
+        Raises:
+            TimeoutError, OSError, RuntimeError, ValueError: As `ping`.
+        """
 
     def sync_read(self, read: SyncRead) -> bytes:
-        """Return the bytes of all servos, one after the other."""
+        """Return the bytes of all servos, one after the other.
+
+        Raises:
+            TimeoutError, OSError, RuntimeError, ValueError: As `ping`.
+        """
 
     def sync_write(self, address: int, length: int, ids: bytes, written: bytes) -> None:
         """Write `length` bytes of each servo; none answers, so a refusal is not detected.
 
+        Args:
+            address: First address.
+            length: Bytes per servo.
+            ids: Ids of the servos, a byte each.
+            written: Bytes of all servos, in the order of `ids`.
+
         Raises:
-            ValueError: The bytes do not fit the ids.
+            ValueError: The bytes do not fit the ids, or the bus is closed.
+            OSError, RuntimeError: As `ping`.
         """
 
     def stop(self, address: int, length: int, ids: bytes, written: bytes) -> None:
@@ -2815,8 +2931,10 @@ class DynamixelBus:
         Each other one follows after the remaining time of an answer that it may have collided with, at most
         `timeout_s`.
 
+        The arguments are those of `sync_write`.
+
         Raises:
-            ValueError: The bytes do not fit the ids.
+            ValueError: The bytes do not fit the ids, or the bus is closed.
             OSError: None of them could be sent.
         """
 
@@ -2837,7 +2955,7 @@ class HdCallback:
             hdSetDoublev, hdGetError and hdCheckCalibration, in this order; any others end the process.
         device: Its handle.
         watchdog_s: 0.001 to 0.1 s.
-        max_force_n: Larger forces are scaled down to this.
+        max_force_n: Bound in N, above 0, to which a larger |F| is scaled down.
 
     Raises:
         ValueError: An address is 0, or a number is outside its range.
@@ -2857,21 +2975,28 @@ class HdCallback:
         """Frames without force because the newest one was too old."""
 
     def write(self, force: Sequence[float]) -> None:
-        """Set the force in N from the next frame, in the vendor's frame."""
+        """Set the force in N, shape `(3,)`, from the next frame, in the vendor's frame."""
 
     def wait(self, after: int, limit_s: float) -> tuple[int, list[float], list[float], int, int, int, int] | None:
-        """Return the newest sample after a frame as soon as it exists; None after the time limit.
+        """Return the newest sample after a frame as soon as it exists; None after the time limit in s.
 
         Returns:
             Number of the frame, transform (column by column, mm), velocity (mm/s), buttons, result of
             hdCheckCalibration, the first error since the last acknowledgement and its internal code.
+
+        Raises:
+            ValueError: The limit is outside 0 to 10 s.
         """
 
     def acknowledge(self) -> None:
         """Forget the first error."""
 
     def end(self, limit_s: float) -> bool:
-        """Make the next frame the last one, with zero force; return True if it ran within the time."""
+        """Make the next frame the last one, with zero force; return True if it ran within the time in s.
+
+        Raises:
+            ValueError: The limit is outside 0 to 10 s.
+        """
 
 # ---------------------------------------------------------------------------------------------- scenes
 
@@ -2914,8 +3039,9 @@ def simulate_scene(
 
     Args:
         scene_json: The scene as `haptether.bridge.scene_json` writes it: every field, nothing else.
-        record: MCAP files as `--record` of master and slave would write them.
-        research: Creates the controller of a scene with `[safety.research]`, which is refused without it.
+        record: MCAP files as `--record` of master and slave would write them; by default none.
+        research: Creates the controller of a scene with `[safety.research]`, which is refused without it; by default
+            none.
 
     Raises:
         ValueError: The JSON is not a scene, a number is invalid for a part of it, or a file cannot be written.
@@ -2981,7 +3107,8 @@ def replay_recording(
             is True while the hand holds the device.
         times_ns: Times of the ticks since the start of the run, in ns.
         recouples: True if the coupling computes its request again from the received force.
-        hand: M in kg, B in N s/m and K in N/m of a hand that responds to a force not in the recording.
+        hand: M in kg, B in N s/m and K in N/m of a hand that responds to a force not in the recording; None to keep the
+            recorded motion.
 
     Raises:
         ValueError: The scene cannot be built, or a signal is missing or has a wrong length.

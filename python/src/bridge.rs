@@ -18,7 +18,7 @@ pub(crate) fn nanoseconds(key: &str, seconds: f64) -> PyResult<u64> {
     Err(PyValueError::new_err(format!("{key} = {seconds}: must be between 0 and 1e9 s")))
 }
 
-/// Return the text of a reason's code.
+#[documented]
 #[pyfunction]
 fn ladder_reason(code: u8) -> PyResult<&'static str> {
     Reason::from_code(code)
@@ -26,7 +26,7 @@ fn ladder_reason(code: u8) -> PyResult<&'static str> {
         .ok_or_else(|| PyValueError::new_err(format!("reason {code}: must be 1 to {}", Reason::ALL.len())))
 }
 
-/// Return the name of a ladder state's code.
+#[documented]
 #[pyfunction]
 fn ladder_state_name(code: u8) -> PyResult<&'static str> {
     LadderState::from_code(code)

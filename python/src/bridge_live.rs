@@ -51,6 +51,7 @@ fn join(py: Python<'_>, run: &Mutex<LiveRun>, watched: &Watched) -> PyResult<(Tr
 /// Methods shared by both classes, on their fields `run` and `watched`.
 macro_rules! live_methods {
     ($class:ident) => {
+        #[documented]
         #[pymethods]
         impl $class {
             #[getter]
@@ -72,6 +73,7 @@ macro_rules! live_methods {
     };
 }
 
+#[documented]
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct LiveMaster {
     run: Mutex<LiveRun>,
@@ -88,6 +90,7 @@ constructor!(
     }
 );
 
+#[documented]
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct LiveSlave {
     run: Mutex<LiveRun>,

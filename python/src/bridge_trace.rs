@@ -50,13 +50,14 @@ fn times(py: Python<'_>, trace: &Trace, name: &str) -> Py<PyAny> {
 
 /// Declares the class of a trace with a getter per column.
 macro_rules! trace_class {
-    ($(#[$doc:meta])* $class:ident, [$($name:ident),* $(,)?]) => {
-        $(#[$doc])*
+    ($class:ident, [$($name:ident),* $(,)?]) => {
+        #[documented]
         #[pyclass(module = "haptether.bridge", frozen)]
         pub(crate) struct $class {
             pub(crate) trace: Trace,
         }
 
+        #[documented]
         #[pymethods]
         impl $class {
             #[getter]
@@ -90,25 +91,64 @@ macro_rules! trace_class {
 }
 
 trace_class!(
-    /// Ticks of the master.
     MasterTrace,
     [
-        position, velocity, hand_force, rendered_force, grasp_force, safety_force, device_force, trigger,
-        velocity_force, grasp, windowed_energy_j, tripped, acted, state, reason, clutch, overshoot_s, fault,
-        orientation, angular_velocity, hand_torque, rendered_torque, grasp_torque, safety_torque, device_torque,
-        trigger_velocity, trigger_rendered_force, trigger_safety_force, trigger_device_force, trigger_tripped,
+        position,
+        velocity,
+        hand_force,
+        rendered_force,
+        grasp_force,
+        safety_force,
+        device_force,
+        trigger,
+        velocity_force,
+        grasp,
+        windowed_energy_j,
+        tripped,
+        acted,
+        state,
+        reason,
+        clutch,
+        overshoot_s,
+        fault,
+        orientation,
+        angular_velocity,
+        hand_torque,
+        rendered_torque,
+        grasp_torque,
+        safety_torque,
+        device_torque,
+        trigger_velocity,
+        trigger_rendered_force,
+        trigger_safety_force,
+        trigger_device_force,
+        trigger_tripped,
     ]
 );
 
 trace_class!(
-    /// Ticks of the slave.
     SlaveTrace,
     [
-        position, command, environment_force, gripper, gripper_command, gripper_force, holds_object, limited,
-        state, reason, clutch, overshoot_s, fault, orientation, command_orientation, environment_torque,
+        position,
+        command,
+        environment_force,
+        gripper,
+        gripper_command,
+        gripper_force,
+        holds_object,
+        limited,
+        state,
+        reason,
+        clutch,
+        overshoot_s,
+        fault,
+        orientation,
+        command_orientation,
+        environment_torque,
     ]
 );
 
+#[documented]
 #[pyclass(name = "LinkStatistics", module = "haptether.bridge", frozen, get_all)]
 #[derive(Clone, Copy)]
 pub(crate) struct PyLinkStatistics {
@@ -137,6 +177,7 @@ impl From<LinkStatistics> for PyLinkStatistics {
     }
 }
 
+#[documented]
 #[pyclass(name = "PathReport", module = "haptether.bridge", frozen, get_all)]
 #[derive(Clone)]
 pub(crate) struct PyPathReport {
@@ -193,6 +234,7 @@ impl From<PathReport> for PyPathReport {
     }
 }
 
+#[documented]
 #[pyclass(name = "RecordingReport", module = "haptether.bridge", frozen, get_all)]
 #[derive(Clone)]
 pub(crate) struct PyRecordingReport {
@@ -207,6 +249,7 @@ impl From<RecordingReport> for PyRecordingReport {
     }
 }
 
+#[documented]
 #[pyclass(name = "LoopReport", module = "haptether.bridge", frozen, get_all)]
 pub(crate) struct PyLoopReport {
     ticks: u64,

@@ -134,6 +134,7 @@ impl<T: ?Sized> Driven<T> {
 /// Methods shared by both classes, on their fields `driven` and `watched`.
 macro_rules! loop_methods {
     ($class:ident) => {
+        #[documented]
         #[pymethods]
         impl $class {
             #[pyo3(signature = (driver=None))]
@@ -260,6 +261,7 @@ fn require_steady(name: &str, before: Option<bool>, is_given: bool) -> PyResult<
     Err(PyTypeError::new_err(text))
 }
 
+#[documented]
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct MasterLoop {
     driven: Driven<dyn MasterDriverLoop>,
@@ -295,6 +297,7 @@ constructor!(MasterLoop, peer,
     }
 );
 
+#[documented]
 #[pymethods]
 impl MasterLoop {
     #[pyo3(signature = (position, velocity=None, clutch=None, *, fault=None, trigger=None, orientation=None,
@@ -375,6 +378,7 @@ impl MasterLoop {
     }
 }
 
+#[documented]
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct SlaveLoop {
     driven: Driven<dyn SlaveDriverLoop>,
@@ -398,6 +402,7 @@ constructor!(SlaveLoop, listen, [], |py, scene, outline, run_id, how| {
     Ok(Self { driven: Driven::new(paced), extras, clock, watched, kind: outline.kind, axes: outline.axes })
 });
 
+#[documented]
 #[pymethods]
 impl SlaveLoop {
     #[pyo3(signature = (position, velocity, force, *, fault=None, gripper=None, orientation=None,

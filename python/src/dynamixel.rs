@@ -21,6 +21,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 const BAUD: std::ops::RangeInclusive<u32> = 1200..=10_000_000;
 const TIMEOUT_S: std::ops::RangeInclusive<f64> = 1e-3..=10.0;
 
+#[documented]
 #[pyclass(name = "SyncRead", module = "haptether._core", frozen)]
 struct PySyncRead {
     /// Locked by a read from its start until its values are taken.
@@ -33,6 +34,7 @@ impl PySyncRead {
     }
 }
 
+#[documented]
 #[pymethods]
 impl PySyncRead {
     #[new]
@@ -53,6 +55,7 @@ impl PySyncRead {
     }
 }
 
+#[documented(DynamixelBus)]
 #[pyclass(name = "DynamixelBus", module = "haptether._core", frozen)]
 struct PyBus {
     bus: SharedBus,
@@ -86,6 +89,7 @@ fn raised(port: &str, error: BusError) -> PyErr {
     }
 }
 
+#[documented(DynamixelBus)]
 #[pymethods]
 impl PyBus {
     #[classattr]

@@ -1,7 +1,10 @@
-//! Extension module `haptether._core`: thin classes over the crates, documented by the stub `_core.pyi`.
+//! Extension module `haptether._core`: thin classes over the crates. `documented` gives them the docstrings of the stub `_core.pyi`.
 
 // PyO3 functions take arguments by value and by name, so these lints conflict with the Python signatures.
 #![allow(clippy::needless_pass_by_value, clippy::too_many_arguments)]
+
+#[macro_use]
+extern crate haptether_documented;
 
 use pyo3::prelude::*;
 
@@ -26,7 +29,7 @@ mod touch;
 mod ur;
 mod ur_environment;
 
-/// Entry point of the module.
+#[documented]
 #[pymodule(gil_used = true)]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;

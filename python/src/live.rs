@@ -253,6 +253,7 @@ pub(crate) fn locked<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
 macro_rules! constructor {
     ($class:ident, $place:ident, [$($own:ident: $own_type:ty = $default:tt),*],
         |$py:ident, $scene:ident, $outline:ident, $run_id:ident, $how:ident| $begin:block) => {
+        #[documented]
         #[pymethods]
         impl $class {
             #[new]
@@ -300,6 +301,7 @@ pub(crate) use constructor;
 /// Methods shared by the classes of a master; `end` ends the loop.
 macro_rules! master_methods {
     ($class:ident) => {
+        #[documented]
         #[pymethods]
         impl $class {
             fn press_clutch(&self) {
@@ -322,6 +324,7 @@ pub(crate) use master_methods;
 /// Methods shared by the classes of a slave; `end` ends the loop.
 macro_rules! slave_methods {
     ($class:ident) => {
+        #[documented]
         #[pymethods]
         impl $class {
             fn allow_takeover(&self) {
@@ -354,6 +357,7 @@ macro_rules! watch_methods {
             }
         }
 
+        #[documented]
         #[pymethods]
         impl $class {
             fn poll(&self) -> usize {

@@ -24,17 +24,20 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(run_local, module)?)
 }
 
+#[documented]
 #[pyclass(name = "HapticDevice", module = "haptether.master", frozen, eq)]
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) struct PyHapticDevice {
     pub(crate) inner: DeviceParameters<1>,
 }
 
+#[documented]
 #[pymethods]
 impl PyHapticDevice {
     #[new]
     #[pyo3(signature = (*, mass_kg, viscous=0.0, coulomb=0.0, encoder_quantum=0.0,
-        stops=(f64::NEG_INFINITY, f64::INFINITY)))]
+        stops=(f64::NEG_INFINITY, f64::INFINITY)),
+        text_signature = "(*, mass_kg, viscous=0.0, coulomb=0.0, encoder_quantum=0.0, stops=(-1e999, 1e999))")]
     fn new(
         mass_kg: f64,
         viscous: f64,
@@ -53,7 +56,8 @@ impl PyHapticDevice {
     }
 
     #[staticmethod]
-    #[pyo3(signature = (*, encoder_quantum=2.3e-5, stops=(f64::NEG_INFINITY, f64::INFINITY)))]
+    #[pyo3(signature = (*, encoder_quantum=2.3e-5, stops=(f64::NEG_INFINITY, f64::INFINITY)),
+        text_signature = "(*, encoder_quantum=2.3e-5, stops=(-1e999, 1e999))")]
     fn phantom_desktop(encoder_quantum: f64, stops: (f64, f64)) -> PyResult<Self> {
         let desktop = DeviceParameters::<1>::phantom_desktop();
         Self::new(desktop.mass_kg[0], desktop.viscous[0], desktop.coulomb[0], encoder_quantum, stops)
@@ -105,17 +109,20 @@ impl PyHapticDevice {
     }
 }
 
+#[documented]
 #[pyclass(name = "Hand", module = "haptether.master", frozen, eq)]
 #[derive(Clone, PartialEq)]
 pub(crate) struct PyHand {
     pub(crate) inner: Hand<1>,
 }
 
+#[documented]
 #[pymethods]
 impl PyHand {
     #[new]
     #[pyo3(signature = (*, stiffness, damping, strength_n, start, legs=Vec::new(), release=None,
-        release_kind="strength"))]
+        release_kind="strength"), text_signature = "(*, stiffness, damping, strength_n, start, legs=(), \
+        release=None, release_kind='strength')")]
     fn new(
         stiffness: f64,
         damping: f64,
@@ -174,12 +181,14 @@ impl PyHand {
     }
 }
 
+#[documented]
 #[pyclass(name = "Wall", module = "haptether.slave", frozen, eq)]
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) struct PyWall {
     pub(crate) inner: Wall,
 }
 
+#[documented]
 #[pymethods]
 impl PyWall {
     #[new]
@@ -197,6 +206,7 @@ impl PyWall {
     }
 }
 
+#[documented]
 #[pyclass(name = "Sinusoid", module = "haptether.bridge", frozen)]
 #[derive(Clone, Copy)]
 pub(crate) struct PySinusoid {
@@ -204,6 +214,7 @@ pub(crate) struct PySinusoid {
     rate: f64,
 }
 
+#[documented]
 #[pymethods]
 impl PySinusoid {
     #[new]
@@ -249,7 +260,7 @@ impl LocalRecord {
     }
 }
 
-/// Ticks of a local loop, one array per signal.
+#[documented]
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct LocalTrace {
     records: Vec<LocalRecord>,
@@ -258,6 +269,7 @@ pub(crate) struct LocalTrace {
 
 macro_rules! local_columns {
     ($($name:ident),*) => {
+        #[documented]
         #[pymethods]
         impl LocalTrace {
             $(#[getter]
@@ -324,6 +336,7 @@ const MAX_DELAY: usize = 1000;
 /// Most ticks of one run; 1e8 would be 10 GB of records.
 const MAX_TICKS: usize = 20_000_000;
 
+#[documented]
 #[pyfunction]
 #[pyo3(signature = (device, hand, rendered, *, ticks, settings=None, estimator=None, limiter=None,
     period_s=1e-3, start=None, device_delay=0))]

@@ -17,7 +17,8 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(read_recording_columns, module)?)
 }
 
-#[pyclass(module = "haptether.bridge", frozen, get_all)]
+#[documented]
+#[pyclass(module = "haptether._core", frozen, get_all)]
 pub(crate) struct RecordingColumns {
     about: Py<PyDict>,
     meanings: Py<PyDict>,
@@ -29,7 +30,7 @@ pub(crate) struct RecordingColumns {
     damaged: bool,
 }
 
-/// Read every signal of a recorded side.
+#[documented]
 #[pyfunction]
 fn read_recording_columns(py: Python<'_>, path: PathBuf) -> PyResult<RecordingColumns> {
     let read = py.detach(|| File::open(&path).map_err(ReadError::from).and_then(read_recording));

@@ -12,7 +12,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(replay_recording, module)?)
 }
 
-/// Replay the recorded signals of a hand's side, tick by tick.
+#[documented]
 #[pyfunction]
 #[pyo3(signature = (scene_json, signals, times_ns, *, recouples, hand=None))]
 fn replay_recording(

@@ -206,6 +206,7 @@ impl Failure {
     }
 }
 
+#[documented(ResearchObservation)]
 #[pyclass(name = "ResearchObservation", module = "haptether.safety", frozen, get_all)]
 pub(crate) struct PyObservation {
     time_s: f64,

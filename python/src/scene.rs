@@ -44,7 +44,8 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(sweep_scenes, module)?)
 }
 
-#[pyclass(name = "SceneRun", module = "haptether.bridge", frozen)]
+#[documented]
+#[pyclass(name = "SceneRun", module = "haptether._core", frozen)]
 pub(crate) struct PySceneRun {
     signals: Py<PyDict>,
     events: Py<PyList>,
@@ -52,6 +53,7 @@ pub(crate) struct PySceneRun {
     reports: Option<[Py<PyLoopReport>; 2]>,
 }
 
+#[documented]
 #[pymethods]
 impl PySceneRun {
     #[getter]
@@ -116,7 +118,7 @@ pub(crate) fn live_periods(scene: &SceneOutline) -> PyResult<[u64; 2]> {
     Ok([nanoseconds("run.period_s", scene.period_s)?, nanoseconds("slave.period_s", scene.slave_period_s)?])
 }
 
-/// Run a scene; record it to the files of master and slave if given.
+#[documented]
 #[pyfunction]
 #[pyo3(signature = (scene_json, record=None, research=None))]
 fn simulate_scene(
@@ -208,7 +210,7 @@ fn interruptibly<T: Send>(
 /// Columns of values that differ between rows, with their keys.
 type Columns<'py> = Vec<(String, PyReadonlyArray1<'py, f64>)>;
 
-/// Run each scene once per row of its columns.
+#[documented]
 #[pyfunction]
 #[pyo3(signature = (parts, threads, lanes, progress, research=None, metrics=None))]
 fn sweep_scenes(

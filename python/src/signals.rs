@@ -122,12 +122,14 @@ fn relay(mut from: UnixStream, requests: &Requests) {
     }
 }
 
+#[documented]
 #[pyclass(module = "haptether.bridge", frozen)]
 pub(crate) struct SignalRelay {
     to: UnixStream,
     requests: Arc<Requests>,
 }
 
+#[documented]
 #[pymethods]
 impl SignalRelay {
     #[new]

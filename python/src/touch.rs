@@ -12,11 +12,13 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 
 type Sample = (u64, [f64; 16], [f64; 3], u32, u32, u32, i32);
 
+#[documented]
 #[pyclass(name = "HdCallback", module = "haptether._core", frozen)]
 struct PyHdCallback {
     callback: &'static HdCallback,
 }
 
+#[documented]
 #[pymethods]
 impl PyHdCallback {
     #[new]

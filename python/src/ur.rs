@@ -52,12 +52,14 @@ fn six(name: &str, array: &SignalArray<'_>) -> PyResult<[f64; 6]> {
     Ok(numbers)
 }
 
+#[documented(UrInverseSolver)]
 #[pyclass(name = "UrInverseSolver", module = "haptether._core", frozen)]
 pub(crate) struct PyUrInverse {
     inverse: UrInverse,
     tool_from_flange: UrPose,
 }
 
+#[documented(UrInverseSolver)]
 #[pymethods]
 impl PyUrInverse {
     #[new]

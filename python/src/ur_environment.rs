@@ -12,6 +12,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyForceSensor>()
 }
 
+#[documented]
 #[pyclass(name = "SceneTouch", module = "haptether.slave")]
 pub(crate) struct PySceneTouch {
     environment: Box<dyn ToolEnvironment>,
@@ -28,6 +29,7 @@ fn finite(name: &str, values: &[f64]) -> PyResult<()> {
     Err(PyValueError::new_err(format!("{name} = {values:?}: must be finite")))
 }
 
+#[documented]
 #[pymethods]
 impl PySceneTouch {
     #[new]
@@ -73,15 +75,18 @@ impl PySceneTouch {
     }
 }
 
+#[documented]
 #[pyclass(name = "ForceSensor", module = "haptether.slave", frozen)]
 pub(crate) struct PyForceSensor {
     inner: ForceSensor<3>,
 }
 
+#[documented]
 #[pymethods]
 impl PyForceSensor {
     #[new]
-    #[pyo3(signature = (*, noise_n=0.0, bias_n=[0.0; 3], quantum_n=0.0, seed=0))]
+    #[pyo3(signature = (*, noise_n=0.0, bias_n=[0.0; 3], quantum_n=0.0, seed=0),
+        text_signature = "(*, noise_n=0.0, bias_n=(0.0, 0.0, 0.0), quantum_n=0.0, seed=0)")]
     fn new(noise_n: f64, bias_n: [f64; 3], quantum_n: f64, seed: u64) -> PyResult<Self> {
         let inner = ForceSensor::new(noise_n, Axes::from(bias_n), quantum_n, None, seed).map_err(refuse)?;
         Ok(Self { inner })

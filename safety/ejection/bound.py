@@ -191,8 +191,9 @@ def ejection_bound(
     Args:
         of: Scene or settings.
         hand_speed: V0 in m/s, speed of the hand at the release; by default that of the settings, 0 for a scene.
-        late_s: J in s, extra time for which the device may keep a force, 0 to 0.02.
-        mass_error: Largest relative error of the mass in the safety layer, 0 to 1.
+        late_s: J in s, extra time for which the device may keep a force, 0 to 0.02; by default that of the settings.
+        mass_error: Largest relative error of the mass in the safety layer, at least 0 and below 1; by default that of
+            the settings.
         free_s: T in s, longest time for which a free device moves. By default the end of a scene's run limits it; pass
             infinity for a real device.
 

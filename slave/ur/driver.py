@@ -47,8 +47,7 @@ class UrSlave:
         options: Fields of `UrOptions`.
 
     Raises:
-        ValueError: The options are invalid. `open` also raises `UrRefusedError` if the arm is not ready,
-            `RtdeConnectionError` if ur-rtde is missing, and `ClosedError` once it is given up.
+        ValueError: The options are invalid.
     """
 
     paces = True
@@ -107,7 +106,13 @@ class UrSlave:
     # ---------------------------------------------------------------------------------------------- SlaveDevice
 
     def open(self) -> None:
-        """Run the checklist and connect; the arm does not move."""
+        """Run the checklist and connect; the arm does not move.
+
+        Raises:
+            UrRefusedError: The arm is not ready.
+            RtdeConnectionError: ur-rtde is missing.
+            ClosedError: The driver was closed meanwhile.
+        """
         self._closed = False
         vendor_module()
         checklist = Checklist(f"ur {self.options.host}", self._report_check, UrRefusedError)
@@ -176,7 +181,14 @@ class UrSlave:
         orientation: tuple[float, ...] | None = None,
         angular_velocity: tuple[float, ...] | None = None,
     ) -> None:
-        """Send the tool on within its bounds; no effect during a fault or without an armed watchdog."""
+        """Send the tool on within its bounds; no effect during a fault or without an armed watchdog.
+
+        Args:
+            position: Commanded position in m, shape `(axes,)`.
+            velocity: Commanded velocity in m/s, shape `(axes,)`.
+            orientation: Unit quaternion w, x, y, z of kind "pose"; None for other kinds.
+            angular_velocity: w in rad/s of kind "pose", shape `(3,)`; None for other kinds.
+        """
         if self._recovery is not None:
             self._latch("engaged before the arm was ready: acknowledge again, and wait for the line that says so")
         if self._fault is not None or not self._watchdog.armed or self._motion is None:

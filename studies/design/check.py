@@ -74,7 +74,7 @@ def check_at_once(scene: Scene, bound: EjectionBound | None = None) -> tuple[Fin
 
     Args:
         scene: Scene of any kind.
-        bound: Result of `ejection_bound`, if already known.
+        bound: Result of `ejection_bound`; by default computed here.
 
     Raises:
         SceneError: The scene is invalid.

@@ -27,10 +27,12 @@ class ContactLoop(msgspec.Struct, frozen=True, kw_only=True):
 
     `m x'' + b x' + k x = -lambda_f (K_e y + B_e y')(t - T)`, where T is the sum of both delays. y is `lambda_p x`
     without a `follower`, otherwise the position of an arm on K_e and B_e that is commanded to it.
+
+    Source: paper Eq. 3 without Coulomb friction, with a hand; Hulin, Albu-Schäffer and Hirzinger 2014 (delayed spring).
     """
 
     mass_kg: float
-    """m of device and hand."""
+    """m of device and hand in kg."""
     damping: float
     """b of device and hand in N s/m."""
     hand_stiffness: float = 0.0
@@ -40,9 +42,9 @@ class ContactLoop(msgspec.Struct, frozen=True, kw_only=True):
     environment_damping: float = 0.0
     """B_e in N s/m."""
     force_scale: float = 1.0
-    """lambda_f."""
+    """lambda_f, without unit."""
     position_scale: float = 1.0
-    """lambda_p."""
+    """lambda_p, without unit."""
     follower: Follower | None = None
 
 

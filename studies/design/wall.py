@@ -21,7 +21,7 @@ def largest_wall_stiffness(
     smallest K that is real and positive on `z = e^(jwT)`. Linear: without Coulomb friction and quantisation.
 
     Args:
-        mass_kg: m of the device.
+        mass_kg: m of the device in kg.
         damping: b of device and hand in N s/m.
         hand_stiffness: k in N/m; 0 without a hand.
         wall_damping: B in N s/m, for the difference of two positions.

@@ -82,7 +82,7 @@ def evaluate(
         bounds: Bounds of the hands; by default `HandBounds()`.
         overrides: Fields of each scene to change first, `table.key=value`.
         threads: Number of threads; by default the number of processors.
-        progress: Called with a description of the current run.
+        progress: If given, called with a description of the current run.
 
     Raises:
         ValueError: No hand, no task, an unknown controller, or a scene without a hand.

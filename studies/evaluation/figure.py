@@ -65,7 +65,7 @@ def draw_evaluation(found: Evaluation, path: str | PathLike[str] | None = None, 
 
     Args:
         found: Evaluation to draw.
-        path: Target picture, .png, .pdf or .svg.
+        path: Target picture, .png, .pdf or .svg; None writes no file.
         columns: Width in page columns.
 
     Raises:

@@ -102,7 +102,7 @@ def evaluation_markdown(found: Evaluation, *, command: str = "", worst: str | No
     Args:
         found: Evaluation to show.
         command: Command that produced it.
-        worst: File name of the worst release.
+        worst: File name of the worst release; by default none is named.
     """
     parts = [f"# {_plain(_title(found))}", _plain(_made_by(found, command))]
     for section in sections(found, worst):
@@ -115,7 +115,7 @@ def evaluation_markdown(found: Evaluation, *, command: str = "", worst: str | No
 
 
 def evaluation_html(found: Evaluation, *, command: str = "", worst: str | None = None) -> str:
-    """Return the page as one self-contained HTML file.
+    """Return the page as one self-contained HTML file; arguments of `evaluation_markdown`.
 
     Raises:
         ImportError: matplotlib (`haptether[analysis]`) is not installed.

@@ -198,7 +198,7 @@ class Evaluation(Struct, frozen=True, kw_only=True):
     def of(
         self, *, task: str | None = None, controllers: str | None = None, round_trip_s: float | None = None
     ) -> tuple[EvaluationCell, ...]:
-        """Return the cells that match the arguments."""
+        """Return the cells of a `task`, set of `controllers` and `round_trip_s` in s; None matches all."""
         return tuple(
             cell
             for cell in self.cells
@@ -261,7 +261,7 @@ class Evaluation(Struct, frozen=True, kw_only=True):
         return self.verdict(cells) == "safe" and self.hands_needed(cells) <= self.hands
 
     def unconfirmed(self, controllers: str, task: str | None = None) -> tuple[float, ...]:
-        """Return the round trips in s at which cells are safe but unconfirmed."""
+        """Return the round trips in s at which cells of a `task` are safe but unconfirmed; None for all tasks."""
         trips = (
             (trip_s, self.of(task=task, controllers=controllers, round_trip_s=trip_s)) for trip_s in self.round_trips_s
         )
@@ -270,7 +270,7 @@ class Evaluation(Struct, frozen=True, kw_only=True):
         )
 
     def confirmed_up_to_s(self, controllers: str, task: str | None = None) -> float | None:
-        """Return `safe_up_to_s` limited to confirmed round trips.
+        """Return `safe_up_to_s` limited to confirmed round trips of a `task`; None for all tasks.
 
         Raises:
             ValueError: The controller set or the task was not evaluated.

@@ -77,7 +77,7 @@ def falsify(
         tries: Number of releases that also ends the search; the result then depends only on the seed.
         seed: Seed of the search, 1 or more.
         threads: Number of threads; by default the number of processors.
-        progress: Called with the number of tried releases and the largest speed in m/s.
+        progress: If given, called with the number of tried releases and the largest speed in m/s.
 
     Raises:
         SceneError: The scene has no such releases, or is invalid.

@@ -173,7 +173,7 @@ def reproduce_paper(
         operator: Pressing and releasing hand; by default the declared one.
         encoder_quantum: Resolution of the device in m; 0 measures position and velocity exactly, otherwise the Kalman
             filter of `ESTIMATORS` is used.
-        progress: Called after each experiment with the finished and the total number.
+        progress: If given, called after each experiment with the finished and the total number.
 
     Raises:
         ValueError: A parameter is out of range; gives its bound.

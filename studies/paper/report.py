@@ -81,7 +81,7 @@ class PaperRow(msgspec.Struct, frozen=True, kw_only=True):
         return self.difference_of(self.ours)
 
     def difference_of(self, value: float | None) -> float | None:
-        """Return `difference` for another value."""
+        """Return `difference` for another value in `unit`."""
         if self.paper is None or value is None or self.paper == 0.0:
             return None
         return value / self.paper - 1.0

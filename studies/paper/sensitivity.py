@@ -32,7 +32,7 @@ def paper_sensitivity(
     Args:
         report: Result of `reproduce_paper`.
         changes: Runs, each as factor values; by default all of `docs/paper.md`.
-        progress: Called with the finished and the total number of conditions.
+        progress: If given, called with the finished and the total number of conditions.
 
     Raises:
         KeyError: A factor does not exist.

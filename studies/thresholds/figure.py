@@ -26,7 +26,7 @@ def draw_trade_off(found: TradeOff, path: str | PathLike[str] | None = None, col
 
     Args:
         found: Trade-off to draw.
-        path: Target picture, .png, .pdf or .svg.
+        path: Target picture, .png, .pdf or .svg; None writes no file.
         columns: Width in page columns.
 
     Raises:

@@ -97,7 +97,7 @@ class TradeOff(Struct, frozen=True, kw_only=True):
     def over(
         self, law: str, threshold: float, *, task: str | None = None, round_trip_s: float | None = None
     ) -> "Counts":
-        """Return the counts of a law and threshold over the tasks and round trips that are not given."""
+        """Return the counts of a `law` and `threshold`, of a `task` and `round_trip_s` in s; None sums over all."""
         rows = [
             row
             for row in self.rows
@@ -186,7 +186,7 @@ def measure_thresholds(
         bounds: Bounds of the hands; by default `HandBounds()`.
         overrides: Fields of each scene to change first, `table.key=value`.
         threads: Number of threads; by default the number of processors.
-        progress: Called with a description of the current run.
+        progress: If given, called with a description of the current run.
 
     Raises:
         ValueError: No hand, no release time, or a scene without a hand.

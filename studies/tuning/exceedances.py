@@ -49,7 +49,7 @@ class Boundary(Struct, frozen=True, kw_only=True):
         return self.grouping * gamma_quantile(share, self.order / self.grouping) / self.hours
 
     def interval_per_hour(self, confidence: float) -> tuple[float, float]:
-        """Return the equal-tailed interval of the rate in 1/h."""
+        """Return the equal-tailed interval of the rate in 1/h; `confidence` between 0 and 1."""
         tail = 0.5 * (1.0 - confidence)
         return self.quantile_per_hour(tail), self.quantile_per_hour(1.0 - tail)
 

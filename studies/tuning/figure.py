@@ -21,7 +21,7 @@ def draw_tuning(found: Tuning, path: str | PathLike[str] | None = None, columns:
 
     Args:
         found: Tuning to draw.
-        path: Target picture, .png, .pdf or .svg.
+        path: Target picture, .png, .pdf or .svg; None writes no file.
         columns: Width in page columns.
 
     Raises:

@@ -160,7 +160,7 @@ def tune(
         bounds: Bounds of the hands; by default `HandBounds()`.
         overrides: Fields of `[safety]` used by observers to change first, `safety.key=value`.
         threads: Number of threads; by default the number of processors.
-        progress: Called with a description of the current step.
+        progress: If given, called with a description of the current step.
 
     Raises:
         OSError: A file cannot be read.

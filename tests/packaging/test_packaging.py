@@ -158,7 +158,7 @@ def test_the_sdist_holds_the_sources_of_both_languages_once(sdist: Path) -> None
     rust = [
         str(path)
         for path in tree()
-        if path.parts[0] in CRATES and (path.suffix == ".rs" or path.parts[1] in {"src", "Cargo.toml"})
+        if path.parts[0] in CRATES and (path.suffix == ".rs" or path.parts[1] == "src" or path.name == "Cargo.toml")
     ]
     assert sorted(members) == sorted([*root, *rust, *(f"python/{name}" for name in packaged())])
 

@@ -1,7 +1,9 @@
 """Rules of the tree that no compiler checks: public names, clocks and imports between rooms."""
 
 import ast
+import contextlib
 import importlib
+import inspect
 import re
 import subprocess
 import sys
@@ -9,6 +11,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from haptether import _core
+from haptether.lazy_names import lazy_names
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "python" / "haptether"
@@ -31,6 +36,7 @@ MAY_IMPORT = {
 DRAWING = ("haptether.view.style", "haptether.view.figures")
 MAY_DRAW = frozenset({"bridge", "studies"})
 ROOMS = tuple(room for room in MAY_IMPORT if (PACKAGE / room).exists())
+PACKAGES = ("haptether", *(f"haptether.{room}" for room in ROOMS))
 
 # Only the runners and their threads may read a clock in Rust.
 CLOCK_OWNERS = ("live", "proxy", "recorder", "telemetry", "writer")
@@ -42,21 +48,98 @@ CLOCK = re.compile(
 HEAVY = ("casadi", "matplotlib", "pyvista", "scipy", "vtkmodules")
 
 
-@pytest.mark.parametrize("module", ["haptether", *(f"haptether.{room}" for room in ROOMS)])
+@pytest.mark.parametrize("module", PACKAGES)
 def test_a_star_import_gives_the_names_it_promises(module: str) -> None:
-    promised = getattr(importlib.import_module(module), "__all__", [])
+    promised = importlib.import_module(module).__all__
     names: dict[str, object] = {}
     exec(f"from {module} import *", names)
     assert sorted(promised) == sorted(set(promised))
     assert set(promised) <= names.keys()
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_a_room_that_offers_names_lists_them(room: str) -> None:
-    source = (ROOT / room / "__init__.py").read_text(encoding="utf-8")
-    statements = ast.parse(source).body
-    empty = all(isinstance(statement, ast.Expr) for statement in statements)
-    assert empty or hasattr(importlib.import_module(f"haptether.{room}"), "__all__")
+def public_objects(module: str) -> dict[str, object]:
+    """Return the classes and functions of ours that a package offers, whether or not `__all__` has them."""
+    package = importlib.import_module(module)
+    offered = {name: getattr(package, name) for name in dir(package) if not name.startswith("_")}
+    return {
+        name: value
+        for name, value in offered.items()
+        if (inspect.isclass(value) or inspect.isroutine(value))
+        and (value.__module__ or "").split(".")[0] == "haptether"
+        and value is not lazy_names
+    }
+
+
+@pytest.mark.parametrize("module", PACKAGES)
+def test_all_has_every_public_class_and_function(module: str) -> None:
+    assert sorted(set(public_objects(module)) - set(importlib.import_module(module).__all__)) == []
+
+
+def test_each_class_of_the_extension_is_where_its_name_says() -> None:
+    wrong = [
+        f"{kind.__module__}.{kind.__name__}"
+        for kind in filter(inspect.isclass, (getattr(_core, name) for name in _core.__all__))
+        if kind.__module__ != "haptether._core"
+        and kind.__name__ not in importlib.import_module(kind.__module__).__all__
+    ]
+    assert wrong == []
+
+
+@pytest.mark.parametrize("module", PACKAGES)
+def test_the_page_lists_every_public_name(module: str) -> None:
+    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    (names,) = re.findall(rf"^{re.escape(module)}: (.*(?:\n  .*)*)", page, re.MULTILINE)
+    assert " ".join(names.split()) == ", ".join(importlib.import_module(module).__all__)
+
+
+def described(name: str, value: object) -> Iterator[tuple[str, object]]:
+    """Yield a class with its methods and properties, or a function, each with its dotted name."""
+    yield name, value
+    if inspect.isclass(value):
+        for owner in value.__mro__:
+            if owner.__module__.split(".")[0] == "haptether":
+                for member in filter(lambda member: not member.startswith("_"), vars(owner)):
+                    found = inspect.getattr_static(value, member)
+                    if inspect.isroutine(found) or inspect.isgetsetdescriptor(found) or isinstance(found, property):
+                        yield f"{name}.{member}", getattr(value, member)
+
+
+def faults_of_help(name: str, value: object) -> Iterator[str]:
+    """Yield what `help()` of a public object lacks: a docstring, or the value of a default."""
+    if not (getattr(value, "__doc__", None) or "").strip():
+        yield f"{name}: no docstring"
+    if callable(value):
+        with contextlib.suppress(ValueError):  # an exception class has no signature
+            for parameter in inspect.signature(value).parameters.values():
+                if parameter.default is ...:
+                    yield f"{name}: the default of {parameter.name} is not shown"
+
+
+@pytest.mark.parametrize("module", PACKAGES)
+def test_help_explains_every_public_name_with_its_defaults(module: str) -> None:
+    offered = public_objects(module)
+    wrong = [
+        fault
+        for name, value in offered.items()
+        for each, part in described(name, value)
+        for fault in faults_of_help(each, part)
+    ]
+    assert wrong == []
+
+
+def test_faults_of_help_are_found() -> None:
+    class Undocumented:
+        @property
+        def size(self) -> float:
+            return 0.0
+
+        def scale(self, by: float = ...) -> float:  # type: ignore[assignment]
+            """Return the product."""
+            return by
+
+    Undocumented.__module__ = "haptether.example"
+    faults = [fault for each, part in described("X", Undocumented) for fault in faults_of_help(each, part)]
+    assert faults == ["X: no docstring", "X.size: no docstring", "X.scale: the default of by is not shown"]
 
 
 @pytest.mark.parametrize("room", ["numeric", *CRATES])

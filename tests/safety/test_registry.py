@@ -51,7 +51,7 @@ def test_controllers_of_a_scene_and_of_the_stub_are_those_of_the_registry() -> N
     hints = typing.get_type_hints(SafetyTable)
     assert hints["controllers"] == tuple[ControllerName, ...]
     stub = (ROOT / "python" / "haptether" / "_core.pyi").read_text(encoding="utf-8")
-    assert "controllers: Sequence[ControllerName] = ...," in stub
+    assert "controllers: Sequence[ControllerName] = ()," in stub
     assert SafetySettings(registered) == SafetySettings(registered[::-1])  # type: ignore[arg-type]
 
 

@@ -107,6 +107,11 @@ def describe_beside(
 ) -> list[Description]:  # fmt: skip
     """Describe runs shown side by side, with equal sizes and force scales.
 
+    Args:
+        of: Runs, each with its scene, if known, and its title.
+        arm: As for `describe`.
+        leader: As for `describe`.
+
     Raises:
         NothingRecordedError: A run has no signals.
         ValueError: The arm does not exist.

@@ -52,7 +52,10 @@ AXES = 3
 
 
 def panel(state: SideState, width: int = 80, height: int | None = None) -> RenderableType:
-    """Return all known data of a side in `width` columns; if `height` is too small, without spacing and events."""
+    """Return all known data of a side in `width` columns.
+
+    Without spacing and events if they do not fit into `height` lines; None for any height.
+    """
     whole = _panel(state, width, is_short=False)
     if height is None:
         return whole

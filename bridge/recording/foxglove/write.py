@@ -40,7 +40,7 @@ def write_foxglove(
     Args:
         target: File to write, with mode 0600.
         file: MCAP file of master or slave.
-        other: MCAP file of the other side.
+        other: MCAP file of the other side; by default one side.
         slave_begun_s: Start of the slave's run after the master's in s; by default from the wall clocks of both
             machines.
 

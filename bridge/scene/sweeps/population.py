@@ -139,7 +139,7 @@ class Population(Struct, frozen=True, kw_only=True):
             count: Number of hands.
             seed: Seed of the draws, 0 or more.
             scene: Scene whose missing parts exclude their traits; by default no trait is excluded.
-            points: Values between 0 and 1 by name of `dimensions`, in place of random numbers.
+            points: Values between 0 and 1 by name of `dimensions`, shape `(count,)` each; by default random numbers.
 
         Returns:
             Values by dotted path, each of shape (count,).

@@ -105,23 +105,23 @@ def sweep_to_file(
     Args:
         scene: A `Scene`, the name of a shipped scene, or the path of a TOML file.
         path: Target file, .csv, .parquet or .npz.
-        grid: Values by dotted path, as for `sweep`; the last path varies fastest.
-        samples: Values by dotted path, of equal length; each combination has them all.
-        population: Source of one hand per sample, as for `sweep`; the same in each combination.
+        grid: Values by dotted path, as for `sweep`, by default none; the last path varies fastest.
+        samples: Values by dotted path, of equal length, by default none; each combination has them all.
+        population: Source of one hand per sample, as for `sweep`, by default none; the same in each combination.
         seed: Seed of these hands, 0 or more.
-        ties: Paths that take the value of a varied path in each row.
+        ties: Paths that take the value of a varied path in each row; by default none.
         overrides: Fields to change for all rows, `table.key=value` each.
-        threads: How many threads; by default as many as there are processors.
-        lanes: Whether rows may be advanced side by side in one thread; the numbers are the same.
-        resume: Whether to go on with rows that are kept already.
-        replace: If true, a file that is there is replaced.
-        collect: Whether to return all rows, too.
-        engine: Where rows are computed, which does not change the file: by threads of this process, or by the workers
-            of a Dask cluster.
-        address: Of the scheduler of a cluster, "tcp://host:8786", whose workers have this version; none for worker
-            processes on this machine.
-        progress: Called from time to time with the number of rows that are done, those kept before included.
-        metrics: Columns to measure, as of `sweep`; by default all.
+        threads: Number of threads; by default the number of processors.
+        lanes: True to advance rows side by side in one thread; the numbers do not change.
+        resume: True to continue with the rows of an earlier, incomplete run.
+        replace: True to replace an existing file.
+        collect: True to also return all rows.
+        engine: "local" computes rows in threads of this process, "dask" in the workers of a Dask cluster. The file is
+            the same.
+        address: Scheduler of a cluster, "tcp://host:8786", whose workers have this version; by default worker processes
+            on this machine.
+        progress: If given, called repeatedly with the number of finished rows, earlier ones included.
+        metrics: Columns to measure, as for `sweep`; by default all.
 
     Raises:
         SceneError: A scene that cannot be built, a path that it does not have, or no row that can be built.

@@ -224,7 +224,10 @@ class RotationLegTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class OperatorRotationTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[operator.rotation]`: the hand turns the device. `tau_h = K_h log(R_target R^T) - B_h w`, up to its strength."""
+    """`[operator.rotation]`: the hand turns the device. `tau_h = K_h log(R_target R^T) - B_h w`, up to its strength.
+
+    Source: Hogan 1989 (impedance); Bullo and Murray 1999, section 4 (proportional control on SO(3)).
+    """
 
     stiffness: NonNegative = 2.0
     """K_h in N m/rad."""

@@ -176,7 +176,10 @@ class Box(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_fie
 
 
 class Spring(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="spring"):
-    """Spring that pushes and pulls everywhere: `F = K (anchor - x) - B V`."""
+    """Spring that pushes and pulls everywhere: `F = K (anchor - x) - B V`.
+
+    Source: paper Eq. 15, without its surface.
+    """
 
     anchor: PositionPerAxis = 0.0
     """Anchor in m."""

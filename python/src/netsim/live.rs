@@ -27,6 +27,7 @@ pub(super) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyProxy>()
 }
 
+#[documented]
 #[pyclass(name = "DirectionStatistics", module = "haptether.netsim", frozen, get_all)]
 #[derive(Clone)]
 pub(crate) struct PyDirectionStatistics {
@@ -65,6 +66,7 @@ impl From<DirectionStatistics> for PyDirectionStatistics {
     }
 }
 
+#[documented]
 #[pyclass(name = "ProxyStatistics", module = "haptether.netsim", frozen, get_all)]
 pub(crate) struct PyProxyStatistics {
     forward: PyDirectionStatistics,
@@ -107,6 +109,7 @@ impl From<ProxyStatistics> for PyProxyStatistics {
     }
 }
 
+#[documented]
 #[pyclass(name = "Proxy", module = "haptether.netsim")]
 pub(crate) struct PyProxy {
     thread: Option<JoinHandle<std::io::Result<ProxyStatistics>>>,
@@ -119,13 +122,15 @@ pub(crate) struct PyProxy {
     forward: String,
 }
 
+#[documented]
 #[pymethods]
 impl PyProxy {
     #[new]
     #[pyo3(signature = (
         *, listen, forward, forward_link, backward_link, seed=0, allow=Vec::new(), realtime=true, max_error_s=1e-3,
         log=None,
-    ))]
+    ), text_signature = "(*, listen, forward, forward_link, backward_link, seed=0, allow=(), realtime=True, \
+        max_error_s=1e-3, log=None)")]
     fn new(
         listen: &str,
         forward: &str,

@@ -81,13 +81,13 @@ pub(crate) fn direction_named(key: &str, name: &str) -> PyResult<Direction> {
     }
 }
 
-/// Check the settings of a link; raise `ValueError` if one is invalid.
+#[documented]
 #[pyfunction]
 fn check_link(settings: &str) -> PyResult<()> {
     link_settings(settings)?.validate().map_err(refuse)
 }
 
-/// Return the longest delay and the last scheduled change of a link, in s.
+#[documented]
 #[pyfunction]
 fn link_bounds(settings: &str) -> PyResult<(f64, f64)> {
     let settings = link_settings(settings)?;
@@ -95,7 +95,7 @@ fn link_bounds(settings: &str) -> PyResult<(f64, f64)> {
     Ok((settings.longest_delay_s(), settings.last_change_s()))
 }
 
-/// Read the contents of a link file; return the equivalent setting as JSON.
+#[documented]
 #[pyfunction]
 fn read_link_file(form: &str, data: &[u8], direction: &str) -> PyResult<String> {
     let direction = direction_named("direction", direction)?;
@@ -118,7 +118,7 @@ fn read_link_file(form: &str, data: &[u8], direction: &str) -> PyResult<String> 
     Ok(setting.map_err(refuse)?.to_string())
 }
 
-/// Translate arguments of `tc netem` to JSON: settings of a link, correlations and limit.
+#[documented]
 #[pyfunction]
 fn translate_netem(text: &str) -> PyResult<String> {
     let settings = netem::translate(text).map_err(refuse)?;
@@ -135,7 +135,7 @@ const TRUNCATED: u8 = 2;
 /// Code of the first cause of a drop; the codes of extra packets follow those of drops.
 const DROPPED: u8 = 3;
 
-/// Return the names of the codes of [`judge_packets`].
+#[documented]
 #[pyfunction]
 fn verdict_causes() -> Vec<&'static str> {
     ["", "corrupt", "truncate"]
@@ -186,7 +186,7 @@ impl Rows {
 /// Arrays of index, sending time, arrival time and code of the cause.
 type Columns = (Py<PyAny>, Py<PyAny>, Py<PyAny>, Py<PyAny>);
 
-/// Return the fate of each packet in one direction.
+#[documented]
 #[pyfunction]
 #[pyo3(signature = (settings, sent_ns, sizes, direction, seed))]
 fn judge_packets(

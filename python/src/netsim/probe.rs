@@ -39,6 +39,7 @@ fn panicked<T>(_: T) -> PyErr {
     PyRuntimeError::new_err("the measuring thread panicked")
 }
 
+#[documented]
 #[pyclass(name = "Echo", module = "haptether.netsim")]
 pub(crate) struct PyEcho {
     thread: Option<JoinHandle<io::Result<EchoStatistics>>>,
@@ -47,6 +48,7 @@ pub(crate) struct PyEcho {
     address: String,
 }
 
+#[documented]
 #[pymethods]
 impl PyEcho {
     #[new]
@@ -91,12 +93,14 @@ impl Drop for PyEcho {
     }
 }
 
+#[documented]
 #[pyclass(name = "Recording", module = "haptether.netsim", frozen)]
 pub(crate) struct PyRecording {
     inner: Recording,
     peer: SocketAddr,
 }
 
+#[documented]
 #[pymethods]
 impl PyRecording {
     fn __len__(&self) -> usize {
@@ -163,6 +167,7 @@ impl PyRecording {
     }
 }
 
+#[documented(record)]
 #[pyfunction]
 #[pyo3(name = "record", signature = (peer, *, rate_hz=1000.0, duration_s=10.0, realtime=true))]
 fn record_network(

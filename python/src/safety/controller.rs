@@ -22,12 +22,14 @@ use crate::{
     axes::{build_like, per_axes, refuse, with_axes},
 };
 
+#[documented]
 #[pyclass(name = "SafetySettings", module = "haptether.safety", frozen, eq)]
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) struct PySafetySettings {
     pub(crate) inner: SafetySettings,
 }
 
+#[documented]
 #[pymethods]
 impl PySafetySettings {
     #[classattr]
@@ -40,7 +42,11 @@ impl PySafetySettings {
         vfc_force_threshold_n=1.0, vfc_form="product", grasp_threshold=1.5, grasp_floor_n=1e-3,
         hsc_force_threshold_n=0.1, hsc_velocity_threshold=0.0, energy_threshold_j=-0.03, wsc_force_threshold_n=0.0,
         energy_ratio=0.5, window=100, pc_max_damping=10.0, hold_off_s=0.0, release_ramp_s=0.0, probe_force_n=0.0,
-        probe_threshold=0.2, release_tries=0))]
+        probe_threshold=0.2, release_tries=0), text_signature = "(controllers=(), *, damping=5.0, \
+        velocity_threshold=0.6, vfc_force_threshold_n=1.0, vfc_form='product', grasp_threshold=1.5, \
+        grasp_floor_n=1e-3, hsc_force_threshold_n=0.1, hsc_velocity_threshold=0.0, energy_threshold_j=-0.03, \
+        wsc_force_threshold_n=0.0, energy_ratio=0.5, window=100, pc_max_damping=10.0, hold_off_s=0.0, \
+        release_ramp_s=0.0, probe_force_n=0.0, probe_threshold=0.2, release_tries=0)")]
     fn new(
         controllers: Vec<String>,
         damping: f64,
@@ -109,18 +115,20 @@ per_axes!(
     SafetyController
 );
 
+#[documented]
 #[pyclass(name = "SafetyController", module = "haptether.safety")]
 pub(crate) struct PySafetyController {
     inner: AnyController,
     axes: usize,
 }
 
-/// Return the message of a fault's code; None for 0.
+#[documented]
 #[pyfunction]
 pub(super) fn fault_message(code: u8) -> Option<String> {
     Fault::from_code(code).map(|fault| fault.to_string())
 }
 
+#[documented]
 #[pyclass(name = "Intervention", module = "haptether.safety", frozen)]
 pub(crate) struct PyIntervention {
     #[pyo3(get)]
@@ -134,6 +142,7 @@ pub(crate) struct PyIntervention {
     observed: PerController<f64>,
 }
 
+#[documented]
 #[pyclass(name = "Interventions", module = "haptether.safety", frozen)]
 pub(crate) struct PyInterventions {
     #[pyo3(get)]
@@ -161,16 +170,27 @@ pub(super) fn add_observed(module: &Bound<'_, PyModule>) -> PyResult<()> {
                 let values = &given.cast::<PyInterventions>()?.get().observed[kind];
                 Ok(values.as_ref().map(|values| values.clone_ref(of.py())))
             };
-        for (class, getter) in [
-            (py.get_type::<PyIntervention>(), PyCFunction::new_closure(py, None, None, of_tick)?),
-            (py.get_type::<PyInterventions>(), PyCFunction::new_closure(py, None, None, of_run)?),
+        let (symbol, name) = (kind.observed().symbol, kind.about().name.to_uppercase());
+        for (class, getter, doc) in [
+            (
+                py.get_type::<PyIntervention>(),
+                PyCFunction::new_closure(py, None, None, of_tick)?,
+                format!("{symbol}; NaN without {name} or at a fault."),
+            ),
+            (
+                py.get_type::<PyInterventions>(),
+                PyCFunction::new_closure(py, None, None, of_run)?,
+                format!("{symbol}, shape `(n_ticks,)`; NaN at a fault, None without {name}."),
+            ),
         ] {
-            class.setattr(kind.observed().column, property.call1((getter,))?)?;
+            let none = py.None();
+            class.setattr(kind.observed().column, property.call1((getter, &none, &none, doc))?)?;
         }
     }
     Ok(())
 }
 
+#[documented]
 #[pymethods]
 impl PySafetyController {
     #[new]

@@ -14,16 +14,19 @@ per_axes!(
     DeviceModel
 );
 
+#[documented]
 #[pyclass(name = "DeviceModel", module = "haptether.safety", frozen)]
 pub(crate) struct PyDeviceModel {
     pub(crate) inner: AnyDevice,
     axes: usize,
 }
 
+#[documented]
 #[pymethods]
 impl PyDeviceModel {
     #[new]
-    #[pyo3(signature = (*, mass_kg, viscous=Sample::One(0.0), coulomb=Sample::One(0.0), axes=1))]
+    #[pyo3(signature = (*, mass_kg, viscous=Sample::One(0.0), coulomb=Sample::One(0.0), axes=1),
+        text_signature = "(*, mass_kg, viscous=0.0, coulomb=0.0, axes=1)")]
     fn new(mass_kg: Sample, viscous: Sample, coulomb: Sample, axes: usize) -> PyResult<Self> {
         let inner = build_axes!(
             axes,

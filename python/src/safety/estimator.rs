@@ -11,12 +11,14 @@ use crate::{
     axes::{build_axes, per_axes, refuse, with_axes},
 };
 
+#[documented]
 #[pyclass(name = "EstimatorKind", module = "haptether.safety", frozen, eq)]
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) struct PyEstimatorKind {
     pub(crate) inner: EstimatorKind,
 }
 
+#[documented]
 #[pymethods]
 impl PyEstimatorKind {
     #[new]
@@ -80,12 +82,14 @@ per_axes!(
 /// V, A and, if forces are given, the aligned forces.
 type EstimatedRun = (Py<PyAny>, Py<PyAny>, Option<Py<PyAny>>);
 
+#[documented]
 #[pyclass(name = "Estimator", module = "haptether.safety")]
 pub(crate) struct PyEstimator {
     inner: AnyAxes,
     axes: usize,
 }
 
+#[documented]
 #[pymethods]
 impl PyEstimator {
     #[new]

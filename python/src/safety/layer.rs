@@ -23,12 +23,14 @@ per_axes!(
     SafetyLayer
 );
 
+#[documented]
 #[pyclass(name = "SafetyLayer", module = "haptether.safety")]
 pub(crate) struct PySafetyLayer {
     inner: AnyLayer,
     axes: usize,
 }
 
+#[documented]
 #[pyclass(name = "SafetyTick", module = "haptether.safety", frozen, get_all)]
 pub(crate) struct PySafetyTick {
     velocity: Py<PyAny>,
@@ -43,6 +45,7 @@ pub(crate) struct PySafetyTick {
     owed_energy_j: f64,
 }
 
+#[documented]
 #[pyclass(name = "SafetyTicks", module = "haptether.safety", frozen, get_all)]
 pub(crate) struct PySafetyTicks {
     velocity: Py<PyAny>,
@@ -75,6 +78,7 @@ fn vectors<const N: usize>(tick: &SafetyTick<N>) -> [Axes<N>; 6] {
     [velocity, acceleration, *rendered_force, *grasp_force, intervention.safety_force, *device_force]
 }
 
+#[documented]
 #[pymethods]
 impl PySafetyLayer {
     #[new]

@@ -8,12 +8,14 @@ use crate::{
     axes::{build_axes, per_axes, refuse, with_axes},
 };
 
+#[documented]
 #[pyclass(name = "LimiterSettings", module = "haptether.safety", frozen, eq)]
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) struct PyLimiterSettings {
     pub(crate) inner: LimiterSettings,
 }
 
+#[documented]
 #[pymethods]
 impl PyLimiterSettings {
     #[new]
@@ -33,12 +35,14 @@ per_axes!(
     Limiter
 );
 
+#[documented]
 #[pyclass(name = "Limiter", module = "haptether.safety")]
 pub(crate) struct PyLimiter {
     inner: AnyLimiter,
     axes: usize,
 }
 
+#[documented]
 #[pymethods]
 impl PyLimiter {
     #[new]

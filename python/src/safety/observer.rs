@@ -131,6 +131,7 @@ per_axes!(
 /// Methods shared by all observers of an [`Observation`].
 macro_rules! observation_methods {
     ($class:ident, $any:ident, $observer:ident, $seen:ident => $step:expr) => {
+        #[documented]
         #[pymethods]
         impl $class {
             fn step(&mut self, velocity: Sample, rendered_force: Sample, grasp_force: Sample) -> PyResult<f64> {
@@ -155,12 +156,14 @@ macro_rules! observation_methods {
     };
 }
 
+#[documented]
 #[pyclass(name = "VelocityForceObserver", module = "haptether.safety")]
 pub(crate) struct PyVelocityForceObserver {
     inner: AnyVfo,
     axes: usize,
 }
 
+#[documented]
 #[pymethods]
 impl PyVelocityForceObserver {
     #[new]
@@ -175,12 +178,14 @@ impl PyVelocityForceObserver {
 
 observation_methods!(PyVelocityForceObserver, AnyVfo, observer, seen => observer.0.observe(&seen));
 
+#[documented]
 #[pyclass(name = "HandGraspObserver", module = "haptether.safety")]
 pub(crate) struct PyHandGraspObserver {
     inner: AnyHgo,
     axes: usize,
 }
 
+#[documented]
 #[pymethods]
 impl PyHandGraspObserver {
     #[new]
@@ -193,12 +198,14 @@ impl PyHandGraspObserver {
 
 observation_methods!(PyHandGraspObserver, AnyHgo, observer, seen => observer.0.observe(&seen));
 
+#[documented]
 #[pyclass(name = "SafetyObserver", module = "haptether.safety")]
 pub(crate) struct PySafetyObserver {
     inner: AnySo,
     axes: usize,
 }
 
+#[documented]
 #[pymethods]
 impl PySafetyObserver {
     #[new]
@@ -216,12 +223,14 @@ impl PySafetyObserver {
 
 observation_methods!(PySafetyObserver, AnySo, observer, seen => observer.step(&seen));
 
+#[documented]
 #[pyclass(name = "WindowedSafetyObserver", module = "haptether.safety")]
 pub(crate) struct PyWindowedSafetyObserver {
     inner: AnyWso,
     axes: usize,
 }
 
+#[documented]
 #[pymethods]
 impl PyWindowedSafetyObserver {
     #[new]
@@ -239,12 +248,14 @@ impl PyWindowedSafetyObserver {
 
 observation_methods!(PyWindowedSafetyObserver, AnyWso, observer, seen => observer.step(&seen));
 
+#[documented]
 #[pyclass(name = "PassivityObserver", module = "haptether.safety")]
 pub(crate) struct PyPassivityObserver {
     inner: AnyPo,
     axes: usize,
 }
 
+#[documented]
 #[pymethods]
 impl PyPassivityObserver {
     #[new]

@@ -3,11 +3,13 @@
 use haptether_safety::{MIN_RENEWAL, Renewal, Stamped};
 use pyo3::prelude::*;
 
+#[documented]
 #[pyclass(name = "Renewal", module = "haptether.safety")]
 pub(crate) struct PyRenewal {
     inner: Renewal,
 }
 
+#[documented]
 #[pymethods]
 impl PyRenewal {
     #[classattr]

@@ -3,12 +3,14 @@
 use haptether_safety::SampleBounds;
 use pyo3::prelude::*;
 
+#[documented]
 #[pyclass(name = "SampleBounds", module = "haptether.safety", frozen, eq)]
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) struct PySampleBounds {
     pub(crate) inner: SampleBounds,
 }
 
+#[documented]
 #[pymethods]
 impl PySampleBounds {
     #[new]

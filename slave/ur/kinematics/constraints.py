@@ -36,12 +36,20 @@ class WorkspacePlane(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     normal: tuple[float, float, float]
     """Unit normal towards the allowed side."""
     offset_m: float
+    """Distance of the plane from the origin in m, along the normal."""
     whole_arm: bool = False
     """True to apply to the balls of elbow, forearm, wrist and flange, as for a table; False for the tool point only."""
 
     @classmethod
     def through(cls, nx: float, ny: float, nz: float, d: float) -> "WorkspacePlane":
-        """Return the plane `n . p = d` for the tool point, with a normal of any length above 0."""
+        """Return the plane `n . p = d` for the tool point.
+
+        Args:
+            nx: x of a normal n towards the allowed side, without unit, of any length above 0.
+            ny: y of n.
+            nz: z of n.
+            d: Offset in m times |n|.
+        """
         length = math.hypot(nx, ny, nz)
         return cls(normal=(nx / length, ny / length, nz / length), offset_m=d / length)
 
