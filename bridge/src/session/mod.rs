@@ -8,18 +8,18 @@
 //! [`SessionEnd`] runs both halves on one thread. None of the three owns a clock, a socket or a source of
 //! randomness. `docs/protocol.md` describes the bytes on the wire and the reasons for them.
 //!
-//! [`Session::standing`] returns the state of the session that the handshake needs.
+//! [`Session::status`] returns the state of the session that the handshake needs.
 //!
 //! Calls:
 //!
 //! ```text
 //! each datagram:  session.open(now, bytes)?
 //!                   Payload    -> the frame inside
-//!                   Handshake  -> handshake.receive(now, from, bytes, &session.standing(now), entropy)?
+//!                   Handshake  -> handshake.receive(now, from, bytes, &session.status(now), entropy)?
 //!                                   reply -> send it;  keys -> session.install(now, keys)
 //!                   Release    -> the peer has ended the session
 //! each tick:      session.advance(now); session.seal(now, frame, buffer)? -> send it
-//! each 10 ms:     handshake.poll(now, &session.standing(now), entropy)? -> send it
+//! each 10 ms:     handshake.poll(now, &session.status(now), entropy)? -> send it
 //! ```
 
 mod budget;
