@@ -49,6 +49,11 @@ impl<const N: usize> DeviceModel<N> {
         self.mass.min()
     }
 
+    /// Return the mass of the lightest axis in kg.
+    pub(crate) fn lightest(&self) -> f64 {
+        self.mass.min()
+    }
+
     /// Return the largest Coulomb friction of any axis in N; a larger force overcomes friction on every axis.
     pub fn largest_coulomb(&self) -> f64 {
         self.coulomb.max()

@@ -62,6 +62,8 @@ pub struct SafetyLayer<const N: usize, S = f64> {
     fault: Option<Fault>,
     /// Present only in simulated runs that configure one.
     research: Option<Research>,
+    /// Largest acceleration in m/s² (rad/s²) by the motors alone.
+    acceleration: f64,
     /// Sample guard and held ticks; used with one scenario only.
     entry: Entry<N>,
 }
@@ -131,7 +133,7 @@ impl<const N: usize> SafetyLayer<N> {
     /// Create a layer for a device at rest, without force.
     pub fn new(settings: &LayerSettings<N>) -> Result<Self, ParameterError> {
         let LayerSettings { device, period_s, estimator, safety, limiter } = settings;
-        Ok(Self {
+        let layer = Self {
             device: *device,
             period_s: *period_s,
             estimator: estimator.build(*period_s)?,
@@ -150,18 +152,21 @@ impl<const N: usize> SafetyLayer<N> {
             device_force: Axes::zeros(),
             fault: None,
             research: None,
-            entry: Entry::new(Guard::new(
-                SampleBounds::of_axes(N),
-                SampleBounds::LINEAR.at_lever(DEFAULT_LEVER_M),
-                *period_s,
-            )),
-        })
+            acceleration: limiter.max_force_n / device.lightest(),
+            entry: Entry::new(Guard::new(SampleBounds::UNBOUNDED, SampleBounds::UNBOUNDED, *period_s)),
+        };
+        Ok(layer.with_samples(SampleBounds::of_axes(N)))
+    }
+
+    /// Bounds that the motors of this device cannot exceed by themselves, see [`SampleBounds::with_acceleration`].
+    pub(crate) fn reachable(&self, bounds: SampleBounds) -> SampleBounds {
+        bounds.with_acceleration(self.acceleration, self.period_s)
     }
 
     /// Set the sample bounds of position and rotation. Call this before the first tick.
     #[must_use]
     pub(crate) fn guarded(mut self, bounds: SampleBounds, rotation: SampleBounds, period_s: f64) -> Self {
-        self.entry = Entry::new(Guard::new(bounds, rotation, period_s));
+        self.entry = Entry::new(Guard::new(self.reachable(bounds), rotation, period_s));
         self
     }
 
@@ -500,6 +505,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
             return None;
         }
         Some(Self {
+            acceleration: of.first()?.acceleration,
             entry: of.first()?.entry.clone(),
             device: part(of, |one| &one.device, DeviceModel::gather)?,
             period_s: shared(of, |one| one.period_s)?,

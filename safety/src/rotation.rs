@@ -119,6 +119,12 @@ pub struct RotationLayer {
     turned: Axes<3>,
 }
 
+/// Guard the rotation of a layer.
+fn guarded(layer: SafetyLayer<3>, bounds: SampleBounds, period_s: f64) -> SafetyLayer<3> {
+    let bounds = layer.reachable(bounds);
+    layer.guarded(SampleBounds::UNBOUNDED, bounds, period_s)
+}
+
 impl RotationLayer {
     /// Create a layer for a device at rest, without torque.
     pub fn new(settings: &RotationSettings) -> Result<Self, ParameterError> {
@@ -127,7 +133,7 @@ impl RotationLayer {
             SafetyLayer::new(&LayerSettings { device: device.axes, period_s, estimator, safety, limiter })?;
         let bounds = SampleBounds::LINEAR.at_lever(DEFAULT_LEVER_M);
         Ok(Self {
-            layer: layer.guarded(SampleBounds::UNBOUNDED, bounds, period_s),
+            layer: guarded(layer, bounds, period_s),
             period_s,
             gyroscope: Gyroscope { device, last: None },
             max_turn: MAX_TURN.min(Signal::AngularVelocity.bound() * period_s),
@@ -139,8 +145,13 @@ impl RotationLayer {
     /// Replace the default sample bounds, those of a point at a lever of 0.05 m. Call this before the first tick.
     #[must_use]
     pub fn with_samples(self, bounds: SampleBounds) -> Self {
-        let layer = self.layer.guarded(SampleBounds::UNBOUNDED, bounds, self.period_s);
+        let layer = guarded(self.layer, bounds, self.period_s);
         Self { layer, ..self }
+    }
+
+    /// Bounds that the motors of this device cannot exceed by themselves.
+    pub(crate) fn reachable(&self, bounds: SampleBounds) -> SampleBounds {
+        self.layer.reachable(bounds)
     }
 
     /// Compute one tick from orientation R, angular velocity w in rad/s and the requested torque in N m.

@@ -93,7 +93,7 @@ impl<const N: usize> WrenchLayer<N> {
     /// Replace the sample bounds of position and rotation. Call this before the first tick.
     #[must_use]
     pub fn with_samples(mut self, bounds: SampleBounds, rotation: SampleBounds) -> Self {
-        self.translation = self.translation.guarded(bounds, rotation, self.period_s);
+        self.translation = self.translation.guarded(bounds, self.rotation.reachable(rotation), self.period_s);
         self
     }
 

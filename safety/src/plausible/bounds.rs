@@ -70,6 +70,19 @@ impl SampleBounds {
         }
     }
 
+    /// Bounds of a device whose motors alone may change its velocity by more than dV in a period.
+    ///
+    /// A release under the force `F_max` changes V by `F_max dT / m`. That motion is true: held samples would delay
+    /// the controllers. `dV = min(max(dV, 1.1 F_max dT / m), V_max)`; the tenth is for rounding and friction.
+    pub(crate) fn with_acceleration(self, acceleration: f64, period_s: f64) -> Self {
+        let own = 1.1 * acceleration * period_s;
+        // Without a limit on the force nothing is known of the acceleration.
+        if own > self.velocity_change && own.is_finite() {
+            return Self { velocity_change: own.min(self.speed.max(self.velocity_change)), ..self };
+        }
+        self
+    }
+
     /// Convert the bounds to units per tick of `period_s`.
     pub(super) fn per_tick(self, period_s: f64) -> PerTick {
         let Self { speed, velocity_change, quantum, per_axis } = self;
