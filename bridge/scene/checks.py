@@ -38,6 +38,8 @@ from haptether.bridge.scene.tables.slave import (
 SLAVE_PERIOD_S = (1e-5, 2e-2)
 MAX_REFERENCE_M = 10.0
 """Largest distance in m of a reference point from the tool point."""
+MAX_AIM_M = 2.0
+"""Largest distance in m of a target from the origin."""
 JERK_DENSITIES = {"kalman": ("jerk_density",), "dual-kalman": ("velocity_jerk_density", "jerk_density")}
 """Keys that set the bandwidth of each Kalman filter."""
 KALMAN_BANDWIDTH = (1e-3, 10.0)
@@ -67,6 +69,8 @@ def contradictions(scene: Scene) -> Iterator[SceneError]:
         yield from _operator(scene.operator)
         if scene.slave is None and scene.operator.clutch != "auto":
             yield contradiction(("operator", "clutch"), "needs an arm to let go of: add [slave] or leave it out")
+        if scene.operator.aims is not None:
+            yield from _aimed(scene)
         if scene.operator.trigger and (scene.slave is None or scene.slave.gripper is None):
             yield contradiction(("operator", "trigger"), "leads no gripper: add [slave.gripper] or leave it out")
     yield from _kind(scene)
@@ -119,6 +123,8 @@ def _operator(table: OperatorTable) -> Iterator[SceneError]:
         if not 0.0 <= position <= 1.0:
             yield wrong((*path, 1), position, "0 (open) to 1 (closed)")
         before_s = at_s
+    if table.aims is not None:
+        yield from _aims(table)
     if table.recorded is not None:
         if table.legs:
             yield contradiction(("operator", "recorded"), "stands instead of legs: give one of the two")
@@ -140,6 +146,39 @@ def _operator(table: OperatorTable) -> Iterator[SceneError]:
                 ("operator", "release", "kind"),
                 'a strength without bound does not decay: give grip_strength_n, or kind = "gain"',
             )
+
+
+_NOT_BESIDE_AIMS = (
+    "stiffness", "damping", "grip_strength_n", "legs", "recorded", "release", "regrasp", "tremor"
+)  # fmt: skip
+
+
+def _aims(table: OperatorTable) -> Iterator[SceneError]:
+    assert table.aims is not None
+    default = OperatorTable()
+    for key in _NOT_BESIDE_AIMS:
+        if getattr(table, key) != getattr(default, key):
+            yield contradiction(("operator", key), "each aim says it, or replaces it: leave it out, or [operator.aims]")
+    path: Path = ("operator", "aims")
+    if table.aims.file is not None and table.aims.rows:
+        yield contradiction((*path, "file"), "either file, or rows")
+    for index, (before, after) in enumerate(pairwise(table.aims.rows), start=1):
+        if after.at_s < before.at_s:
+            yield wrong((*path, "rows", index, "at_s"), after.at_s, f"at least that of the row before, {before.at_s:g}")
+    for index, row in enumerate(table.aims.rows):
+        if isinstance(row.target, tuple) and hypot(*row.target) > MAX_AIM_M:
+            yield wrong((*path, "rows", index, "target"), row.target, f"within {MAX_AIM_M:g} m of the origin")
+
+
+def _aimed(scene: Scene) -> Iterator[SceneError]:
+    """Check that an aimed hand holds a model of a point that leads an arm."""
+    path: Path = ("operator", "aims")
+    if scene.slave is None:
+        yield contradiction(path, "needs an arm to lead: add [slave] or leave it out")
+    if side_kind(scene.master) != "linear":
+        yield contradiction(path, f'moves a point: kind = "linear", not "{side_kind(scene.master)}"')
+    if scene.master.driver is not None:
+        yield contradiction(path, "aims a model: leave it out, or [master] driver")
 
 
 def _buttons(scene: Scene) -> Iterator[SceneError]:
