@@ -264,7 +264,7 @@ class FingerTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
 
 
 class AimTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[[operator.aims.rows]]`: the target moves linearly to `target`; the hand opens 0.4 s later without a next aim."""
+    """`[[operator.aims.rows]]`: a leg of the target. The hand opens 0.4 s later unless another aim follows."""
 
     at_s: Seconds
     """Time in s since the start of the run."""

@@ -470,6 +470,28 @@ mod tests {
     }
 
     #[test]
+    fn push_asked_for_acts_from_its_time_and_replaces_the_last() {
+        let mut environment = Environment::new(Vec::new(), vec![pusher(0, 0.1, 0.2, 0.0)]).to_be_pushed();
+        let [x, v] = [Axes::<1>::zeros(); 2];
+        let push = |force: f64| Push { force_n: Axes::<1>::new(force), duration_s: 0.5 };
+        environment.push_from(f64::INFINITY);
+        assert!(!environment.ask(&push(2.0), 0.5), "the time of the pushers has not begun");
+        environment.push_from(1.0);
+        assert!(environment.ask(&push(2.0), 2.0) && environment.is_push_linear);
+        for (at, force) in [(1.15, -3.0), (1.999, 0.0), (2.0, 2.0), (2.499, 2.0), (2.5, 0.0)] {
+            assert_eq!(environment.force(&x, &v, at)[0], force, "{at}");
+        }
+        assert!(environment.ask(&push(5.0), 2.1) && environment.ask(&push(7.0), 2.3));
+        for (at, force) in [(2.2, 0.0), (2.3, 7.0), (2.79, 7.0), (2.8, 0.0)] {
+            assert_eq!(environment.force(&x, &v, at)[0], force, "{at}");
+        }
+        for invalid in [push(30.1), push(f64::NAN), Push { duration_s: 0.009, ..push(1.0) }] {
+            assert!(!environment.ask(&invalid, 3.0));
+        }
+        assert!(!Environment::empty().ask(&push(1.0), 3.0), "an environment that takes no pushes");
+    }
+
+    #[test]
     fn stretch_is_kept_until_its_origin_changes() {
         let mut environment = Environment::new(Vec::new(), vec![pusher(0, 0.1, 0.2, 0.0)]);
         environment.push_from(1.0);
