@@ -2474,8 +2474,8 @@ class LiveMaster(_MasterSide):
         min_free_bytes: Free bytes on the disk below which the recording ends, and nothing else.
         telemetry: A Unix socket of this path sends samples and events, see `TelemetryReader`; the loop waits for no
             reader.
-        control: A Unix socket of this path takes requests (docs/console.md): stop, press and hold, scales. A thread of
-            its own serves it without the interpreter.
+        control: A Unix socket of this path takes requests (docs/console.md): stop, press and hold, scales, aims. A
+            thread of its own serves it without the interpreter.
 
     Raises:
         ValueError: An address or `realtime` is invalid; a time is outside 0 to 1e9 s; a start is in the future; a key
