@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from haptether.cli.live.slave import Slave
     from haptether.cli.shared.stop import Stopped
     from haptether.cli.view.console import Console
+    from haptether.cli.view.try_ import Try
 
 READY_S = 60.0
 """Time in s that a driver may take to open its device."""
@@ -36,7 +37,7 @@ LOADED_S = time.monotonic()
 """Load time of this module, where the system does not tell when the process began."""
 
 
-def live_scene(command: "Master | Slave | CheckLink | Console", instead: Iterable[str]) -> "Scene | None":
+def live_scene(command: "Master | Slave | CheckLink | Console | Try", instead: Iterable[str]) -> "Scene | None":
     """Return the scene of a live command, if it names one; then its options `instead` must not be given.
 
     Raises:
