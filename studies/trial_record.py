@@ -128,7 +128,7 @@ def _csv(aims: Iterable[tuple[float, Aim]]) -> str:
         numbers = (at_s, *aim.target, OVER_S, aim.stiffness, aim.damping, aim.strength_n)
         rows.append(",".join(map(repr, numbers)))
         axes = ",".join(AXES[: len(aim.target)])
-    return "\n".join([f"t,{axes},over_s,stiffness,damping,strength_n", *rows]) + "\n"
+    return "\n".join([f"time_s,{axes},over_s,stiffness,damping,strength_n", *rows]) + "\n"
 
 
 def _changes(run: PairRun, aims: Path) -> list[str]:

@@ -107,7 +107,7 @@ async function beat(mine, master, token) {
     // The press counts even if it was let go while the answer was on its way.
     mine.left.delete(master);
     if (hold === mine && !mine.left.size) end();
-    say(`${master}: ${answer.text}`);
+    say(operator.masters.length > 1 && !mine.left.size ? "both clutches are pressed" : `${master}: ${answer.text}`);
     checkPress(master, mine.presses[master]);
   } else if (hold !== mine) {
     return;

@@ -16,16 +16,16 @@ const WALL = [
   ["Let go of the button.", seen => let_go(seen, 0.5 * PRESSED_N)],
 ];
 const LESSONS = [
-  { name: "1  Let go at a wall", steps: WALL,
+  { name: "1 Let go at a wall", steps: WALL,
     learnt: speeds => `The wall pushes what no hand holds any more: ${speeds}. A controller damps only the stylus that no hand holds.` },
-  { name: "2  An unexpected push", steps: [
+  { name: "2 An unexpected push", steps: [
     WALL[0],
     ["Hold the stylus near the wall, with a light touch.", seen => hand.by],
     ["Press P: something pushes both remote arms for 2 s.", seen => seen.releases.some(row => row.kind === "push" && row.number > lessons.since)],
     ["Let go while it still pushes.", seen => let_go(seen, 0.5)]],
     learnt: speeds => `The push came through the network to the stylus: ${speeds}.` },
-  { name: "3  The same at 200 ms", steps: [
-    ["Set the delay to 200 ms: the force you feel is old.", seen => seen.network.delay_s >= 0.195],
+  { name: "3 The same at 200 ms", steps: [
+    ["Set the delay to 200 ms. Both sides hold, because nothing arrives for so long.", seen => seen.network.delay_s >= 0.195],
     ...WALL],
     learnt: speeds => `With the delay the force lasts longer than the contact: ${speeds}.` },
 ];

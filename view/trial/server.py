@@ -31,21 +31,27 @@ FILES = {
 }
 
 
+MIN_WALL, MAX_WALL = 10.0, 1000.0
+"""Bounds of the stiffness of the wall in N/m."""
+MAX_DELAY_S, MAX_JITTER_S, MAX_LOSS = 0.5, 0.05, 0.5
+"""Bounds of the network; the lower ones are 0."""
+
+
 class Network(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Network of all pairs, the same each way."""
 
-    delay_s: Annotated[float, Meta(ge=0.0, le=0.5)] = 0.05
+    delay_s: Annotated[float, Meta(ge=0.0, le=MAX_DELAY_S)] = 0.05
     """Mean delay in s."""
-    jitter_s: Annotated[float, Meta(ge=0.0, le=0.05)] = 0.005
+    jitter_s: Annotated[float, Meta(ge=0.0, le=MAX_JITTER_S)] = 0.005
     """Standard deviation of the delay in s."""
-    loss: Annotated[float, Meta(ge=0.0, le=0.5)] = 0.01
+    loss: Annotated[float, Meta(ge=0.0, le=MAX_LOSS)] = 0.01
     """Probability of loss."""
 
 
 class Choice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the bridges that a restart applies."""
 
-    wall_stiffness: Annotated[float, Meta(ge=10.0, le=1000.0)] = 100.0
+    wall_stiffness: Annotated[float, Meta(ge=MIN_WALL, le=MAX_WALL)] = 100.0
     """Stiffness of the wall in N/m."""
     controllers: dict[str, str] = {}
     """Controller by pair; "none" for none."""

@@ -120,7 +120,8 @@ function showTrial(now) {
 // ---------------------------------------------------------------------------------------------------- state of a pair
 
 const STOPPED = "Press Restart, then hold Engage.";
-const ADVICE = { disengaged: "Hold Engage for a second.", hold: "Release clutch, then hold Engage; or press Restart.", stop: STOPPED, fault: STOPPED };
+const HOLD = "Hold Engage for a second.";
+const ADVICE = { disengaged: HOLD, hold: HOLD, stop: STOPPED, fault: STOPPED };
 
 function showPair(name, sides) {
   if (!shownPairs[name]) {
@@ -138,8 +139,8 @@ function showPair(name, sides) {
     parts.push(element("div", state.toUpperCase(), `state ${isOver ? "stop" : state}`));
     parts.push(element("div", isOver ? STOPPED : ADVICE[state] || "", state === "disengaged" ? "" : "trouble"));
     const facts = element("p", "", "facts");
-    if (master.reason) facts.append(element("div", `reason: ${master.reason}`));
     if (!isOver) {
+      facts.append(element("div", `reason: ${master.reason || "none"}`));
       facts.append(element("div", `clutch: ${master.clutch ? "closed" : "open"}`));
       facts.append(element("div", `arm: ${slave && !slave.has_ended ? slave.state : "ended"}`));
     }
@@ -156,7 +157,7 @@ function observer(one) {
   fill.style.width = Math.min(1, one.share || 0) * 100 + "%";
   fill.className = one.share >= 1 ? "over" : one.share >= 0.5 ? "near" : "";
   bar.append(fill);
-  line.append(element("b", one.name), ` ${one.symbol} = ${one.value === null ? "-" : one.value.toPrecision(2)}, trips ${one.above ? "above" : "below"} ${one.threshold} `,
+  line.append(element("b", one.name), ` ${one.symbol} = ${one.value === null ? "-" : one.value.toPrecision(2)}, trips ${one.above ? "above" : "below"} ${Number(one.threshold.toPrecision(3))} `,
     element("span", one.tripped ? "TRIPPED" : "armed", one.tripped ? "tripped" : "armed"), bar);
   return line;
 }

@@ -67,30 +67,49 @@ class Try(FileOptions):
             OSError: The port is taken, or the folder is not empty.
             RuntimeError: A side did not start, or the extra is not installed.
         """
-        import msgspec
-
         from haptether.cli.live.sides import live_scene
         from haptether.cli.shared.stop import Stopped
         from haptether.studies.processes import Interrupted
         from haptether.studies.trial import TrialBridges
         from haptether.studies.trial_record import TrialRecord
-        from haptether.view.trial.server import Choice, Network, Trial
+        from haptether.view.trial.server import (
+            MAX_DELAY_S,
+            MAX_JITTER_S,
+            MAX_LOSS,
+            MAX_WALL,
+            MIN_WALL,
+            Choice,
+            Network,
+            Trial,
+        )
 
         require("the page", "starlette", "uvicorn", "websockets", extra="console")
         if not 0 <= self.port <= 65535:
             message = f"port = {self.port}: must be 0 to 65535"
             raise ValueError(message)
-        network, choice = (
-            msgspec.convert(values, kind)
-            for values, kind in (
-                ({"delay_s": self.delay_s, "jitter_s": self.jitter_s, "loss": self.loss}, Network),
-                ({"wall_stiffness": self.wall_stiffness,
-                  "controllers": dict(zip(NAMES, (self.left, self.right), strict=True))}, Choice),
-            )
-        )  # fmt: skip
+        for name, value, low, high in (
+            ("wall_stiffness", self.wall_stiffness, MIN_WALL, MAX_WALL),
+            ("delay_s", self.delay_s, 0.0, MAX_DELAY_S),
+            ("jitter_s", self.jitter_s, 0.0, MAX_JITTER_S),
+            ("loss", self.loss, 0.0, MAX_LOSS),
+        ):
+            if not low <= value <= high:
+                message = f"{name} = {value:g}: must be {low:g} to {high:g}"
+                raise ValueError(message)
+        network = Network(delay_s=self.delay_s, jitter_s=self.jitter_s, loss=self.loss)
+        controllers: dict[str, str] = dict(zip(NAMES, (self.left, self.right), strict=True))
+        choice = Choice(wall_stiffness=self.wall_stiffness, controllers=controllers)
         # An invalid scene is reported here in one line, not by a process that fails to start.
         scene = live_scene(self, ())
         assert scene is not None
+        if scene.operator is None or scene.operator.aims is None:
+            message = (
+                f"scene = {self.scene}: has no [operator.aims]: a page aims only a hand that the scene leaves to it"
+            )
+            raise ValueError(message)
+        if scene.environment is None or not scene.environment.objects:
+            message = f"scene = {self.scene}: has no [[environment.objects]], whose stiffness the page sets"
+            raise ValueError(message)
         self._make_folder()
         with Stopped() as stopped, contextlib.ExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="haptether-try-")))
