@@ -3,9 +3,12 @@
 import threading
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
+
+from msgspec.structs import replace
 
 from haptether.bridge import (
+    PusherTable,
     Scene,
     TelemetryChange,
     TelemetryEnd,
@@ -15,13 +18,32 @@ from haptether.bridge import (
     save_scene,
 )
 from haptether.private_file import write_private
-from haptether.studies.trial import TrialBridges, run_name
+from haptether.studies.trial import run_name
 from haptether.view.trial.hand import OVER_S, Aim, Push
-from haptether.view.trial.server import Network
+from haptether.view.trial.server import Choice, Network
 
 AFTER_S = 2.0
 """Time in s in a scene after the last aim."""
 AXES = "xyz"
+
+
+class Recorded(Protocol):
+    """Used part of `TrialBridges`."""
+
+    @property
+    def runs(self) -> int:
+        """Number of starts."""
+
+    @property
+    def choice(self) -> Choice:
+        """Settings of the newest start."""
+
+    @property
+    def network(self) -> Network:
+        """Network at present."""
+
+    def changes(self, pair: str, choice: Choice) -> tuple[str, ...]:
+        """Return the changes of the scene by which a pair runs."""
 
 
 class PairRun:
@@ -53,7 +75,7 @@ class TrialRecord:
         folder: Folder of the files.
     """
 
-    def __init__(self, bridges: TrialBridges, scene: Scene, folder: Path) -> None:
+    def __init__(self, bridges: Recorded, scene: Scene, folder: Path) -> None:
         self._bridges = bridges
         self._scene = scene
         self._folder = folder
@@ -106,6 +128,7 @@ class TrialRecord:
         aims = self._folder / f"{run.name}-aims.csv"
         write_private(aims, _csv(run.aims).encode())
         scene = override_scene(self._scene, [*run.changes, *_changes(run, aims.resolve())])
+        scene = _pushed(scene, run)
         network = "; the delay, jitter or loss was changed later" if run.has_other_network else ""
         comment = f"What a person did in `haptether try`, pair {pair}{network}."
         save_scene(scene, self._folder / f"{run.name}.toml", comment)
@@ -141,6 +164,18 @@ def _changes(run: PairRun, aims: Path) -> list[str]:
         for name in link.__struct_fields__:
             found[f"link.{direction}.{name}"] = getattr(link, name)
     return [f"{key}={_toml(value)}" for key, value in found.items()]
+
+
+def _pushed(scene: Scene, run: PairRun) -> Scene:
+    """Return the scene with the pushes, whose times count from the engagement."""
+    if run.engaged_s is None or not run.pushes or scene.environment is None:
+        return scene
+    pushers = tuple(
+        PusherTable(at_s=max(0.0, at_s - run.engaged_s), duration_s=push.duration_s, force_n=push.force)
+        for at_s, push in run.pushes
+    )
+    environment = replace(scene.environment, pushers=(*scene.environment.pushers, *pushers))
+    return replace(scene, environment=environment)
 
 
 def _toml(value: object) -> str:
