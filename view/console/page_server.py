@@ -84,9 +84,12 @@ class PageServer:
         OSError: The port is in use, or there are too few descriptors.
     """
 
+    descriptors = DESCRIPTORS
+    """Largest number of descriptors needed."""
+
     def __init__(self, pairs: Sequence[Pair], files: Mapping[str, Path], listeners: Mapping[str, Listener], *,
                  port: int = 0) -> None:  # fmt: skip
-        _check_descriptors()
+        _check_descriptors(self.descriptors)
         self._socket = socket.create_server(("127.0.0.1", port), backlog=BACKLOG)
         # Data that a page does not read waits here, not in the system.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
@@ -312,18 +315,18 @@ class PageServer:
         return self._stopping
 
 
-def _check_descriptors() -> None:
-    """Allocate the largest number of descriptors that the console needs, and release them.
+def _check_descriptors(needed: int) -> None:
+    """Allocate as many descriptors as the server needs at most, and release them.
 
     Raises:
         OSError: There are too few descriptors.
     """
     taken: list[int] = []
     try:
-        while len(taken) < DESCRIPTORS:
+        while len(taken) < needed:
             taken.append(os.open(os.devnull, os.O_RDONLY))
     except OSError as error:
-        message = f"the console needs {DESCRIPTORS} free descriptors, and {len(taken)} are left: raise `ulimit -n`"
+        message = f"the console needs {needed} free descriptors, and {len(taken)} are left: raise `ulimit -n`"
         raise OSError(error.errno, message) from None
     finally:
         for descriptor in taken:

@@ -68,7 +68,8 @@ function tickHand() {
     sendHand({ do: "push", ...hand.push });
     hand.push = null;
   } else if (hand.by || hand.mustOpen) {
-    const strength_n = hand.by ? hand.grip.strength_n : 0;
+    // A lapsed grip is accepted again only after an open hand.
+    const strength_n = hand.mustOpen ? 0 : hand.grip.strength_n;
     hand.mustOpen = false;
     sendHand({ do: "aim", target: hand.target, stiffness: hand.grip.stiffness, damping: hand.grip.damping, strength_n });
   }

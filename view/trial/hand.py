@@ -67,12 +67,16 @@ class Grip:
         gap_us = at_us - self._last_us
         if self._owner not in (page, None) and gap_us <= MAX_AGE_US:
             return "another page holds the stylus"
-        if at_us - aim.token > MAX_AGE_US:
-            return "the page was late: the hand has opened; let go, and grip again"
-        if aim.strength_n > 0.0 and page in self._closed and (self._owner is not page or gap_us > MAX_AGE_US):
-            return "the aims stopped for more than 0.4 s: the hand has opened; let go, and grip again"
+        if aim.strength_n > 0.0:
+            # A late aim may still open the hand.
+            if at_us - aim.token > MAX_AGE_US:
+                return "the page was late: the hand has opened; let go, and grip again"
+            if page in self._closed and (self._owner is not page or gap_us > MAX_AGE_US):
+                return "the aims stopped for more than 0.4 s: the hand has opened; let go, and grip again"
+            self._closed.add(page)
+        else:
+            self._closed.discard(page)
         self._owner, self._last_us = page, at_us
-        (self._closed.add if aim.strength_n > 0.0 else self._closed.discard)(page)
         return None
 
     def is_gripping(self, page: object) -> bool:

@@ -1,6 +1,7 @@
 """Server of `haptether try`: one page for several pairs, whose hand is a pointer."""
 
 import asyncio
+import contextlib
 import json
 from collections.abc import Callable, Coroutine, Iterable
 from functools import partial
@@ -12,7 +13,7 @@ from msgspec import Meta, Struct
 from msgspec.structs import asdict
 
 from haptether.bridge import TelemetryHello, TelemetryMessage
-from haptether.view.console.page_server import MAX_MESSAGE, MAX_PAGES, PageServer, texts
+from haptether.view.console.page_server import DESCRIPTORS, MAX_MESSAGE, MAX_PAGES, PageServer, texts
 from haptether.view.console.pair import Pair
 from haptether.view.trial.hand import Aim, Grip, PageHand, Push, now_us
 from haptether.view.trial.releases import Releases
@@ -31,6 +32,7 @@ FILES = {
 }
 
 
+MAX_SIDES = 4
 MIN_WALL, MAX_WALL = 10.0, 1000.0
 """Bounds of the stiffness of the wall in N/m."""
 MAX_DELAY_S, MAX_JITTER_S, MAX_LOSS = 0.5, 0.05, 0.5
@@ -110,6 +112,9 @@ class Trial(PageServer):
         OSError: The port is in use, or there are too few descriptors.
     """
 
+    descriptors = DESCRIPTORS + 2 * MAX_PAGES * MAX_SIDES
+    """Each page has two connections to every side: one for commands, one for its hand."""
+
     def __init__(self, bridges: Bridges, choice: Choice, network: Network, *, record: Record | None = None,
                  port: int = 0) -> None:  # fmt: skip
         self._bridges = bridges
@@ -176,6 +181,8 @@ class Trial(PageServer):
 
     async def _hand(self, page: "WebSocket") -> None:
         """Take aims and pushes of a page, each with the token of the last answer; at its end the hands open."""
+        from starlette.websockets import WebSocketDisconnect
+
         await page.accept()
         if self._aiming >= MAX_PAGES:
             await page.close(1013, f"{MAX_PAGES} pages are open: close one")
@@ -184,19 +191,23 @@ class Trial(PageServer):
         hand = PageHand(self._grip, self.path_of, self._names, self._took)
         try:
             async with self.kept(page):
-                await page.send_text(json.dumps({"to": "begin", "done": True, "text": "", "token": now_us()}))
-                async for text in texts(page):
-                    try:
-                        answer = await hand.answer(text)
-                    except msgspec.DecodeError as error:
-                        await page.close(1008, f"no request: {error}"[:100])
-                        return
-                    await page.send_text(json.dumps(answer))
+                with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+                    await self._lead(page, hand)
         finally:
             if hand.is_gripping:
                 self._took_away()
             hand.close()
             self._aiming -= 1
+
+    async def _lead(self, page: "WebSocket", hand: PageHand) -> None:
+        await page.send_text(json.dumps({"to": "begin", "done": True, "text": "", "token": now_us()}))
+        async for text in texts(page):
+            try:
+                answer = await hand.answer(text)
+            except msgspec.DecodeError as error:
+                await page.close(1008, f"no request: {error}"[:100])
+                return
+            await page.send_text(json.dumps(answer))
 
     async def _restart(self, request: "Request") -> "Response":
         """Restart all pairs with other settings, disengaged."""

@@ -17,6 +17,7 @@ def aim(strength_n: float, token: int) -> Aim:
         # Page, time in ms, age of the token in ms, strength in N.
         ([("a", 0, 0, 6.0), ("a", 400, 400, 6.0)], None),
         ([("a", 0, 401, 6.0)], "the page was late"),
+        ([("a", 0, 0, 6.0), ("a", 900, 900, 0.0), ("a", 910, 0, 6.0)], None),
         ([("a", 0, 0, 6.0), ("a", 401, 0, 6.0)], "the aims stopped for more than 0.4 s"),
         ([("a", 0, 0, 6.0), ("a", 500, 0, 0.0), ("a", 510, 0, 6.0)], None),
         # An open hand may rest.
