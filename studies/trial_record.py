@@ -8,6 +8,7 @@ from typing import Any, Protocol
 from msgspec.structs import replace
 
 from haptether.bridge import (
+    AimsTable,
     PusherTable,
     Scene,
     TelemetryChange,
@@ -125,10 +126,9 @@ class TrialRecord:
         run = self._runs.get(pair)
         if run is None or not run.aims:
             return
-        aims = self._folder / f"{run.name}-aims.csv"
-        write_private(aims, _csv(run.aims).encode())
-        scene = override_scene(self._scene, [*run.changes, *_changes(run, aims.resolve())])
-        scene = _pushed(scene, run)
+        file = f"{run.name}-aims.csv"
+        write_private(self._folder / file, _csv(run.aims).encode())
+        scene = _repeated(override_scene(self._scene, [*run.changes, *_changes(run)]), run, file)
         network = "; the delay, jitter or loss was changed later" if run.has_other_network else ""
         comment = f"What a person did in `haptether try`, pair {pair}{network}."
         save_scene(scene, self._folder / f"{run.name}.toml", comment)
@@ -154,29 +154,29 @@ def _csv(aims: Iterable[tuple[float, Aim]]) -> str:
     return "\n".join([f"time_s,{axes},over_s,stiffness,damping,strength_n", *rows]) + "\n"
 
 
-def _changes(run: PairRun, aims: Path) -> list[str]:
-    """Return the changes of the scene that repeat a run."""
+def _changes(run: PairRun) -> list[str]:
+    """Return the changes of the scene to the clutch and the network of a run."""
     end_s = run.aims[-1][0] + AFTER_S
     link = run.network
-    found: dict[str, Any] = {"operator.aims.file": str(aims), "run.duration_s": end_s}
-    found["operator.clutch"] = [[*times, end_s][:2] for times in run.clutch]
+    clutch = [[*times, end_s][:2] for times in run.clutch]
+    found: dict[str, Any] = {"run.duration_s": end_s, "operator.clutch": clutch}
     for direction in ("forward", "backward"):
         for name in link.__struct_fields__:
             found[f"link.{direction}.{name}"] = getattr(link, name)
-    return [f"{key}={_toml(value)}" for key, value in found.items()]
+    return [f"{key}={value!r}" for key, value in found.items()]
 
 
-def _pushed(scene: Scene, run: PairRun) -> Scene:
-    """Return the scene with the pushes, whose times count from the engagement."""
-    if run.engaged_s is None or not run.pushes or scene.environment is None:
-        return scene
-    pushers = tuple(
-        PusherTable(at_s=max(0.0, at_s - run.engaged_s), duration_s=push.duration_s, force_n=push.force)
+def _repeated(scene: Scene, run: PairRun, file: str) -> Scene:
+    """Return the scene with the aims of a file beside it, and the pushes, whose times count from the engagement."""
+    assert scene.operator is not None
+    assert scene.environment is not None
+    begun_s = run.engaged_s
+    pushers = () if begun_s is None else tuple(
+        PusherTable(at_s=max(0.0, at_s - begun_s), duration_s=push.duration_s, force_n=push.force)
         for at_s, push in run.pushes
+    )  # fmt: skip
+    return replace(
+        scene,
+        operator=replace(scene.operator, aims=AimsTable(file=file)),
+        environment=replace(scene.environment, pushers=(*scene.environment.pushers, *pushers)),
     )
-    environment = replace(scene.environment, pushers=(*scene.environment.pushers, *pushers))
-    return replace(scene, environment=environment)
-
-
-def _toml(value: object) -> str:
-    return repr(value) if not isinstance(value, str) else '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'

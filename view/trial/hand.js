@@ -4,6 +4,7 @@
 
 const AIM_MS = 16;          // between two aims
 const HELD_UP_MS = 350;     // a page held up for longer has lost its grip
+const FRESH_TOKEN_MS = 250; // age of a token that may still grip or push
 const KEY_SPEED = 0.08;     // of the target by keys, in m/s
 const STICK = 0.08;         // dead zone of a gamepad
 const PUSH = { force_n: 3.5, duration_s: 2.0 };
@@ -13,7 +14,7 @@ const hand = {
   target: [0.02],           // in m
   reach: 0.085,             // largest target in m
   grip: { stiffness: 300, damping: 8, strength_n: 12 },
-  socket: null, token: null, isWaiting: false, sent: 0, mustOpen: false, push: null, ticked: 0, wasPressed: false,
+  socket: null, token: null, isWaiting: false, sent: 0, answered: 0, mustOpen: false, push: null, ticked: 0, wasPressed: false,
   arrows: new Set(),
 };
 
@@ -30,9 +31,9 @@ function connectHand() {
     const answer = JSON.parse(event.data);
     hand.token = answer.token;
     hand.isWaiting = false;
+    hand.answered = performance.now();
     if (answer.to === "push") say(answer.done ? "both arms are pushed" : answer.text, !answer.done);
     if (answer.to !== "aim" || answer.done) return;
-    // One open aim allows the next grip; its own refusal is not repeated.
     if (hand.by) openHand(answer.text);
   };
 }
@@ -40,6 +41,7 @@ function connectHand() {
 function gripHand(by) {
   if (hand.by || document.hidden) return;
   hand.by = by;
+  hand.mustOpen = true;
 }
 
 function openHand(why = "") {
@@ -64,12 +66,13 @@ function tickHand() {
     return;
   }
   if (!hand.socket || hand.socket.readyState !== WebSocket.OPEN) return;
-  if (hand.push) {
+  const isFresh = now - hand.answered < FRESH_TOKEN_MS;
+  if (hand.push && isFresh) {
     sendHand({ do: "push", ...hand.push });
     hand.push = null;
-  } else if (hand.by || hand.mustOpen) {
-    // A lapsed grip is accepted again only after an open hand.
-    const strength_n = hand.mustOpen ? 0 : hand.grip.strength_n;
+  } else if (hand.by || hand.push || hand.mustOpen) {
+    // An open hand needs no fresh token, and allows the next grip.
+    const strength_n = hand.by && !hand.mustOpen && isFresh ? hand.grip.strength_n : 0;
     hand.mustOpen = false;
     sendHand({ do: "aim", target: hand.target, stiffness: hand.grip.stiffness, damping: hand.grip.damping, strength_n });
   }
