@@ -157,7 +157,7 @@ function observer(one) {
   fill.style.width = Math.min(1, one.share || 0) * 100 + "%";
   fill.className = one.share >= 1 ? "over" : one.share >= 0.5 ? "near" : "";
   bar.append(fill);
-  line.append(element("b", one.name), ` ${one.symbol} = ${one.value === null ? "-" : one.value.toPrecision(2)}, trips ${one.above ? "above" : "below"} ${Number(one.threshold.toPrecision(3))} `,
+  line.append(element("b", one.name), ` ${one.symbol} = ${one.value === null ? "-" : one.value.toFixed(3)}, trips ${one.above ? "above" : "below"} ${Number(one.threshold.toPrecision(3))} `,
     element("span", one.tripped ? "TRIPPED" : "armed", one.tripped ? "tripped" : "armed"), bar);
   return line;
 }
@@ -189,7 +189,7 @@ function chartsOf() {
   const series = signal => lanes.names.map((name, index) => [`${name}.master`, signal, name, index ? COLOURS.wsc : COLOURS.arm, DASHES[index]]);
   return { speed: series("velocity"), force: series("device_force") };
 }
-chosen.height = 118;
+chosen.height = 150;
 chosen.draw = () => drawPad();
 
 // ---------------------------------------------------------------------------------------------------- sound

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 from tests.view.console.browser import said
 from tests.view.console.served import wait_for
@@ -15,15 +16,15 @@ from tests.view.console.test_page import renderers_of
 from tests.view.trial.pointer import coupled, opened, peak_speeds, point, press_in, release
 from tests.view.trial.tried import Tried, tried
 
-from haptether.bridge import load_scene, simulate
+from haptether.bridge import simulate
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 pytestmark = [pytest.mark.alone, pytest.mark.slow]
 
-WALL_M = -0.002
-"""A position deeper than this needs a hand in the wall."""
+HELD_M = -0.025
+"""A hand holds a stylus that is deeper in the wall; the controllers let go of one at about -0.02 m."""
 
 
 @pytest.fixture
@@ -41,12 +42,14 @@ def learnt(page: "Page", lesson: int) -> str:
     return page.inner_text("#lesson p")
 
 
-def in_the_wall(runs: Tried) -> bool:
-    return all(at < 5 * WALL_M for at in runs.positions().values())
+def is_held(runs: Tried) -> bool:
+    return all(at < HELD_M for at in runs.positions().values())
 
 
-def out_of_the_wall(runs: Tried) -> bool:
-    return all(at > WALL_M for at in runs.positions().values())
+def has_opened(runs: Tried) -> bool:
+    """Return True if the wall has thrown both styluses, the left one out of it."""
+    at = runs.positions()
+    return at["left"] > -0.002 and at["right"] > HELD_M + 0.003
 
 
 def test_the_three_lessons_and_their_repetition(browser: "Browser", tmp_path: Path) -> None:
@@ -77,7 +80,7 @@ def test_the_three_lessons_and_their_repetition(browser: "Browser", tmp_path: Pa
         learnt(page, 1)
         page.click("#lesson .next-lesson")
         page.fill("#set-delay_s", "200")
-        page.wait_for_function("trial.network.delay_s === 0.2")
+        page.wait_for_function("() => trial.network.delay_s === 0.2")
         # The first frames are late by more than the ladder allows.
         wait_for(lambda: "hold" in runs.states())
         page.wait_for_timeout(1000)
@@ -90,14 +93,19 @@ def test_the_three_lessons_and_their_repetition(browser: "Browser", tmp_path: Pa
         page.context.close()
     assert not errors
     for name, speed in thrown.items():
-        scene = load_scene(record / f"{name}.toml")
-        assert scene.operator is not None
-        assert scene.operator.aims is not None
-        # The first release, before the second press into the wall.
-        run = simulate(record / f"{name}.toml")
-        repeated = run.metrics.max_ejection_velocity
-        assert repeated is not None
+        repeated = first_peak_speed(record, name)
         print(f"{name}: {speed:.3f} m/s live, {repeated:.3f} m/s repeated")
+        assert repeated == pytest.approx(speed, rel=0.15)
+
+
+def first_peak_speed(record: Path, name: str) -> float:
+    """Return the peak speed in virtual time within 1.5 s of the first release of a recorded hand."""
+    rows = np.genfromtxt(record / f"{name}-aims.csv", delimiter=",", names=True)
+    gripped = rows["strength_n"] > 0.0
+    opened_s = rows["time_s"][1:][gripped[:-1] & ~gripped[1:]][0]
+    run = simulate(record / f"{name}.toml")
+    time_s, speed = run.signals["time_s"], abs(run.signals["velocity"])
+    return float(speed[(time_s > opened_s) & (time_s < opened_s + 1.5)].max())
 
 
 def test_stop_ends_all_four_and_restart_couples_none(browser: "Browser", runs: Tried) -> None:
@@ -108,10 +116,10 @@ def test_stop_ends_all_four_and_restart_couples_none(browser: "Browser", runs: T
     wait_for(lambda: all(feed.summary().get("has_ended") for feed in runs.trial.feeds))
     said(page, "no force, no motion")
     page.mouse.up()
-    page.wait_for_function("document.getElementById('pair-left').textContent.includes('Press Restart')")
+    page.wait_for_function("() => document.getElementById('pair-left').textContent.includes('Press Restart')")
     page.select_option("#controller-left", "hsc")
     said(page, "both bridges are back, disengaged")
-    page.wait_for_function("document.getElementById('pair-left').textContent.includes('HSC')")
+    page.wait_for_function("() => document.getElementById('pair-left').textContent.includes('HSC')")
     press_in(page, 0.02, 0.0, 0.5)
     assert runs.states() == {"disengaged"}
     page.context.close()
@@ -121,34 +129,34 @@ def test_a_page_that_is_duplicated_stalled_or_killed_loses_its_hand(browser: "Br
     page, second = opened(browser, runs), opened(browser, runs)
     coupled(runs, page)
     press_in(page, 0.02, -0.04, 0.8)
-    wait_for(lambda: in_the_wall(runs))
+    wait_for(lambda: is_held(runs))
     point(second, 0.05)
     second.mouse.down()
     said(second, "another page holds the stylus")
-    assert in_the_wall(runs)
+    assert is_held(runs)
     second.mouse.up()
     second.context.close()
     # The script of the page hangs: the hand opens, and stays open until the button is pressed again.
     page.evaluate("() => { const end = performance.now() + 1500; while (performance.now() < end); }")
-    assert out_of_the_wall(runs)
+    wait_for(lambda: has_opened(runs), 1.0)
     said(page, "the hand has opened")
     page.wait_for_timeout(700)
-    assert out_of_the_wall(runs)
+    assert has_opened(runs)
     page.mouse.up()
     press_in(page, 0.02, -0.04, 0.8)
-    wait_for(lambda: in_the_wall(runs))
+    wait_for(lambda: is_held(runs))
     # A hidden page opens the hand, too.
     page.evaluate("""() => { Object.defineProperty(document, 'hidden', {value: true, configurable: true});
         document.dispatchEvent(new Event('visibilitychange')); }""")
-    wait_for(lambda: out_of_the_wall(runs), 5.0)
+    wait_for(lambda: has_opened(runs), 5.0)
     page.evaluate("() => delete document.hidden")
     page.mouse.up()
     press_in(page, 0.02, -0.04, 0.8)
-    wait_for(lambda: in_the_wall(runs))
+    wait_for(lambda: is_held(runs))
     for renderer in renderers_of(os.getpid()):
         with contextlib.suppress(ProcessLookupError):
             os.kill(renderer, signal.SIGKILL)
-    wait_for(lambda: out_of_the_wall(runs), 5.0)
+    wait_for(lambda: has_opened(runs), 5.0)
 
 
 def test_a_page_that_is_killed_while_it_holds_couples_nothing(browser: "Browser", runs: Tried) -> None:
