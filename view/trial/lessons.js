@@ -17,17 +17,17 @@ const WALL = [
 ];
 const LESSONS = [
   { name: "1 Let go at a wall", steps: WALL,
-    learnt: speeds => `The wall pushes what no hand holds any more: ${speeds}. A controller damps only the stylus that no hand holds.` },
+    learnt: speeds => `The wall threw the stylus: ${speeds}. A controller acts once no hand holds the stylus; before, both felt the same.` },
   { name: "2 An unexpected push", steps: [
     WALL[0],
     ["Hold the stylus near the wall, with a light touch.", seen => hand.by],
     ["Press P: something pushes both remote arms for 2 s.", seen => seen.releases.some(row => row.kind === "push" && row.number > lessons.since)],
     ["Let go while it still pushes.", seen => let_go(seen, 0.5)]],
-    learnt: speeds => `The push came through the network to the stylus: ${speeds}.` },
+    learnt: speeds => `The push reached the stylus through the network and threw it: ${speeds}.` },
   { name: "3 The same at 200 ms", steps: [
     ["Set the delay to 200 ms. Both sides hold, because nothing arrives for so long.", seen => seen.network.delay_s >= 0.195],
     ...WALL],
-    learnt: speeds => `With the delay the force lasts longer than the contact: ${speeds}.` },
+    learnt: speeds => `The force of the wall outlasts the contact by the delay: ${speeds}.` },
 ];
 
 function beginLesson(at) {
@@ -36,7 +36,8 @@ function beginLesson(at) {
 }
 
 function speeds(row) {
-  return lanes.names.map(name => `${lanes.titles[name]}: ${row.pairs[name].peak_speed.toFixed(2)} m/s`).join(", ");
+  const of = one => one.controllers.length ? `with ${one.controllers.map(titled).join(" and ")}` : "without a controller";
+  return lanes.names.map(name => `${row.pairs[name].peak_speed.toFixed(2)} m/s ${of(row.pairs[name])}`).join(", ");
 }
 
 // Called with each message.

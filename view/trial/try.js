@@ -144,6 +144,7 @@ function showPair(name, sides) {
       facts.append(element("div", `clutch: ${master.clutch ? "closed" : "open"}`));
       facts.append(element("div", `arm: ${slave && !slave.has_ended ? slave.state : "ended"}`));
     }
+    facts.append(element("div", linkText(master), "dim"));
     parts.push(facts);
     if (master.cause && !isOver && !ADVICE[state]) parts.push(element("div", `${master.cause.at}: ${master.cause.text}`, "cause"));
     for (const one of master.observers) parts.push(observer(one));
@@ -152,12 +153,23 @@ function showPair(name, sides) {
   shownPairs[name].replaceChildren(...parts);
 }
 
+function linkText(master) {
+  const found = Object.fromEntries(master.values.map(one => [one.label, one]));
+  const shown = (label, text) => found[label] ? text(found[label]) : null;
+  return [shown("round trip [ms]", one => `${number(one.values[0], 0)} ms there and back`),
+    shown("frames lost [%]", one => `${number(one.values[0], 0)} % lost`),
+    shown("loop late [ms]", one => `loop late by ${number(one.peak, 1)} ms`)].filter(Boolean).join(", ");
+}
+
+// Without the sign of a number that rounds to zero.
+const rounded = (value, digits) => number(Math.abs(value) < 0.5 * 10 ** -digits ? 0 : value, digits);
+
 function observer(one) {
   const line = element("div", "", "observer"), bar = element("span", "", "bar"), fill = element("i");
   fill.style.width = Math.min(1, one.share || 0) * 100 + "%";
   fill.className = one.share >= 1 ? "over" : one.share >= 0.5 ? "near" : "";
   bar.append(fill);
-  line.append(element("b", one.name), ` ${one.symbol} = ${one.value === null ? "-" : one.value.toFixed(3)}, trips ${one.above ? "above" : "below"} ${Number(one.threshold.toPrecision(3))} `,
+  line.append(element("b", one.name), ` ${one.symbol} = ${one.value === null ? "-" : rounded(one.value, 3)}, trips ${one.above ? "above" : "below"} ${Number(one.threshold.toPrecision(3))} `,
     element("span", one.tripped ? "TRIPPED" : "armed", one.tripped ? "tripped" : "armed"), bar);
   return line;
 }

@@ -35,7 +35,7 @@ PURPOSES = {
     "see it": CommandTable(
         {
             "demo": "demo:Demo",
-            "try": "view.try_:Try",
+            "try": "view.trial.command:Try",
             "console": "view.console:Console",
             "view": "view.view:View",
             "watch": "view.watch:Watch",

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from haptether.cli.view.try_ import Try
+from haptether.cli.view.trial.command import Try
 
 FOLDER = Path("out")
 

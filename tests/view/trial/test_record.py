@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from haptether.bridge import TelemetryChange, TelemetryHello, load_scene, simulate
-from haptether.studies.trial_record import TrialRecord
+from haptether.cli.view.trial.record import TrialRecord
 from haptether.view.trial.hand import Aim, Push
 from haptether.view.trial.server import Choice, Network
 

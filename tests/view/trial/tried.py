@@ -11,8 +11,8 @@ from tests.live.control_client import Control
 from tests.view.console.served import wait_for
 
 from haptether.bridge import load_scene
-from haptether.studies.trial import TrialBridges
-from haptether.studies.trial_record import TrialRecord
+from haptether.cli.view.trial.bridges import TrialBridges
+from haptether.cli.view.trial.record import TrialRecord
 from haptether.view.trial.server import Choice, Network, Trial
 
 NAMES = ("left", "right")

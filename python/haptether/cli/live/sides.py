@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from haptether.cli.live.slave import Slave
     from haptether.cli.shared.stop import Stopped
     from haptether.cli.view.console import Console
-    from haptether.cli.view.try_ import Try
+    from haptether.cli.view.trial.command import Try
 
 READY_S = 60.0
 """Time in s that a driver may take to open its device."""

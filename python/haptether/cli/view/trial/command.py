@@ -69,9 +69,9 @@ class Try(FileOptions):
         """
         from haptether.cli.live.sides import live_scene
         from haptether.cli.shared.stop import Stopped
+        from haptether.cli.view.trial.bridges import TrialBridges
+        from haptether.cli.view.trial.record import TrialRecord
         from haptether.studies.processes import Interrupted
-        from haptether.studies.trial import TrialBridges
-        from haptether.studies.trial_record import TrialRecord
         from haptether.view.trial.server import (
             MAX_DELAY_S,
             MAX_JITTER_S,

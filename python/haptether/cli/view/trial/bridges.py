@@ -1,4 +1,4 @@
-"""Bridges of `haptether try`: per pair a slave, a network and a master as processes of this machine."""
+"""Processes of `haptether try`: per pair a slave, a network and a master as processes of this machine."""
 
 import contextlib
 import threading

@@ -18,8 +18,8 @@ from haptether.bridge import (
     override_scene,
     save_scene,
 )
+from haptether.cli.view.trial.bridges import run_name
 from haptether.private_file import write_private
-from haptether.studies.trial import run_name
 from haptether.view.trial.hand import OVER_S, Aim, Push
 from haptether.view.trial.server import Choice, Network
 
