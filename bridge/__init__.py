@@ -65,6 +65,8 @@ from haptether.bridge.scene.sweeps.population import (
 from haptether.bridge.scene.sweeps.reasons import RowReason
 from haptether.bridge.scene.sweeps.store import StoredSweep, sweep_to_file
 from haptether.bridge.scene.tables.master import (
+    AimsTable,
+    AimTable,
     ButtonsTable,
     FingerTable,
     LegTable,
@@ -148,6 +150,8 @@ __all__ = [
     "SLAVES",
     "TRIP_BITS",
     "AdaptiveWindow",
+    "AimTable",
+    "AimsTable",
     "AlignmentTable",
     "BackwardDifference",
     "BodyTable",

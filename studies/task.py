@@ -312,7 +312,10 @@ class Task:
 
     def _held(self) -> Scene:
         """Return the scene with a hand that never releases, without recordings."""
-        operator = replace(self.operator, release=None, grip_strength_n=None, tremor=TremorTable(), legs=self._legs())
+        legs = self._legs()
+        operator = replace(
+            self.operator, aims=None, release=None, grip_strength_n=None, tremor=TremorTable(), legs=legs
+        )
         if operator.rotation is not None:
             operator = replace(operator, rotation=replace(operator.rotation, release=None))
         if operator.finger is not None:

@@ -7,7 +7,13 @@ from math import exp, hypot, log, pi
 from haptether._core import PRESS_S, ROUND_TRIP_S
 from haptether.bridge.scene.errors import Path, SceneError, contradiction, wrong
 from haptether.bridge.scene.resolve import Spec, max_damping, side_kind, spec_of
-from haptether.bridge.scene.tables.master import OperatorRotationTable, OperatorTable, RotationTable, SeriesTable
+from haptether.bridge.scene.tables.master import (
+    AimsTable,
+    OperatorRotationTable,
+    OperatorTable,
+    RotationTable,
+    SeriesTable,
+)
 from haptether.bridge.scene.tables.ranges import MAX_TICKS, MIN_DURATION_S
 from haptether.bridge.scene.tables.session import (
     AlignmentTable,
@@ -38,6 +44,8 @@ from haptether.bridge.scene.tables.slave import (
 SLAVE_PERIOD_S = (1e-5, 2e-2)
 MAX_REFERENCE_M = 10.0
 """Largest distance in m of a reference point from the tool point."""
+MAX_AIM_M = 2.0
+"""Largest distance in m of a target from the origin."""
 JERK_DENSITIES = {"kalman": ("jerk_density",), "dual-kalman": ("velocity_jerk_density", "jerk_density")}
 """Keys that set the bandwidth of each Kalman filter."""
 KALMAN_BANDWIDTH = (1e-3, 10.0)
@@ -65,10 +73,7 @@ def contradictions(scene: Scene) -> Iterator[SceneError]:
     yield from _research(scene)
     if scene.operator is not None:
         yield from _operator(scene.operator)
-        if scene.slave is None and scene.operator.clutch != "auto":
-            yield contradiction(("operator", "clutch"), "needs an arm to let go of: add [slave] or leave it out")
-        if scene.operator.trigger and (scene.slave is None or scene.slave.gripper is None):
-            yield contradiction(("operator", "trigger"), "leads no gripper: add [slave.gripper] or leave it out")
+        yield from _operator_of(scene, scene.operator)
     yield from _kind(scene)
     yield from _buttons(scene)
     yield from _felt_trigger(scene)
@@ -140,6 +145,44 @@ def _operator(table: OperatorTable) -> Iterator[SceneError]:
                 ("operator", "release", "kind"),
                 'a strength without bound does not decay: give grip_strength_n, or kind = "gain"',
             )
+
+
+def _operator_of(scene: Scene, table: OperatorTable) -> Iterator[SceneError]:
+    """Check that the rest of the scene has what the operator works."""
+    if scene.slave is None and table.clutch != "auto":
+        yield contradiction(("operator", "clutch"), "needs an arm to let go of: add [slave] or leave it out")
+    if table.trigger and (scene.slave is None or scene.slave.gripper is None):
+        yield contradiction(("operator", "trigger"), "leads no gripper: add [slave.gripper] or leave it out")
+    if table.aims is None:
+        return
+    path: Path = ("operator", "aims")
+    if scene.slave is None:
+        yield contradiction(path, "needs an arm to lead: add [slave] or leave it out")
+    if side_kind(scene.master) != "linear":
+        yield contradiction(path, f'moves a point: kind = "linear", not "{side_kind(scene.master)}"')
+    if scene.master.driver is not None:
+        yield contradiction(path, "aims a model: give it or [master] driver, not both")
+    for key in _NOT_BESIDE_AIMS:
+        if getattr(table, key) != getattr(OperatorTable(), key):
+            yield contradiction(("operator", key), "each aim replaces it: give it or [operator.aims], not both")
+    yield from _aims(table.aims, path)
+
+
+_NOT_BESIDE_AIMS = (
+    "stiffness", "damping", "grip_strength_n", "legs", "recorded", "release", "regrasp", "tremor"
+)  # fmt: skip
+
+
+def _aims(table: AimsTable, path: Path) -> Iterator[SceneError]:
+    if table.file is not None and table.rows:
+        yield contradiction((*path, "file"), "either file, or rows")
+    before_s = 0.0
+    for index, row in enumerate(table.rows):
+        if row.at_s < before_s:
+            yield wrong((*path, "rows", index, "at_s"), row.at_s, f"at least that of the row before, {before_s:g}")
+        before_s = row.at_s
+        if isinstance(row.target, tuple) and hypot(*row.target) > MAX_AIM_M:
+            yield wrong((*path, "rows", index, "target"), row.target, f"within {MAX_AIM_M:g} m of the origin")
 
 
 def _buttons(scene: Scene) -> Iterator[SceneError]:

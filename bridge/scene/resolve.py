@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from haptether.bridge.scene.errors import Path, SceneError, place, wrong
 from haptether.bridge.scene.tables.master import (
+    AimsTable,
     FingerTable,
     MasterTable,
     OperatorRotationTable,
@@ -61,6 +62,7 @@ PYTHON_ONLY: dict[type[Struct], frozenset[str]] = {
     SlaveTable: frozenset({"device", "kind", "options"}),
     GripperTable: frozenset({"device", "options"}),
     SeriesTable: frozenset({"file"}),
+    AimsTable: frozenset({"file"}),
     LimiterTable: frozenset({"enabled"}),
     SafetyTable: frozenset({"preset"}),
 }

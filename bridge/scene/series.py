@@ -3,6 +3,8 @@
 import csv
 import io
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -11,7 +13,7 @@ from msgspec.structs import replace
 
 from haptether.bridge.scene.errors import SceneError, abridged
 from haptether.bridge.scene.resolve import embedded_links
-from haptether.bridge.scene.tables.master import SeriesTable
+from haptether.bridge.scene.tables.master import AimsTable, SeriesTable
 from haptether.bridge.scene.tables.session import Scene
 from haptether.input_file import read_npz, read_text
 
@@ -25,6 +27,8 @@ def embed_recordings(scene: Scene, folder: FilePath) -> Scene:
     operator, environment = scene.operator, scene.environment
     if operator is not None and operator.recorded is not None:
         operator = replace(operator, recorded=_embedded(operator.recorded, folder))
+    if operator is not None and operator.aims is not None and operator.aims.file is not None and not operator.aims.rows:
+        operator = replace(operator, aims=read_aims(folder / operator.aims.file))
     if environment is not None:
         pushers = tuple(
             pusher if pusher.recorded is None else replace(pusher, recorded=_embedded(pusher.recorded, folder))
@@ -53,11 +57,39 @@ def read_series(path: FilePath) -> SeriesTable:
     if path.suffix not in readers:
         message = f"{path}: must be a .csv or .npz file"
         raise SceneError(message)
-    try:
+    with _refused(path):
         times, values = readers[path.suffix](path)
         # Values from a file obey the same ranges as values in a scene.
         series = {"time_s": [time_s - times[0] for time_s in times], "values": values}
         return convert(series, SeriesTable)
+
+
+AIM_COLUMNS = ("over_s", "stiffness", "damping", "strength_n")
+
+
+def read_aims(path: FilePath) -> AimsTable:
+    """Read aims from a CSV file; times count from the start of the run.
+
+    Raises:
+        SceneError: The file does not exist or has another format, a number is out of range, or times decrease.
+    """
+    with _refused(path):
+        times, values = _read_csv(path, AIM_COLUMNS)
+        rows = [
+            {
+                "at_s": at_s,
+                "target": row[: -len(AIM_COLUMNS)],
+                **dict(zip(AIM_COLUMNS, row[-len(AIM_COLUMNS) :], strict=True)),
+            }
+            for at_s, row in zip(times, values, strict=True)
+        ]
+        return convert({"rows": rows}, AimsTable)
+
+
+@contextmanager
+def _refused(path: FilePath) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         message = f"{path}: cannot be read: {error.strerror}"
         raise SceneError(message) from None
@@ -66,14 +98,17 @@ def read_series(path: FilePath) -> SeriesTable:
         raise SceneError(message) from None
 
 
-def _read_csv(path: FilePath) -> tuple[list[float], list[list[float]]]:
+def _read_csv(path: FilePath, last: tuple[str, ...] = ()) -> tuple[list[float], list[list[float]]]:
+    """Read times and rows of values; the last columns are named `last`, and then times may repeat."""
     times: list[float] = []
     values: list[list[float]] = []
     text = io.StringIO(read_text(path), newline="")
     lines = csv.reader(line for line in text if not line.startswith("#"))
     header = [name.strip() for name in next(lines, [])]
-    if len(header) < 2 or header[0] != "time_s":
-        message = f"header {abridged(','.join(header))!r}: must be time_s,x or time_s,x,y,z: one column per axis"
+    if len(header) < 2 + len(last) or header[0] != "time_s" or (last and tuple(header[-len(last) :]) != last):
+        after = "".join(f",{name}" for name in last)
+        allowed = f"time_s,x{after} or time_s,x,y,z{after}: one column per axis"
+        message = f"header {abridged(','.join(header))!r}: must be {allowed}"
         raise ValueError(message)
     for row, cells in enumerate(lines, start=1):
         numbers = [_number(cell) for cell in cells]
@@ -81,8 +116,9 @@ def _read_csv(path: FilePath) -> tuple[list[float], list[list[float]]]:
             seen = abridged(",".join(cells))
             message = f"row {row} {seen!r}: must be {len(header)} finite numbers with decimal points, commas between"
             raise ValueError(message)
-        if times and numbers[0] <= times[-1]:
-            message = f"row {row}: time_s = {numbers[0]:g}: must be above the one before it, {times[-1]:g}"
+        if times and (numbers[0] < times[-1] or (numbers[0] == times[-1] and not last)):
+            allowed = "at least" if last else "above"
+            message = f"row {row}: time_s = {numbers[0]:g}: must be {allowed} the one before it, {times[-1]:g}"
             raise ValueError(message)
         times.append(numbers[0])
         values.append(numbers[1:])

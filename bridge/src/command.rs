@@ -1,5 +1,8 @@
 //! Commands of an operator to a running side.
 
+use haptether_master::Aim;
+use haptether_slave::Push;
+
 use crate::{
     coupling::{CouplingError, FrameMap, PositionForce, RotationCoupling, ScaleRanges},
     port::MAX_AXES,
@@ -34,13 +37,23 @@ pub enum OperatorCommand {
         /// True per locked axis of the slave; entries beyond its axes are ignored.
         locked: [bool; MAX_AXES],
     },
+    /// Aims the hand of an aimed model, at the master. It couples nothing.
+    Aim(Aim<MAX_AXES>),
+    /// Pushes the tool of an aimed model, at the slave.
+    Push(Push<MAX_AXES>),
 }
 
 impl OperatorCommand {
     /// Reject numbers that are invalid for an endpoint of N axes.
     pub fn check<const N: usize>(&self) -> Result<(), CouplingError> {
         match self {
-            Self::Start | Self::Press | Self::Release | Self::Takeover | Self::Acknowledge => Ok(()),
+            Self::Start
+            | Self::Press
+            | Self::Release
+            | Self::Takeover
+            | Self::Acknowledge
+            | Self::Aim(_)
+            | Self::Push(_) => Ok(()),
             Self::PositionScale(scale) => PositionForce::<N>::new(*scale, 1.0).map(|_| ()),
             Self::ForceScale(scale) => PositionForce::<N>::new(1.0, *scale).map(|_| ()),
             Self::RotationScale(scale) => RotationCoupling::new(*scale, 1.0).map(|_| ()),

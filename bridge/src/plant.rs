@@ -1,8 +1,8 @@
 //! Plants of a runner: a device or an arm along N axes.
 
-use haptether_master::{RotationSample, SimulatedMaster, SimulatedRotation};
+use haptether_master::{Aim, RotationSample, SimulatedMaster, SimulatedRotation};
 use haptether_safety::{Axes, Real};
-use haptether_slave::{GripperSample, SimulatedSlave, SimulatedTool};
+use haptether_slave::{GripperSample, Push, SimulatedSlave, SimulatedTool};
 use nalgebra::UnitQuaternion;
 
 use crate::{buttons::ButtonWord, coupling::RotationState};
@@ -52,6 +52,11 @@ pub trait MasterPlant<const N: usize> {
     /// Samples and forces of a driver, if any.
     fn driven(&mut self) -> Option<&mut DrivenMaster<N>> {
         None
+    }
+
+    /// Let the hand of a model follow `aim` from the next read on. False if refused: only an aimed model has such a hand.
+    fn aim(&mut self, _aim: &Aim<N>) -> bool {
+        false
     }
 }
 
@@ -136,6 +141,11 @@ pub trait SlavePlant<const N: usize> {
 
     /// True if the arm touched something at the last read; false if unknown.
     fn touches(&self) -> bool;
+
+    /// Push the tool of a model from `now_ns` on. False if refused: only an aimed model can be pushed.
+    fn push(&mut self, _now_ns: u64, _push: &Push<N>) -> bool {
+        false
+    }
 }
 
 impl<P: MasterPlant<N> + ?Sized, const N: usize> MasterPlant<N> for Box<P> {
@@ -181,6 +191,10 @@ impl<P: MasterPlant<N> + ?Sized, const N: usize> MasterPlant<N> for Box<P> {
 
     fn driven(&mut self) -> Option<&mut DrivenMaster<N>> {
         (**self).driven()
+    }
+
+    fn aim(&mut self, aim: &Aim<N>) -> bool {
+        (**self).aim(aim)
     }
 }
 
@@ -319,6 +333,10 @@ impl<const N: usize> MasterPlant<N> for SimulatedMaster<N> {
     fn truth(&self) -> Option<Truth<N>> {
         Some(self.state())
     }
+
+    fn aim(&mut self, aim: &Aim<N>) -> bool {
+        SimulatedMaster::aim(self, aim)
+    }
 }
 
 impl<const N: usize> ModelPlant<N> for SimulatedMaster<N> {
@@ -428,5 +446,9 @@ impl<const N: usize> SlavePlant<N> for SimulatedSlave<N> {
 
     fn touches(&self) -> bool {
         SimulatedSlave::touches(self)
+    }
+
+    fn push(&mut self, now_ns: u64, push: &Push<N>) -> bool {
+        SimulatedSlave::push(self, now_ns, push)
     }
 }

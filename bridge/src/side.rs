@@ -3,6 +3,7 @@
 use std::marker::PhantomData;
 
 use haptether_safety::{Axes, SafetyTick};
+use haptether_slave::Push;
 
 use crate::{
     buttons::{ButtonError, ButtonSettings, Buttons},
@@ -19,7 +20,7 @@ use crate::{
         WithTriggerFeedback,
     },
     session::{MAX_DATAGRAM, Session},
-    wire::{Frame, MAX_FRAME},
+    wire::{Frame, MAX_FRAME, unpadded},
 };
 
 /// One side of N axes: per tick `receive`, `tick`, `send`. Times are on the endpoint's clock unless stated otherwise.
@@ -86,6 +87,11 @@ pub trait Side {
     /// Bounds of the scales in [`command`](Self::command).
     fn ranges(&self) -> ScaleRanges {
         ScaleRanges::default()
+    }
+
+    /// Return whether this is the side of an aimed model, whose hand and tool a person may aim and push.
+    fn is_aimed(&self) -> bool {
+        false
     }
 
     /// Return whether the device has a button of its own.
@@ -330,6 +336,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for MasterSide<P, N,
                 let was_pressed = self.operator.release_clutch();
                 Ok(self.plant.clutch().unwrap_or(was_pressed))
             }
+            OperatorCommand::Aim(aim) => Ok(self.plant.aim(&aim.with_target(unpadded(&aim.target)))),
             _ => self.endpoint.command(now_ns, command),
         }
     }
@@ -529,6 +536,10 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side for SlaveSide<P, N, R>
     }
 
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {
+        if let OperatorCommand::Push(push) = command {
+            let push = Push { force_n: unpadded(&push.force_n), duration_s: push.duration_s };
+            return Ok(self.plant.push(now_ns, &push));
+        }
         self.endpoint.command(now_ns, command)
     }
 

@@ -22,8 +22,8 @@ use haptether_bridge::{
     playout::{Playout, PlayoutSettings},
 };
 use haptether_master::{
-    DeviceParameters, Hand, Leg, LegShape, Path, Release, ReleaseKind, RotationHand, RotationHandParameters,
-    RotationLeg, RotationParameters, SimulatedMaster, SimulatedRotation,
+    Aim, DeviceParameters, Hand, Leg, LegShape, Path, Release, ReleaseKind, RotationHand,
+    RotationHandParameters, RotationLeg, RotationParameters, SimulatedMaster, SimulatedRotation,
 };
 use haptether_safety::{
     Axes, DeviceModel, LimiterSettings, RotationModel,
@@ -31,8 +31,8 @@ use haptether_safety::{
     estimator::{EstimatorKind, Fit},
 };
 use haptether_slave::{
-    ArmSettings, ControlKind, GripperSettings, HandleSettings, PushShape, Pusher, RigidBodySettings,
-    SimulatedTool, ToolSettings, ToolWorldSettings,
+    ArmControl, ArmModel, ArmSettings, ControlKind, Environment, GripperSettings, HandleSettings, Push,
+    PushShape, Pusher, RigidBodySettings, SimulatedSlave, SimulatedTool, ToolSettings, ToolWorldSettings,
 };
 
 #[path = "../../numeric/tests/allocations/mod.rs"]
@@ -109,6 +109,36 @@ fn a_tick_of_both_sides_allocates_nothing() {
             "the run must have done something"
         );
     }
+}
+
+#[test]
+fn an_aim_and_a_push_allocate_nothing() {
+    let hand = Hand::absent(Axes::<1>::new(0.02)).unwrap();
+    let mut master =
+        SimulatedMaster::new(DeviceParameters::phantom_desktop(), hand, 0).unwrap().aimed().unwrap();
+    let arm = ArmModel::new(ArmControl::Position { bandwidth_hz: 15.0 }, 4.0, Some(1.0), None).unwrap();
+    let surroundings = Environment::empty().to_be_pushed();
+    let mut slave = SimulatedSlave::in_environment(arm, surroundings, None, Axes::<1>::new(0.02), 0).unwrap();
+    slave.start(0);
+    let (mut lowest, mut pushed) = (f64::INFINITY, 0);
+    let before = allocations();
+    for tick in 0..1000 {
+        if tick % 33 == 0 && tick < 300 {
+            let target = Axes::<1>::new(-0.001 * tick as f64);
+            assert!(master.aim(&Aim {
+                target,
+                over_s: 0.033,
+                stiffness: 300.0,
+                damping: 5.0,
+                strength_n: 6.0
+            }));
+            assert!(slave.push(tick * MS, &Push { force_n: Axes::<1>::new(2.0), duration_s: 0.01 }));
+        }
+        lowest = master.read(tick * MS).position[0].min(lowest);
+        pushed += u64::from(slave.read(tick * MS).environment_force[0] == 2.0);
+    }
+    assert_eq!(allocations() - before, 0);
+    assert!(lowest < -0.2 && pushed == 100, "the run must have done something: {lowest} {pushed}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use haptether_numeric::{Real, norm};
 use nalgebra::SimdBool as _;
 
 use crate::{
-    Axes, ModelError, Path,
+    Aim, Axes, Leg, LegShape, ModelError, Path,
     path::{DEGREE, MIN_LEG_S},
     polynomial::{Series, TERMS},
     require,
@@ -115,6 +115,19 @@ impl<const N: usize> Hand<N> {
     /// No hand: the device rests at `position` in m.
     pub fn absent(position: Axes<N>) -> Result<Self, ModelError> {
         Self::new(0.0, 0.0, 0.0, Path::new(position, Vec::new())?, None)
+    }
+
+    /// An open hand whose time restarts at each aim: a path of one leg, and a release when the aim expires.
+    pub(crate) fn aimed(position: Axes<N>) -> Result<Self, ModelError> {
+        let leg = Leg { duration_s: Aim::<N>::EXPIRES_S, end: position, shape: LegShape::Linear };
+        let expires = Release { at_s: Aim::<N>::EXPIRES_S, decay_s: 0.0, kind: ReleaseKind::Strength };
+        Self::new(0.0, 0.0, 0.0, Path::new(position, vec![leg])?, Some(expires))
+    }
+
+    /// Take over a valid aim at time 0 of this hand, which [`Hand::aimed`] made; its leg begins at `from` in m.
+    pub(crate) fn aim(&mut self, aim: &Aim<N>, from: Axes<N>) {
+        (self.stiffness, self.damping, self.strength_n) = (aim.stiffness, aim.damping, aim.strength_n);
+        self.path.restart(from, Leg { duration_s: aim.over_s, end: aim.target, shape: LegShape::Linear });
     }
 
     /// The same hand with a regrasp after its release.

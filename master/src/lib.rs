@@ -1,5 +1,6 @@
 //! The master side: models of haptic device and hand, advanced exactly in time.
 
+mod aim;
 mod device;
 mod direction;
 mod hand;
@@ -12,6 +13,7 @@ mod simulated;
 mod stretch;
 mod wall;
 
+pub use aim::Aim;
 pub use device::{DeviceParameters, Friction};
 pub use hand::{Hand, Regrasp, Release, ReleaseKind, Tremor};
 pub use haptether_numeric::{Axes, Real};

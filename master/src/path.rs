@@ -78,13 +78,17 @@ impl<const N: usize> Path<N> {
             }
             time += leg.duration_s;
             begins.push(time);
-            let mut powers = [1.0; DEGREE + 1];
-            for degree in 1..=DEGREE {
-                powers[degree] = powers[degree - 1] / leg.duration_s;
-            }
-            rates.push(powers);
+            rates.push(rates_of(leg.duration_s));
         }
         Ok(Self { start, legs, begins, rates })
+    }
+
+    /// Replace a path of one leg by `leg` from `start` in m, without allocating.
+    pub(crate) fn restart(&mut self, start: Axes<N>, leg: Leg<N>) {
+        self.start = start;
+        self.begins[1] = leg.duration_s;
+        self.rates[0] = rates_of(leg.duration_s);
+        self.legs[0] = leg;
     }
 
     /// Start of leg `index` in m.
@@ -133,6 +137,15 @@ impl<const N: usize> Path<N> {
         let next = self.begins.partition_point(|&begin| begin <= t);
         (!self.legs.is_empty()).then(|| self.begins.get(next).copied()).flatten()
     }
+}
+
+/// Powers of `1 / duration_s`.
+fn rates_of(duration_s: f64) -> [f64; DEGREE + 1] {
+    let mut powers = [1.0; DEGREE + 1];
+    for degree in 1..=DEGREE {
+        powers[degree] = powers[degree - 1] / duration_s;
+    }
+    powers
 }
 
 /// Coefficients of `p(s + x)` in powers of x.

@@ -2558,8 +2558,8 @@ class LiveMaster(_MasterSide):
         min_free_bytes: Free bytes on the disk below which the recording ends, and nothing else.
         telemetry: Path of a Unix socket that sends samples and events, see `TelemetryReader`; by default none. The loop
             waits for no reader.
-        control: Path of a Unix socket that takes requests (docs/console.md): stop, press and hold, scales; by default
-            none. A separate thread serves it without the interpreter.
+        control: Path of a Unix socket that takes requests (docs/console.md): stop, press and hold, scales, aims; by
+            default none. A separate thread serves it without the interpreter.
 
     Raises:
         ValueError: An address or `realtime` is invalid; a time is outside 0 to 1e9 s; a start is in the future; a key

@@ -239,8 +239,8 @@ impl Watched {
 
     pub(crate) fn command(&self, command: OperatorCommand) -> PyResult<()> {
         self.watch().command(command).map_err(|error| match error {
-            CommandError::Refused(error) => refuse(error),
             CommandError::Full => PyRuntimeError::new_err(error.to_string()),
+            _ => PyValueError::new_err(error.to_string()),
         })
     }
 }

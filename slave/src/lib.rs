@@ -18,7 +18,7 @@ pub use arm::model::{ArmControl, ArmModel};
 pub use contact::environment::Environment;
 pub use contact::law::{Contact, ContactLaw, FULL_SLIP};
 pub use contact::object::{FreeBody, Object, ObjectMotion, Shape};
-pub use contact::pusher::{PushShape, Pusher, Series};
+pub use contact::pusher::{Push, PushShape, Pusher, Series};
 pub use contact::rendered::{RenderedPush, RenderedWall, RenderedWalls};
 pub use contact::wall::Wall;
 pub use gripper::{GripperCommand, GripperSample, GripperSettings, SimulatedGripper};

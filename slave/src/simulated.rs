@@ -5,7 +5,7 @@ mod lanes;
 pub use lanes::{SlaveLanes, SlaveLanesSample};
 
 use crate::{
-    ArmModel, Axes, Environment, ForceSensor, ModelError, all_finite,
+    ArmModel, Axes, Environment, ForceSensor, ModelError, Push, all_finite,
     arm::drive::{ArmDrive, Tool},
     require_axes,
     solver::{adaptive::Drive, linear::LinearArm},
@@ -118,6 +118,12 @@ impl<const N: usize> SimulatedSlave<N> {
             let before = self.begun_ns.saturating_sub(started_ns) as f64 * 1e-9;
             self.plant.environment.push_from(after - before);
         }
+    }
+
+    /// Push the tool from `now_ns` on, as [`Environment::ask`].
+    pub fn push(&mut self, now_ns: u64, push: &Push<N>) -> bool {
+        let time_s = now_ns.saturating_sub(self.begun_ns) as f64 * 1e-9;
+        self.plant.environment.ask(push, time_s)
     }
 
     /// Command a position in m and the velocity there in m/s, which position control ignores. Values that are not

@@ -69,6 +69,7 @@ MAKERS: Mapping[str, Maker] = {
         "--round-trip-s", "0", "0.1", "0.3", "--hands", "6", "--plot",
     ),
     "tune.png": photograph_tuning,
+    "try.png": lambda path: run(sys.executable, "-m", "tests.view.trial.screenshot", str(path)),
     "view_push.gif": haptether(
         "view", "remote_push", "--compare", "safety.controllers=[]", "--title", "with WSC",
         "--title", "without a controller", "--from-s", "2.5", "--until-s", "3.1", "--speed", "0.2", "--fps", "12",

@@ -68,11 +68,26 @@ def masters(draw: st.DrawFn, axes: int) -> Raw:
 
 
 @st.composite
-def operators(draw: st.DrawFn, axes: int, duration_s: float, *, has_arm: bool) -> Raw:
+def aimed_operators(draw: st.DrawFn, axes: int, duration_s: float) -> Raw:
+    aim = table(
+        {"at_s": real(0.0, duration_s), "target": per_axis(axes, -0.08, 0.08), "strength_n": real(0.0, 30.0)},
+        over_s=real(0.001, 0.4),
+        stiffness=real(0.0, 1000.0),
+        damping=real(0.0, 20.0),
+    )
+    rows = draw(st.lists(aim, max_size=6))
+    operator: Raw = {"aims": {"rows": sorted(rows, key=lambda row: float(row["at_s"]))}}
+    return operator | draw(table(start=per_axis(axes, -0.05, 0.05)))
+
+
+@st.composite
+def operators(draw: st.DrawFn, axes: int, duration_s: float, *, has_arm: bool, may_aim: bool = False) -> Raw:
     leg = table(
         {"duration_s": real(0.01, 0.3), "end": per_axis(axes, -0.08, 0.08)},
         shape=st.sampled_from(["linear", "smooth", "minimum-jerk"]),
     )
+    if may_aim and draw(st.integers(0, 7)) == 0:
+        return draw(aimed_operators(axes, duration_s))
     operator: Raw = draw(table(stiffness=real(10.0, 1000.0), damping=real(0.1, 20.0), grip_strength_n=real(0.0, 30.0)))
     match draw(st.sampled_from(["legs", "recorded", "still"])):
         case "legs":
@@ -295,7 +310,7 @@ def raw_scenes(draw: st.DrawFn, *, arm: bool | None = None) -> Raw:
     }
     scene["run"]["stop_early"] = draw(st.booleans())
     if draw(st.booleans()):
-        scene["operator"] = draw(operators(axes, duration_s, has_arm=has_arm))
+        scene["operator"] = draw(operators(axes, duration_s, has_arm=has_arm, may_aim=has_arm))
     if draw(st.integers(0, 4)) > 0:
         things = st.lists(objects(axes), max_size=3)
         pushes = st.lists(pushers(axes), max_size=2)

@@ -50,6 +50,7 @@ SHIPPED = {
     "sliding_mass",
     "three_axis_box",
     "torque_release",
+    "try",
     "valve",
     "ur_peg",
     "ur_pick",

@@ -100,7 +100,7 @@ def test_what_is_valid_is_shown_and_what_is_not_is_reported(odd: str, tmp_path: 
     line, said = ODD[odd]
     last = changed(position=[[0.0, 0.1, 0.07]])
     with sending(tmp_path / "m.sock", SAMPLE, line, last), sending(tmp_path / "s.sock", SAMPLE):
-        feeds = [SideFeed(tmp_path / name, name, Bodies()) for name in ("m.sock", "s.sock")]
+        feeds = [SideFeed(tmp_path / name, name, Bodies().take) for name in ("m.sock", "s.sock")]
         for feed in feeds:
             feed.start()
         end_s, shown, rows = time.monotonic() + 20.0, [], [dict[str, Any](), dict[str, Any]()]
@@ -143,7 +143,7 @@ def test_the_panel_of_a_terminal_reports_it_too(odd: str, tmp_path: Path) -> Non
 def test_a_scene_of_another_version_leaves_the_page_a_side(scene: object, tmp_path: Path) -> None:
     hello = HELLO | {"scene": scene}
     with sending(tmp_path / "m.sock", SAMPLE, hello=hello):
-        feed = SideFeed(tmp_path / "m.sock", "m", Bodies())
+        feed = SideFeed(tmp_path / "m.sock", "m", Bodies().take)
         feed.start()
         end_s = time.monotonic() + 20.0
         while "not connected" in str(feed.summary()["trouble"]) and time.monotonic() < end_s:

@@ -3,11 +3,13 @@
 import asyncio
 import contextlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
+
+from haptether.view.console.pair import Pair, side_id
 
 ANSWER_S = 1.0
 """Timeout of an answer in s; the answering thread waits at most 0.3 s, for a stop."""
@@ -25,7 +27,8 @@ class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     id: int
     """Identifier chosen by the page; the answer repeats it."""
-    side: Literal["master", "slave"]
+    side: Annotated[str, msgspec.Meta(pattern=r"^([a-z]{1,16}\.)?(master|slave)$")]
+    """Identifier of the side, see `side_id`."""
     do: Literal[
         "status", "hold", "let_go", "release", "acknowledge",
         "force_scale", "torque_scale", "position_scale", "rotation_scale",
@@ -100,14 +103,14 @@ class StopConnections:
     """Permanent connections to all control sockets, so that a stop never waits for one.
 
     Args:
-        paths: Sockets of `--control`.
+        pairs: Pairs with the sockets of `--control`.
     """
 
-    def __init__(self, paths: Sequence[Path]) -> None:
-        self._paths = list(dict.fromkeys(paths))
+    def __init__(self, pairs: Iterable[Pair]) -> None:
+        self._paths = {path: pair.name for pair in pairs for path in pair.control}
         self._kept: dict[Path, ControlConnection] = {}
         self.sides: dict[str, Path] = {}
-        """Control sockets by side."""
+        """Control sockets by the identifier of their side."""
 
     async def keep(self) -> None:
         """Request the status of each side, which connects to new sides and keeps connections active."""
@@ -120,7 +123,7 @@ class StopConnections:
         finally:
             self._kept[path] = connection
         if answer.get("done"):
-            self.sides[str(answer.get("side"))] = path
+            self.sides[side_id(self._paths[path], str(answer.get("side")))] = path
 
     def _take(self, path: Path) -> ControlConnection:
         """Take the kept connection for one request; create another while it is in use."""

@@ -2,10 +2,10 @@
 
 import threading
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from haptether.bridge import TelemetryEnd, TelemetryReader, TelemetrySample
-from haptether.view.console.bodies import Bodies
+from haptether.bridge import TelemetryEnd, TelemetryHello, TelemetryMessage, TelemetryReader, TelemetrySample
+from haptether.view.console.pair import side_id
 from haptether.view.console.summary import summary
 from haptether.view.terminal.state import SideState
 
@@ -15,6 +15,7 @@ CLOSE_S = 0.2
 """Timeout in s for the thread at the end."""
 PLACES = ("position", "command")
 VECTORS = (
+    "velocity",
     "rendered_force",
     "safety_force",
     "device_force",
@@ -24,18 +25,27 @@ VECTORS = (
 """Vectors of the charts, if a side has them."""
 
 
+class Listener(Protocol):
+    """Receiver of telemetry; called on the thread of the reader, which it must not block."""
+
+    def __call__(self, hello: TelemetryHello, message: TelemetryMessage | None = None, /) -> None:
+        """Take a message of the run with the given `hello`, or the start of that run."""
+
+
 class SideFeed:
     """Reader of the telemetry at `path` until closed; it reconnects when another run begins.
 
     Args:
         path: Socket of `--telemetry`.
         name: Name of the side until it is known.
-        bodies: Bodies to update.
+        listener: Receiver of each message.
+        pair: Name of its pair; empty with one pair only.
     """
 
-    def __init__(self, path: Path, name: str, bodies: Bodies) -> None:
+    def __init__(self, path: Path, name: str, listener: Listener, pair: str = "") -> None:
         self.path = path
-        self._bodies = bodies
+        self._listener = listener
+        self._pair = pair
         self._name = name
         self._state: SideState | None = None
         self._trouble = "not connected yet"
@@ -65,13 +75,20 @@ class SideFeed:
         state = self._state
         return self._name if state is None else state.side
 
+    @property
+    def id(self) -> str:
+        """Identifier of the side on a page."""
+        return side_id(self._pair, self.side)
+
     def summary(self) -> dict[str, Any]:
         """Return the content of the page beside the charts."""
         with self._lock:
             try:
-                return summary(self._state, self._trouble, str(self.path))
+                return {"id": self.id, **summary(self._state, self._trouble, str(self.path))}
             except Exception as error:  # an error of one side must not affect the other
-                return summary(None, f"cannot be shown: {type(error).__name__}: {error}", str(self.path))
+                return {"id": self.id} | summary(
+                    None, f"cannot be shown: {type(error).__name__}: {error}", str(self.path)
+                )
 
     def take_row(self) -> dict[str, Any]:
         """Return and clear the value furthest from zero of each charted signal, in SI units."""
@@ -96,11 +113,11 @@ class SideFeed:
 
     def _read(self, reader: TelemetryReader) -> None:
         state = SideState(reader.hello)
-        self._bodies.take(reader.hello)
+        self._listener(reader.hello)
         with self._lock:
             self._state, self._trouble, self._row, self._is_over = state, "", {}, False
         for message in reader:
-            self._bodies.take(reader.hello, message)
+            self._listener(reader.hello, message)
             with self._lock:
                 state.take(message)
                 if isinstance(message, TelemetrySample):

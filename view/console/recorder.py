@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 
 from haptether.bridge.flight import Flight, read_flight
+from haptether.view.console.pair import side_id
 
 MAX_BYTES = 1 << 20
 TICKS = 10
@@ -20,10 +21,12 @@ class FlightWatch:
 
     Args:
         path: File; it may not exist yet.
+        pair: Name of the pair of its side; empty with one pair only.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, pair: str = "") -> None:
         self._path = path
+        self._pair = pair
         self._seen: tuple[int, int] | None = None
         self.content: dict[str, Any] | None = None
         """Content for the page; None before the first write."""
@@ -39,7 +42,8 @@ class FlightWatch:
             if not stat.S_ISREG(found.st_mode) or found.st_size > MAX_BYTES:
                 message = f"{self._path}: must be a file of at most {MAX_BYTES} bytes"
                 raise ValueError(message)
-            self.content = {**_content(read_flight(self._path)), "written_s": found.st_mtime}
+            content = _content(read_flight(self._path))
+            self.content = {**content, "id": side_id(self._pair, content["side"]), "written_s": found.st_mtime}
         except FileNotFoundError:
             return False
         except (OSError, ValueError) as error:

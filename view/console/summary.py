@@ -31,6 +31,8 @@ def summary(state: SideState | None, trouble: str, path: str) -> dict[str, Any]:
         "scales": _scales(state),
         "time_s": state.time_s,
         "state": state.last("state"),
+        "reason": state.last("reason") or "",
+        "peer": state.last("peer_state"),
         "headline": headline(state),
         "clutch": state.last("clutch"),
         "cause": None

@@ -5,6 +5,11 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct, json
 
 from haptether.bridge.scene.tables.ranges import (
+    AimDamping,
+    AimStiffness,
+    AimStrength,
+    AimTarget,
+    AimTime,
     Axis,
     ClutchTimes,
     Duration,
@@ -261,6 +266,37 @@ class FingerTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """Release of the trigger; by default never."""
 
 
+class AimTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[[operator.aims.rows]]`: a leg of the target. The hand opens 0.4 s later unless another aim follows."""
+
+    at_s: Seconds
+    """Time in s since the start of the run."""
+    target: AimTarget
+    """Position in m at the end of the leg, within 2 m of the origin."""
+    over_s: AimTime = 1.0 / 30.0
+    """Duration of the leg in s, 0.001 to 0.4."""
+    stiffness: AimStiffness = 300.0
+    """K_h in N/m, up to 2000."""
+    damping: AimDamping = 5.0
+    """B_h in N s/m, up to 50."""
+    strength_n: AimStrength
+    """Grip strength in N, up to 50; 0 opens the hand."""
+
+
+class AimsTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[operator.aims]`: a person aims the hand, for example with a mouse. It is open until the first aim.
+
+    Without `file` and `rows`, a live master takes its aims at its control socket; in virtual time the hand stays open.
+    """
+
+    file: str | None = None
+    """CSV with the header `time_s,x[,y,z],over_s,stiffness,damping,strength_n`, as `haptether try --record` writes it;
+    path relative to the scene. Time is since the start of the run.
+    """
+    rows: tuple[AimTable, ...] = ()
+    """Aims in order of time, as an alternative to a file."""
+
+
 class TremorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """`[operator.tremor]`: `a sin(2 pi f t)` added to the path on every axis."""
 
@@ -288,6 +324,8 @@ class OperatorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Legs of the path; by default the hand stays at `start`."""
     recorded: SeriesTable | None = None
     """Recorded path in m, as an alternative to legs."""
+    aims: AimsTable | None = None
+    """Aims of a person, as an alternative to legs."""
     release: ReleaseTable | None = None
     """Release of the device; by default never."""
     regrasp: RegraspTable | None = None

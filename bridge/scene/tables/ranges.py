@@ -30,6 +30,10 @@ SampleRate = Annotated[float, Meta(ge=1e-3, le=1e6)]
 Acceleration = Annotated[float, Meta(ge=1e-6, le=LARGEST)]
 """In m/s²; below this a set position would not move within the longest run."""
 Period = Annotated[float, Meta(ge=1e-5, le=2e-2)]
+AimTime = Annotated[float, Meta(ge=0.001, le=0.4)]
+AimStiffness = Annotated[float, Meta(ge=0.0, le=2000.0)]
+AimDamping = Annotated[float, Meta(ge=0.0, le=50.0)]
+AimStrength = Annotated[float, Meta(ge=0.0, le=50.0)]
 TremorFrequency = Annotated[float, Meta(gt=0.0, le=100.0)]
 ClockOffset = Annotated[float, Meta(ge=-4e9, le=4e9)]
 """In s: 127 years, as between a set clock and one that was never set."""
@@ -59,6 +63,9 @@ NonNegativePerAxis: TypeAlias = NonNegative | Annotated[tuple[NonNegative, ...],
 PositionPerAxis: TypeAlias = Position | Annotated[tuple[Position, ...], _axes]
 SpeedPerAxis: TypeAlias = Speed | Annotated[tuple[Speed, ...], _axes]
 ForcePerAxis: TypeAlias = Force | Annotated[tuple[Force, ...], _axes]
+_reach = Annotated[float, Meta(ge=-2.0, le=2.0)]
+AimTarget: TypeAlias = _reach | Annotated[tuple[_reach, ...], _axes]
+"""In m."""
 # Not tuple[Position, Position]: msgspec 0.22 crashes on such a type beside a number with a range.
 _pair = Annotated[tuple[Position, ...], Meta(min_length=2, max_length=2)]
 StopsPerAxis: TypeAlias = Annotated[

@@ -93,6 +93,16 @@ impl LiveHandle {
         self.0.answered.load(Ordering::Relaxed)
     }
 
+    /// Periods from the start of the loop to its next tick, skipped ones included.
+    pub fn next_period(&self) -> u64 {
+        self.0.next_period.load(Ordering::Relaxed)
+    }
+
+    /// Number of axes of an aimed model; `None` for any other side.
+    pub fn aimed_axes(&self) -> Option<usize> {
+        self.0.aimed_axes
+    }
+
     /// Ticks done so far.
     pub fn ticks(&self) -> u64 {
         self.0.ticks.load(Ordering::Relaxed)
@@ -201,11 +211,22 @@ impl ControlPort {
 }
 
 /// Reason why a command was not queued.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum CommandError {
     /// A scale that is not allowed now.
     #[error(transparent)]
     Refused(#[from] CouplingError),
+    /// An aim or a push at a side that is not an aimed model.
+    #[error(
+        "this side has no aimed hand: it must be a model, of a scene with [operator.aims] that names no file"
+    )]
+    NotAimed,
+    /// An invalid aim.
+    #[error(transparent)]
+    Aim(#[from] haptether_master::ModelError),
+    /// An invalid push.
+    #[error(transparent)]
+    Push(#[from] haptether_slave::ModelError),
     /// The queue is full.
     #[error("the loop has not done what it was told before: is it running?")]
     Full,
@@ -266,11 +287,14 @@ impl Ineffective {
 pub(super) struct Shared {
     role: Role,
     ranges: ScaleRanges,
+    /// Number of axes, if this is the side of an aimed model.
+    aimed_axes: Option<usize>,
     /// True if the clutch is open and no coupling remains.
     pub(super) is_open: AtomicBool,
     pub(super) stop: AtomicBool,
     pub(super) state: AtomicU8,
     pub(super) ticks: AtomicU64,
+    pub(super) next_period: AtomicU64,
     pub(super) answered: AtomicBool,
     /// Times of the last press and takeover in ns; 0 once taken.
     press_ns: AtomicU64,
@@ -289,14 +313,16 @@ pub(super) struct Shared {
 }
 
 impl Shared {
-    pub(super) fn new(role: Role, ranges: ScaleRanges) -> Self {
+    pub(super) fn new(role: Role, ranges: ScaleRanges, aimed_axes: Option<usize>) -> Self {
         Self {
             role,
             ranges,
+            aimed_axes,
             is_open: AtomicBool::new(true),
             stop: AtomicBool::default(),
             state: AtomicU8::default(),
             ticks: AtomicU64::default(),
+            next_period: AtomicU64::default(),
             answered: AtomicBool::default(),
             press_ns: AtomicU64::default(),
             takeover_ns: AtomicU64::default(),
@@ -316,6 +342,14 @@ impl Shared {
         command: OperatorCommand,
     ) -> Result<(), CommandError> {
         command.check_scale(self.role, &self.ranges, self.is_open.load(Ordering::Relaxed))?;
+        match command {
+            OperatorCommand::Aim(_) | OperatorCommand::Push(_) if self.aimed_axes.is_none() => {
+                return Err(CommandError::NotAimed);
+            }
+            OperatorCommand::Aim(aim) => aim.check()?,
+            OperatorCommand::Push(push) => push.check()?,
+            _ => {}
+        }
         commands.push((system::now_ns(), command)).map_err(|_| CommandError::Full)
     }
 

@@ -100,6 +100,8 @@ fn is_prompt(
         OperatorCommand::Press | OperatorCommand::Takeover => {
             is_young && stalled_ns.is_none_or(|stalled| at_ns > stalled + PROMPT_NS)
         }
+        // A hand or tool must not move for what a person did long ago.
+        OperatorCommand::Aim(_) | OperatorCommand::Push(_) => is_young,
         // It is for the fault of that time, not a later one.
         OperatorCommand::Acknowledge => is_young && failed_ns.is_none_or(|failed| failed <= at_ns),
         _ => true,
@@ -382,6 +384,7 @@ impl LiveLoop {
         shared.state.store(state.code(), Ordering::Relaxed);
         shared.is_open.store(is_open, Ordering::Relaxed);
         shared.ticks.store(report.ticks, Ordering::Relaxed);
+        shared.next_period.store(elapsed_ns / self.settings.period_ns + 1, Ordering::Relaxed);
         // The round trip is known from the first answer on.
         let link = plant.side().exchange().link().statistics();
         plant.count_link(&link);

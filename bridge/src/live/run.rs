@@ -103,7 +103,7 @@ fn prepared<S: Side + Send + 'static>(
     let layout = side.exchange().link().layout();
     let channel = LiveChannel::start(settings.role, layout, settings.period_ns, security)?;
     let started_ns = settings.started_ns.unwrap_or_else(system::now_ns);
-    let shared = Arc::new(Shared::new(settings.role, side.ranges()));
+    let shared = Arc::new(Shared::new(settings.role, side.ranges(), side.is_aimed().then(|| side.axes())));
     let (channels, sinks, watch, records) =
         channels(started_ns, socket.local_address()?, outputs, Arc::clone(&shared));
     let plant = Box::new(RecordedSide::new(side, sinks));

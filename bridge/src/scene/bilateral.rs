@@ -8,6 +8,7 @@ use std::{
 };
 
 use super::{
+    aims::master_commands,
     assemble::{
         SceneError, clutch, contradiction, exact_master, is_continuous, period_ns, ticks, trigger_feedback,
     },
@@ -266,7 +267,7 @@ where
 {
     let commands = commands::<N>(scene.coupled()?.1)?;
     let start = master.plant.truth().map_or(Axes::zeros(), |truth| truth.position);
-    let mut master = Timed::new(master, commands.clone());
+    let mut master = Timed::new(master, master_commands(scene)?);
     let mut slave = Timed::new(slave, commands.clone());
     let watched = Watched::new(scene, settings, commands, &start, slave.side.gripper.is_some())?;
     for exchange in [master.exchange_mut(), slave.exchange_mut()] {

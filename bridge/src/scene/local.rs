@@ -104,6 +104,9 @@ fn local_run<R: Rendering<N>, const N: usize>(
     rendering: R,
     research: Option<&dyn ResearchFactory>,
 ) -> Result<LocalRun<R, N>, SceneError> {
+    if scene.operator.as_ref().is_some_and(|operator| operator.aims.is_some()) {
+        return contradiction("operator.aims: needs an arm to lead: add [slave] or leave it out");
+    }
     let plant = exact_master(scene)?;
     let period_ns = period_ns("run.period_s", scene.run.period_s)?;
     let measures = Measures::new(&MeasureSettings::of(scene), plant.position());

@@ -1,5 +1,6 @@
 //! Measures of a run, for one scenario or for several lanes.
 
+use haptether_master::Aim;
 use haptether_netsim::LinkSettings;
 use haptether_numeric::pack;
 use haptether_safety::{Axes, Fault, Real};
@@ -145,7 +146,9 @@ impl MeasureSettings {
         if let Some(operator) = operator {
             let legs: f64 = operator.legs.iter().map(|leg| leg.duration_s).sum();
             let recorded = operator.recorded.as_ref().and_then(|series| series.time_s.last().copied());
-            quiet_after = quiet_after.max(legs).max(recorded.unwrap_or(0.0));
+            let aimed = operator.aims.as_ref().and_then(|aims| aims.rows.last());
+            let expired = aimed.map(|row| row.at_s + Aim::<N>::EXPIRES_S);
+            quiet_after = quiet_after.max(legs).max(recorded.unwrap_or(0.0)).max(expired.unwrap_or(0.0));
             if let Some(release) = release {
                 let regrasp = operator.regrasp.as_ref();
                 let regrips = regrasp.map_or(0.0, |regrasp| regrasp.reaction_s + regrasp.rise_s);

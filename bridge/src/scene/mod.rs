@@ -1,5 +1,6 @@
 //! Scenes: whole experiments as values, run in virtual time, one by one or in sweeps.
 
+mod aims;
 mod assemble;
 mod bilateral;
 mod coupling;

@@ -5,6 +5,7 @@ use haptether_safety::SampleBounds;
 use haptether_slave::{SimulatedSlave, SimulatedTool};
 
 use super::{
+    aims::{is_aimed_by_person, master_commands},
     assemble::{
         SceneError, device_model, driven_clutch, environment, exact_master, limiter, live_clutch, period_ns,
         simulated_trigger, trigger_feedback,
@@ -203,18 +204,20 @@ pub(super) fn simulated_gripper<const N: usize>(
 /// Build the scene's arm in its environment.
 pub(super) fn simulated_arm<const N: usize>(scene: &SceneSpec<N>) -> Result<SimulatedSlave<N>, SceneError> {
     let (slave, _) = scene.coupled()?;
+    let surroundings = environment(scene.environment.as_ref())?;
+    let surroundings = if is_aimed_by_person(scene) { surroundings.to_be_pushed() } else { surroundings };
     Ok(SimulatedSlave::in_environment(
         slave.model()?,
-        environment(scene.environment.as_ref())?,
+        surroundings,
         slave.force_sensor.as_ref().map(|sensor| sensor.sensor(scene.run.seed)).transpose()?,
         slave.position,
         0,
     )?)
 }
 
-/// Let the hand of the plant wait at the start of its path until the sides engage.
+/// Let the hand of the plant wait at the start of its path until the sides engage, unless it follows aims.
 pub(super) fn with_waiting_hand<const N: usize>(mut plant: SimulatedMaster<N>) -> SimulatedMaster<N> {
-    plant.set_waiting(true);
+    plant.set_waiting(!plant.is_aimed());
     plant
 }
 
@@ -236,10 +239,13 @@ pub fn simulated_master<const N: usize>(
     run_id: u64,
 ) -> Result<Timed<MasterSide<LiveDevice<N>, N>>, SceneError> {
     let plant = simulated_device(scene)?;
-    let side = MasterSide::new(plant, master_endpoint(scene, run_id, None)?, live_clutch(scene))?
+    let is_aimed = is_aimed_by_person(scene);
+    // A person who aims presses the clutch as well.
+    let clutch = if is_aimed { driven_clutch(scene, false)? } else { live_clutch(scene) };
+    let side = MasterSide::new(plant, master_endpoint(scene, run_id, None)?, clutch)?
         .with_trigger(trigger(scene, false)?)
         .with_buttons(scene.master.buttons)?;
-    Ok(Timed::new(side, commands::<N>(scene.coupled()?.1)?))
+    Ok(Timed::new(side, master_commands(scene)?).aimed(is_aimed))
 }
 
 /// Same as [`simulated_master`], with a device that turns.
@@ -271,7 +277,7 @@ pub fn simulated_slave<const N: usize>(
     research_controller(scene, None)?; // refused as at its master
     let side = SlaveSide::new(simulated_arm(scene)?, slave_endpoint(scene, run_id)?)
         .with_gripper(simulated_gripper(scene)?);
-    Ok(Timed::new(side, commands::<N>(scene.coupled()?.1)?))
+    Ok(Timed::new(side, commands::<N>(scene.coupled()?.1)?).aimed(is_aimed_by_person(scene)))
 }
 
 /// Same as [`simulated_slave`], with an arm that turns.

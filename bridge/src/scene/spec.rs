@@ -5,7 +5,7 @@
 //! schema of these types with that of the tables.
 
 use haptether_master::{
-    DeviceParameters, Leg, Regrasp, Release, RotationHandParameters, RotationParameters, Tremor,
+    Aim, DeviceParameters, Leg, Regrasp, Release, RotationHandParameters, RotationParameters, Tremor,
 };
 use haptether_netsim::{ClockSettings, LinkSettings};
 use haptether_safety::{
@@ -165,6 +165,8 @@ pub struct OperatorSpec<const N: usize> {
     pub legs: Vec<Leg<N>>,
     /// Recorded path, as an alternative to legs.
     pub recorded: Option<SeriesSettings<N>>,
+    /// Aims that the hand follows instead of a path.
+    pub aims: Option<AimsSpec<N>>,
     /// Release of the device.
     pub release: Option<Release>,
     /// Grasp after the release.
@@ -183,6 +185,24 @@ pub struct OperatorSpec<const N: usize> {
     pub finger: Option<FingerSpec>,
     /// Rotation of a device of kind `pose` by the hand; by default none.
     pub rotation: Option<RotationHandParameters>,
+}
+
+/// `[operator.aims]`.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AimsSpec<const N: usize> {
+    /// Aims in order of time. Without any, those of a person at a live side.
+    pub rows: Vec<AimSpec<N>>,
+}
+
+/// One aim of the hand.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+pub struct AimSpec<const N: usize> {
+    /// Time in s since the start.
+    pub at_s: f64,
+    /// The aim.
+    #[serde(flatten)]
+    pub aim: Aim<N>,
 }
 
 /// `[operator.finger]`: `F_finger = K_f (travel p_target - x) - B_f V`, saturated at its strength.

@@ -34,12 +34,19 @@ pub struct Timed<S> {
     /// The side.
     pub side: S,
     commands: Commands,
+    /// True for an aimed model, which takes aims and pushes of a person.
+    is_aimed: bool,
 }
 
 impl<S> Timed<S> {
     /// Build from a side and `commands` in order of time.
     pub(crate) fn new(side: S, commands: Vec<(u64, OperatorCommand)>) -> Self {
-        Self { side, commands: Commands::new(commands) }
+        Self { side, commands: Commands::new(commands), is_aimed: false }
+    }
+
+    /// Return the side with aims and pushes of a person, if `is_aimed`.
+    pub(crate) fn aimed(self, is_aimed: bool) -> Self {
+        Self { is_aimed, ..self }
     }
 }
 
@@ -50,8 +57,8 @@ impl<P, const N: usize> Timed<MasterSide<P, N>> {
     where
         P: MasterPlant<N>,
     {
-        let Self { side, commands } = self;
-        Timed { side: side.recording_rotation(), commands }
+        let Self { side, commands, is_aimed } = self;
+        Timed { side: side.recording_rotation(), commands, is_aimed }
     }
 }
 
@@ -59,8 +66,8 @@ impl<P: MasterPlant<N>, const N: usize, R> Timed<MasterSide<P, N, R>> {
     /// Return the side with records of the force on the finger at the trigger.
     #[must_use]
     pub fn recording_trigger(self) -> Timed<MasterSide<P, N, WithTriggerFeedback<R>>> {
-        let Self { side, commands } = self;
-        Timed { side: side.recording_trigger(), commands }
+        let Self { side, commands, is_aimed } = self;
+        Timed { side: side.recording_trigger(), commands, is_aimed }
     }
 }
 
@@ -71,8 +78,8 @@ impl<P, const N: usize> Timed<SlaveSide<P, N>> {
     where
         P: SlavePlant<N>,
     {
-        let Self { side, commands } = self;
-        Timed { side: side.recording_rotation(), commands }
+        let Self { side, commands, is_aimed } = self;
+        Timed { side: side.recording_rotation(), commands, is_aimed }
     }
 }
 
@@ -93,7 +100,14 @@ impl<S: Side> Side for Timed<S> {
     }
 
     fn command(&mut self, now_ns: u64, command: OperatorCommand) -> Result<bool, CouplingError> {
+        if matches!(command, OperatorCommand::Aim(_) | OperatorCommand::Push(_)) && !self.is_aimed {
+            return Ok(false);
+        }
         self.side.command(now_ns, command)
+    }
+
+    fn is_aimed(&self) -> bool {
+        self.is_aimed
     }
 
     fn ranges(&self) -> ScaleRanges {

@@ -1,5 +1,6 @@
 //! A simulated master: device and hand, advanced exactly under a force held since the last write.
 
+mod aimed;
 mod bend;
 mod events;
 mod lanes;
@@ -11,6 +12,7 @@ mod tests;
 
 pub use lanes::{MasterLanes, MasterLanesSample};
 
+use self::aimed::Aims;
 use crate::{
     Axes, ContinuousWall, DeviceParameters, Hand, ModelError, Real,
     device::{exerted, quantised_axes},
@@ -121,6 +123,8 @@ impl<const N: usize> Clock<N> {
 pub struct SimulatedMaster<const N: usize> {
     device: DeviceParameters<N>,
     hand: Hand<N>,
+    /// Aims of the hand; none follows its path.
+    aims: Option<Box<Aims<N>>>,
     walls: Vec<ContinuousWall<N>>,
     held_force: Axes<N>,
     clock: Clock<N>,
@@ -152,6 +156,7 @@ impl<const N: usize> SimulatedMaster<N> {
             follows_series_only: false,
             device,
             hand,
+            aims: None,
             walls: Vec::new(),
             held_force: Axes::zeros(),
             pushing: 0,
@@ -189,6 +194,9 @@ impl<const N: usize> SimulatedMaster<N> {
     #[inline]
     pub fn read(&mut self, now_ns: u64) -> MasterSample<N> {
         self.advance_to(now_ns);
+        if self.aims.is_some() {
+            self.take_aim();
+        }
         self.measured()
     }
 
@@ -249,6 +257,12 @@ impl<const N: usize> SimulatedMaster<N> {
     /// Contacts with continuous walls.
     pub fn touch(&self) -> &Touch {
         &self.touch
+    }
+
+    /// Set the time of the hand to 0; its path and grip may have changed.
+    fn restart_hand(&mut self) {
+        let (now_ns, last_ns, waits) = (self.clock.now_ns, self.clock.last_ns, self.clock.waits);
+        self.clock = Clock { last_ns, ..Clock::new(&self.hand, now_ns, waits) };
     }
 
     fn halt(&mut self, axis: usize) {

@@ -33,7 +33,13 @@ from haptether.printed import SEE_ABOVE, forget, shortened
 
 PURPOSES = {
     "see it": CommandTable(
-        {"demo": "demo:Demo", "console": "view.console:Console", "view": "view.view:View", "watch": "view.watch:Watch"}
+        {
+            "demo": "demo:Demo",
+            "try": "view.trial.command:Try",
+            "console": "view.console:Console",
+            "view": "view.view:View",
+            "watch": "view.watch:Watch",
+        }
     ),
     "run it": CommandTable(
         {

@@ -3,7 +3,7 @@
 use haptether_numeric::norm;
 
 use crate::{
-    Axes, Object, Pusher, amax,
+    Axes, Object, Push, Pusher, amax,
     contact::law::{Mode, Reaction},
     solver::state::Solver,
 };
@@ -31,6 +31,8 @@ pub struct Environment<const N: usize> {
     pub(crate) bodies: usize,
     /// True if every push is linear in time between its kinks.
     pub(crate) is_push_linear: bool,
+    /// Index of the pusher for pushes during the run.
+    asked: Option<usize>,
     touches: bool,
 }
 
@@ -50,6 +52,7 @@ impl<const N: usize> Environment<N> {
             bodies,
             is_push_linear: pushers.iter().all(Pusher::is_piecewise_linear),
             movers,
+            asked: None,
             touches: false,
             objects,
             pushers,
@@ -59,6 +62,26 @@ impl<const N: usize> Environment<N> {
     /// An environment without objects and pushers.
     pub fn empty() -> Self {
         Self::new(Vec::new(), Vec::new())
+    }
+
+    /// The same environment with a place for a push during the run.
+    #[must_use]
+    pub fn to_be_pushed(mut self) -> Self {
+        self.asked = Some(self.pushers.len());
+        self.pushers.push(Pusher::asked(&Push { force_n: Axes::zeros(), duration_s: 0.0 }, 0.0));
+        self
+    }
+
+    /// Push the tool from `time_s` on, instead of the last such push. False if the environment takes no pushes, the
+    /// time of the pushers has not begun, or the push is invalid.
+    pub fn ask(&mut self, push: &Push<N>, time_s: f64) -> bool {
+        let since_s = time_s - self.push_from;
+        let Some(index) = self.asked.filter(|_| push.check().is_ok() && since_s.is_finite()) else {
+            return false;
+        };
+        self.pushers[index] = Pusher::asked(push, since_s);
+        self.stretch = Stretch::NONE;
+        true
     }
 
     /// Start the time of the pushers at `time_s`; infinity means never.
@@ -444,6 +467,28 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn push_asked_for_acts_from_its_time_and_replaces_the_last() {
+        let mut environment = Environment::new(Vec::new(), vec![pusher(0, 0.1, 0.2, 0.0)]).to_be_pushed();
+        let [x, v] = [Axes::<1>::zeros(); 2];
+        let push = |force: f64| Push { force_n: Axes::<1>::new(force), duration_s: 0.5 };
+        environment.push_from(f64::INFINITY);
+        assert!(!environment.ask(&push(2.0), 0.5), "the time of the pushers has not begun");
+        environment.push_from(1.0);
+        assert!(environment.ask(&push(2.0), 2.0) && environment.is_push_linear);
+        for (at, force) in [(1.15, -3.0), (1.999, 0.0), (2.0, 2.0), (2.499, 2.0), (2.5, 0.0)] {
+            assert_eq!(environment.force(&x, &v, at)[0], force, "{at}");
+        }
+        assert!(environment.ask(&push(5.0), 2.1) && environment.ask(&push(7.0), 2.3));
+        for (at, force) in [(2.2, 0.0), (2.3, 7.0), (2.79, 7.0), (2.8, 0.0)] {
+            assert_eq!(environment.force(&x, &v, at)[0], force, "{at}");
+        }
+        for invalid in [push(30.1), push(f64::NAN), Push { duration_s: 0.009, ..push(1.0) }] {
+            assert!(!environment.ask(&invalid, 3.0));
+        }
+        assert!(!Environment::empty().ask(&push(1.0), 3.0), "an environment that takes no pushes");
     }
 
     #[test]

@@ -62,6 +62,29 @@ impl<const N: usize> Series<N> {
     }
 }
 
+/// A constant force on the tool that a person asks for during a run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Push<const N: usize> {
+    /// Force in N, of norm 30 at most.
+    pub force_n: Axes<N>,
+    /// Duration in s (0.01 to 2).
+    pub duration_s: f64,
+}
+
+impl<const N: usize> Push<N> {
+    /// Reject numbers that are not finite or out of range.
+    ///
+    /// # Errors
+    ///
+    /// Name, value and range of the first invalid number.
+    pub fn check(&self) -> Result<(), ModelError> {
+        let Self { force_n, duration_s } = self;
+        require_axes("force", force_n, |_| true, "finite")?;
+        require("|force|", force_n.norm(), force_n.norm() <= 30.0, "at most 30 N")?;
+        require("duration_s", *duration_s, (0.01..=2.0).contains(duration_s), "0.01 to 2 s")
+    }
+}
+
 /// The shape of a push over time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PushShape {
@@ -117,6 +140,13 @@ impl<const N: usize> Pusher<N> {
         }
         require_axes("push force", &force_n, |_| true, "finite")?;
         Self::during(at_s, duration_s, Course::Shaped(shape, force_n))
+    }
+
+    /// The pusher of a valid push from `at_s` on.
+    pub(crate) fn asked(push: &Push<N>, at_s: f64) -> Self {
+        let Push { force_n, duration_s } = *push;
+        let course = Course::Shaped(PushShape::Step, force_n);
+        Self { at_s, duration_s, window: Window::lasting(at_s, duration_s), course }
     }
 
     /// A recorded push in N whose time 0 is `at_s`.

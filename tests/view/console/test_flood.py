@@ -23,8 +23,9 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
 from haptether.view.console.connections import MAX_KNOWN, MAX_UNKNOWN, REQUEST_S, TOKEN_S, Connections
+from haptether.view.console.page_server import BACKLOG
 from haptether.view.console.recorder import FlightWatch
-from haptether.view.console.server import BACKLOG, Console
+from haptether.view.console.server import Console
 
 pytestmark = pytest.mark.live
 

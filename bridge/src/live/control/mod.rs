@@ -3,6 +3,7 @@
 //! It is separate from telemetry, whose readers must not command. Its thread needs no interpreter, so a stop acts
 //! whatever Python does. The loop sees ordinary commands. Lines of JSON, see docs/console.md.
 
+mod aiming;
 mod hold;
 mod request;
 
@@ -25,12 +26,24 @@ use rustix::{
     time::{ClockId, clock_gettime},
 };
 
+use haptether_master::Aim;
+use haptether_slave::Push;
+
 use self::{
+    aiming::Aiming,
     hold::{Beat, Held, Hold},
     request::{Answer, Request, Status},
 };
-use super::{handle::ControlPort, handle::Ineffective, own_thread::OwnThread};
-use crate::{command::OperatorCommand, live_socket::LiveSocket, wire::Role};
+use super::{
+    handle::{CommandError, ControlPort, Ineffective},
+    own_thread::OwnThread,
+};
+use crate::{
+    command::OperatorCommand,
+    live_socket::LiveSocket,
+    port::MAX_AXES,
+    wire::{Padded, Role},
+};
 
 /// Maximum number of connections. A further one closes the idlest, so that none blocks a stop.
 const MAX_CONNECTIONS: usize = 32;
@@ -71,8 +84,8 @@ impl ControlSocket {
         let Self { socket, path } = self;
         let spare = Some(spare(&socket)?);
         let thread = thread::Builder::new().name("haptether-control".into()).spawn(move || {
-            let (hold, connected) = (Hold::default(), Vec::new());
-            let server = Server { socket, spare, role, port, has_driver, hold, connected, next: 0 };
+            let (hold, aiming, connected) = (Hold::default(), Aiming::default(), Vec::new());
+            let server = Server { socket, spare, role, port, has_driver, hold, aiming, connected, next: 0 };
             server.serve(&theirs);
         })?;
         Ok(Control { thread: OwnThread::new(thread), is_over, path })
@@ -178,6 +191,7 @@ struct Server {
     port: ControlPort,
     has_driver: bool,
     hold: Hold,
+    aiming: Aiming,
     connected: Vec<Connection>,
     next: u64,
 }
@@ -193,7 +207,7 @@ impl Server {
                 if self.serve_one(&mut connection) {
                     self.connected.push(connection);
                 } else {
-                    self.hold.end(connection.number);
+                    self.end(connection.number);
                 }
             }
             // A closed connection may have used it.
@@ -249,8 +263,17 @@ impl Server {
                 format!("another program has connected: {MAX_CONNECTIONS} may, and this was the idlest");
             idlest.send(&Answer { text, ..Answer::default() }.line());
         }
-        self.hold.end(idlest.number);
+        self.end(idlest.number);
         true
+    }
+
+    /// End what connection `from` held or aimed.
+    fn end(&mut self, from: u64) {
+        self.hold.end(from);
+        if self.aiming.end(from) {
+            // With a full queue the hand opens by itself when the last aim expires.
+            let _ = self.port.command(OperatorCommand::Aim(Aim::open()));
+        }
     }
 
     /// Answer requests. Returns whether the connection stays.
@@ -317,7 +340,29 @@ impl Server {
             Request::RotationScale { scale, token } if is_fresh(token) => {
                 self.scale(OperatorCommand::RotationScale(scale), scale, answer)
             }
+            Request::Aim { .. } if self.role != Role::Master => {
+                refused("the hand is at the master: send it there")
+            }
+            Request::Push { .. } if self.role != Role::Slave => {
+                refused("the tool is at the slave: send it there")
+            }
+            Request::Aim { ref target, over_s, stiffness, damping, strength_n, token } if is_fresh(token) => {
+                match self.padded("target", target) {
+                    Ok(target) => {
+                        self.aim(from, Aim { target, over_s, stiffness, damping, strength_n }, answer)
+                    }
+                    Err(text) => refused(&text),
+                }
+            }
+            Request::Push { ref force, duration_s, token } if is_fresh(token) => {
+                match self.padded("force", force) {
+                    Ok(force_n) => self.push(Push { force_n, duration_s }, answer),
+                    Err(text) => refused(&text),
+                }
+            }
             Request::Acknowledge { .. }
+            | Request::Aim { .. }
+            | Request::Push { .. }
             | Request::ForceScale { .. }
             | Request::PositionScale { .. }
             | Request::TorqueScale { .. }
@@ -366,6 +411,41 @@ impl Server {
             }
             Held::Void(text) => Answer { done: false, text: text.into(), pressed: Some(false), ..answer },
         }
+    }
+
+    /// One value per axis; an error at a side without a hand to aim.
+    fn padded(&self, name: &str, values: &[f64]) -> Result<Padded, String> {
+        let axes = self.port.handle().aimed_axes().ok_or_else(|| CommandError::NotAimed.to_string())?;
+        if values.len() != axes {
+            return Err(format!("{name}: {} values, must be {axes}, one per axis", values.len()));
+        }
+        let mut padded = Padded::zeros();
+        padded.rows_mut(0, axes).copy_from_slice(values);
+        Ok(padded)
+    }
+
+    fn aim(&mut self, from: u64, aim: Aim<MAX_AXES>, answer: Answer) -> Answer {
+        let now_us = now_us();
+        if !self.aiming.may(from, now_us) {
+            let text = "another page or program aims this hand: it must stop for 0.4 s first".into();
+            return Answer { done: false, text, ..answer };
+        }
+        let answer = self.command(OperatorCommand::Aim(aim), "aimed", answer);
+        if !answer.done {
+            return answer;
+        }
+        self.aiming.aimed(from, now_us);
+        Answer { token: Some(now_us), acts_at: Some(self.port.handle().next_period()), ..answer }
+    }
+
+    fn push(&mut self, push: Push<MAX_AXES>, answer: Answer) -> Answer {
+        if !self.port.handle().state().is_coupled() {
+            let text = "the sides are not engaged: a push begins after the engagement".into();
+            return Answer { done: false, text, ..answer };
+        }
+        let answer = self.command(OperatorCommand::Push(push), "pushed", answer);
+        let acts_at = answer.done.then(|| self.port.handle().next_period());
+        Answer { acts_at, ..answer }
     }
 
     fn scale(&mut self, command: OperatorCommand, scale: f64, answer: Answer) -> Answer {

@@ -4,24 +4,60 @@ use serde::{Deserialize, Serialize};
 
 /// A request. Times are whole ms, exact in a browser up to 2^53. A token is from a recent `status`, so a queued
 /// request has an old one.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 pub(super) enum Request {
     Stop {},
     Status {},
-    Hold { held_ms: u32, token: Option<u64> },
+    Hold {
+        held_ms: u32,
+        token: Option<u64>,
+    },
     LetGo {},
     Release {},
-    Acknowledge { token: u64 },
-    ForceScale { scale: f64, token: u64 },
-    PositionScale { scale: f64, token: u64 },
-    TorqueScale { scale: f64, token: u64 },
-    RotationScale { scale: f64, token: u64 },
+    Acknowledge {
+        token: u64,
+    },
+    ForceScale {
+        scale: f64,
+        token: u64,
+    },
+    PositionScale {
+        scale: f64,
+        token: u64,
+    },
+    TorqueScale {
+        scale: f64,
+        token: u64,
+    },
+    RotationScale {
+        scale: f64,
+        token: u64,
+    },
+    Aim {
+        target: Vec<f64>,
+        #[serde(default = "between_aims")]
+        over_s: f64,
+        stiffness: f64,
+        damping: f64,
+        strength_n: f64,
+        token: u64,
+    },
+    Push {
+        force: Vec<f64>,
+        duration_s: f64,
+        token: u64,
+    },
+}
+
+/// Default time in s of the leg to an aim: two pictures of a screen at 60 Hz.
+const fn between_aims() -> f64 {
+    1.0 / 30.0
 }
 
 /// Names of all requests, for the error text.
 const REQUESTS: &str = "stop, status, hold, let_go, release, acknowledge, force_scale, position_scale, torque_scale, \
-                        rotation_scale";
+                        rotation_scale, aim, push";
 
 impl Request {
     pub(super) fn of(line: &[u8]) -> Result<Self, String> {
@@ -32,7 +68,7 @@ impl Request {
         })
     }
 
-    pub(super) fn name(self) -> &'static str {
+    pub(super) fn name(&self) -> &'static str {
         match self {
             Self::Stop {} => "stop",
             Self::Status {} => "status",
@@ -44,6 +80,8 @@ impl Request {
             Self::PositionScale { .. } => "position_scale",
             Self::TorqueScale { .. } => "torque_scale",
             Self::RotationScale { .. } => "rotation_scale",
+            Self::Aim { .. } => "aim",
+            Self::Push { .. } => "push",
         }
     }
 }
@@ -62,6 +100,9 @@ pub(super) struct Answer {
     /// True if this beat has pressed the clutch.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) pressed: Option<bool>,
+    /// Time of an aim or a push, in periods since the start of the loop.
+    #[serde(rename = "ticks", skip_serializing_if = "Option::is_none")]
+    pub(super) acts_at: Option<u64>,
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
     pub(super) status: Option<Status>,
 }
@@ -106,6 +147,9 @@ mod tests {
             r#"{"do":"force_scale","scale":"1","token":1}"#,
             r#"{"do":"hold","held_ms":-1}"#,
             r#"{"do":"hold","held_ms":1e9}"#,
+            r#"{"do":"aim","target":0.1,"stiffness":300,"damping":5,"strength_n":6,"token":1}"#,
+            r#"{"do":"aim","target":[0.1],"stiffness":300,"damping":5,"token":1}"#,
+            r#"{"do":"push","force":[1e999],"duration_s":0.1,"token":1}"#,
             r#"[{"do":"stop"}]"#,
             r#"{"do":"stop"} {"do":"stop"}"#,
         ] {

@@ -16,7 +16,8 @@ pub(crate) fn exact_master<const N: usize>(scene: &SceneSpec<N>) -> Result<Simul
     device.check()?;
     let mut master = SimulatedMaster::new(device, hand(scene)?, 0)?.with_walls(walls_on_device(scene)?)?;
     master.place(position, velocity)?;
-    Ok(master)
+    let is_aimed = scene.operator.as_ref().is_some_and(|operator| operator.aims.is_some());
+    if is_aimed { Ok(master.aimed()?) } else { Ok(master) }
 }
 
 /// Return the model of the device for the safety layer.
@@ -72,8 +73,8 @@ pub(crate) fn clutch<const N: usize>(scene: &SceneSpec<N>) -> Clutch {
     if scene.operator.is_none() { automatic(scene) } else { live_clutch(scene) }
 }
 
-/// Return the clutch of a simulated master that runs live. The arm may be real, so without an operator nothing presses
-/// again.
+/// Return the clutch of a simulated master with the scene's operator. The arm may be real, so without an operator
+/// nothing presses again.
 pub(crate) fn live_clutch<const N: usize>(scene: &SceneSpec<N>) -> Clutch {
     let Some(operator) = &scene.operator else { return Clutch::Once };
     match (&operator.clutch_times, operator.clutch) {

@@ -20,7 +20,10 @@ type Outcomes = Vec<Option<Result<Outcome, SceneError>>>;
 pub(super) fn can_share<const N: usize>(scene: &SceneSpec<N>) -> bool {
     let links = scene.link.iter().flat_map(|links| [&links.forward, &links.backward]).flatten();
     let is_recorded = links.clone().any(|link| link.trace.is_some() || link.opportunities.is_some())
-        || scene.operator.as_ref().is_some_and(|operator| operator.recorded.is_some())
+        || scene
+            .operator
+            .as_ref()
+            .is_some_and(|operator| operator.recorded.is_some() || operator.aims.is_some())
         || scene.environment.iter().flat_map(|one| &one.pushers).any(|pusher| pusher.recorded.is_some());
     !is_recorded
         && scene.slave.as_ref().is_some_and(|slave| slave.gripper.is_none())

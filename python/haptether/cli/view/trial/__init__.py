@@ -1,0 +1,1 @@
+"""`haptether try`: its command, the processes behind the page, and their record."""

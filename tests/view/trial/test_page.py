@@ -1,0 +1,173 @@
+"""The page of `haptether try` in Chromium on two real pairs: the lessons, STOP, and pages that fail."""
+
+import contextlib
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from tests.view.console.browser import said
+from tests.view.console.served import wait_for
+from tests.view.console.test_page import renderers_of
+from tests.view.trial.pointer import coupled, opened, peak_speeds, point, press_in, release
+from tests.view.trial.tried import Tried, tried
+
+from haptether.bridge import simulate
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+pytestmark = [pytest.mark.alone, pytest.mark.slow]
+
+HELD_M = -0.025
+"""A hand holds a stylus that is deeper in the wall; the controllers let go of one at about -0.02 m."""
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Iterator[Tried]:
+    folder = tmp_path / "sockets"
+    folder.mkdir(mode=0o700)
+    with tried(folder) as found:
+        yield found
+
+
+def learnt(page: "Page", lesson: int) -> str:
+    """Wait for the end of a lesson; return what it says."""
+    page.wait_for_selector("#lesson .next-lesson")
+    assert page.evaluate("lessons.at") == lesson
+    return page.inner_text("#lesson p")
+
+
+def is_held(runs: Tried) -> bool:
+    return all(at < HELD_M for at in runs.positions().values())
+
+
+def has_opened(runs: Tried) -> bool:
+    """Return True if the wall has thrown both styluses, the left one out of it."""
+    at = runs.positions()
+    return at["left"] > -0.002 and at["right"] > HELD_M + 0.003
+
+
+def test_the_three_lessons_and_their_repetition(browser: "Browser", tmp_path: Path) -> None:
+    folder, record = tmp_path / "sockets", tmp_path / "record"
+    folder.mkdir(mode=0o700)
+    record.mkdir()
+    errors: list[Any] = []
+    with tried(folder, record) as runs:
+        page = opened(browser, runs)
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        assert page.evaluate("[document.documentElement.scrollHeight, document.documentElement.scrollWidth]") == [
+            768, 1366,
+        ]  # fmt: skip
+        coupled(runs, page)
+        press_in(page, 0.02, -0.045, 1.5)
+        page.wait_for_timeout(500)
+        release(page)
+        thrown = peak_speeds(page)
+        assert "no controller" in learnt(page, 0)
+        # The controller holds the stylus back.
+        assert thrown["right"] < 0.6 * thrown["left"]
+        page.click("#lesson .next-lesson")
+        press_in(page, 0.02, -0.01, 0.6)
+        page.keyboard.press("p")
+        said(page, "both arms are pushed")
+        page.wait_for_timeout(900)
+        release(page)
+        learnt(page, 1)
+        page.click("#lesson .next-lesson")
+        page.fill("#set-delay_s", "200")
+        page.wait_for_function("() => trial.network.delay_s === 0.2")
+        # The first frames are late by more than the ladder allows.
+        wait_for(lambda: "hold" in runs.states())
+        page.wait_for_timeout(1000)
+        coupled(runs, page)
+        press_in(page, 0.02, -0.045, 1.5)
+        page.wait_for_timeout(900)
+        release(page)
+        learnt(page, 2)
+        assert runs.states() == {"engaged"}
+        page.context.close()
+    assert not errors
+    for name, speed in thrown.items():
+        repeated = first_peak_speed(record, name)
+        print(f"{name}: {speed:.3f} m/s live, {repeated:.3f} m/s repeated")
+        assert repeated == pytest.approx(speed, rel=0.15)
+
+
+def first_peak_speed(record: Path, name: str) -> float:
+    """Return the peak speed in virtual time within 1.5 s of the first release of a recorded hand."""
+    rows = np.genfromtxt(record / f"{name}-aims.csv", delimiter=",", names=True)
+    gripped = rows["strength_n"] > 0.0
+    opened_s = rows["time_s"][1:][gripped[:-1] & ~gripped[1:]][0]
+    run = simulate(record / f"{name}.toml")
+    time_s, speed = run.signals["time_s"], abs(run.signals["velocity"])
+    return float(speed[(time_s > opened_s) & (time_s < opened_s + 1.5)].max())
+
+
+def test_stop_ends_all_four_and_restart_couples_none(browser: "Browser", runs: Tried) -> None:
+    page = opened(browser, runs)
+    coupled(runs, page)
+    press_in(page, 0.02, -0.03, 0.5)
+    page.keyboard.press(" ")
+    wait_for(lambda: all(feed.summary().get("has_ended") for feed in runs.trial.feeds))
+    said(page, "no force, no motion")
+    page.mouse.up()
+    page.wait_for_function("() => document.getElementById('pair-left').textContent.includes('Press Restart')")
+    page.select_option("#controller-left", "hsc")
+    said(page, "both bridges are back, disengaged")
+    page.wait_for_function("() => document.getElementById('pair-left').textContent.includes('HSC')")
+    press_in(page, 0.02, 0.0, 0.5)
+    assert runs.states() == {"disengaged"}
+    page.context.close()
+
+
+def test_a_page_that_is_duplicated_stalled_or_killed_loses_its_hand(browser: "Browser", runs: Tried) -> None:
+    page, second = opened(browser, runs), opened(browser, runs)
+    coupled(runs, page)
+    press_in(page, 0.02, -0.04, 0.8)
+    wait_for(lambda: is_held(runs))
+    point(second, 0.05)
+    second.mouse.down()
+    said(second, "another page holds the stylus")
+    assert is_held(runs)
+    second.mouse.up()
+    second.context.close()
+    # The script of the page hangs: the hand opens, and stays open until the button is pressed again.
+    page.evaluate("() => { const end = performance.now() + 1500; while (performance.now() < end); }")
+    wait_for(lambda: has_opened(runs), 1.0)
+    said(page, "the hand has opened")
+    page.wait_for_timeout(700)
+    assert has_opened(runs)
+    page.mouse.up()
+    press_in(page, 0.02, -0.04, 0.8)
+    wait_for(lambda: is_held(runs))
+    # A hidden page opens the hand, too.
+    page.evaluate("""() => { Object.defineProperty(document, 'hidden', {value: true, configurable: true});
+        document.dispatchEvent(new Event('visibilitychange')); }""")
+    wait_for(lambda: has_opened(runs), 5.0)
+    page.evaluate("() => delete document.hidden")
+    page.mouse.up()
+    press_in(page, 0.02, -0.04, 0.8)
+    wait_for(lambda: is_held(runs))
+    for renderer in renderers_of(os.getpid()):
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(renderer, signal.SIGKILL)
+    wait_for(lambda: has_opened(runs), 5.0)
+
+
+def test_a_page_that_is_killed_while_it_holds_couples_nothing(browser: "Browser", runs: Tried) -> None:
+    page = opened(browser, runs)
+    box = page.locator("#engage").bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 10, box["y"] + 10)
+    page.mouse.down()
+    page.wait_for_timeout(500)
+    for renderer in renderers_of(os.getpid()):
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(renderer, signal.SIGKILL)
+    time.sleep(1.2)
+    assert runs.states() == {"disengaged"}
