@@ -165,7 +165,8 @@ def test_a_grip_that_opens_throws_the_device_as_in_virtual_time(sides: Sides) ->
             assert answer["done"], answer
             rows.append(aim(answer["ticks"] * 1e-3, target, over_s, **hand))
 
-        begun_s, token = time.monotonic(), {}
+        token: dict[str, int] = {}
+        begun_s = time.monotonic()
         while True:
             give(0.02)
             held_ms = round((time.monotonic() - begun_s) * 1e3)

@@ -60,7 +60,7 @@ def test_an_aim_changes_neither_clutch_nor_ladder() -> None:
     moving = [aim(0.3 * row, 0.02 - 0.01 * (row % 2), over_s=0.05, strength_n=0.5 * row) for row in range(10)]
     runs = [simulate(aimed(*rows, clutch=[[0.2, 1.0], [1.3, 2.9]]), overrides=times) for rows in (still, moving)]
     for name in ("state", "slave_state"):
-        np.testing.assert_array_equal(*[run.signals[name] for run in runs])
+        np.testing.assert_array_equal(runs[0].signals[name], runs[1].signals[name])
     assert len(set(runs[0].signals.state)) > 2
     assert np.ptp(runs[1].signals.position) > 5e-3
 

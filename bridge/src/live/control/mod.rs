@@ -346,16 +346,16 @@ impl Server {
             Request::Push { .. } if self.role != Role::Slave => {
                 refused("the tool is at the slave: send it there")
             }
-            Request::Aim { ref target, over_s, stiffness, damping, strength_n, token } if is_fresh(token) => {
-                match self.padded("target", target) {
+            Request::Aim { target, over_s, stiffness, damping, strength_n, token } if is_fresh(token) => {
+                match self.padded("target", &target) {
                     Ok(target) => {
                         self.aim(from, Aim { target, over_s, stiffness, damping, strength_n }, answer)
                     }
                     Err(text) => refused(&text),
                 }
             }
-            Request::Push { ref force, duration_s, token } if is_fresh(token) => {
-                match self.padded("force", force) {
+            Request::Push { force, duration_s, token } if is_fresh(token) => {
+                match self.padded("force", &force) {
                     Ok(force_n) => self.push(Push { force_n, duration_s }, answer),
                     Err(text) => refused(&text),
                 }
