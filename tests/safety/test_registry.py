@@ -127,9 +127,9 @@ CONTROLLER = """//! Speed controller, for the test that adds one.
 use crate::{
     About, DeviceModel, Observation, ParameterError, Real,
     controller::{Controller, Observed, SafetySettings, Verdict},
-    lanes::{norm, pack},
     parameter::positive,
 };
+use haptether_numeric::{norm, pack};
 
 /// Unsafe while `|V| > V_t`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -153,7 +153,7 @@ impl<const N: usize, S: Real> Controller<N, S> for SpeedController<N, S> {
         Ok(SpeedController { velocity_threshold })
     }
 
-    fn gather(of: &[Self::One]) -> Option<Self> {
+    fn gather(of: &[&Self::One]) -> Option<Self> {
         Some(Self { velocity_threshold: pack(of, |one| one.velocity_threshold)? })
     }
 
@@ -184,7 +184,7 @@ fn it_has_a_name_a_bit_and_a_column_and_it_intervenes() {
     assert_eq!(Tripped::from_bits(63).names().collect::<Vec<_>>(), ["vfc", "hsc", "wsc", "pc", "speed", "held"]);
     let settings = SafetySettings { controllers: [kind].into(), ..SafetySettings::default() };
     let mut alone = SafetyController::<2>::new(&DeviceModel::phantom_desktop(), 1e-3, &settings).unwrap();
-    let mut gathered = SafetyController::<2>::gather(&[alone.clone()]).unwrap();
+    let mut gathered = SafetyController::<2>::gather(&[&alone]).unwrap();
     for (speed, trips) in [(0.59, false), (0.61, true)] {
         let seen = Observation::exact([0.0, speed].into(), Axes::<2>::new(2.0, 0.0), Axes::zeros());
         let step = alone.step(&seen).unwrap();

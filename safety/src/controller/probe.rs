@@ -174,7 +174,8 @@ impl<const N: usize> GraspProbe<N> {
         let power_w = |kind| match kind {
             ControllerKind::Vfc => settings.velocity_threshold * settings.vfc_force_threshold_n,
             ControllerKind::Wsc => -settings.energy_threshold_j / window_s,
-            ControllerKind::Hsc | ControllerKind::Pc => f64::INFINITY,
+            // The others do not limit the power.
+            _ => f64::INFINITY,
         };
         Ok(Some(Self {
             force_n,
