@@ -28,7 +28,7 @@ pub enum Security {
 
 /// Shortest peer period in ns for which the replay window holds 2 s.
 const PEER_PERIOD_NS: u64 = 100_000;
-/// Ticks between reports of the session's standing.
+/// Ticks between reports of the session's status.
 const STATUS_EVERY: u64 = 4;
 /// Answers of the handshakes taken per tick.
 const MAX_ANSWERS: usize = 4;

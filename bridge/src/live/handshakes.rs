@@ -134,14 +134,14 @@ impl Handshakes {
         })
     }
 
-    /// Report the session's standing, unless requests are unread.
+    /// Report the session's status, unless requests are unread.
     pub(super) fn set_status(&mut self, status: SessionStatus) {
         if self.requests.slots() == WAITING {
             let _ = self.requests.push(Request::Status(status, self.keys));
         }
     }
 
-    /// Passes on a message within its limit, after the session's standing.
+    /// Passes on a message within its limit, after the session's status.
     pub(super) fn hand_over(
         &mut self,
         now_ns: u64,
@@ -217,7 +217,7 @@ fn answer(
     while !is_over.load(Ordering::Relaxed) {
         while let Ok(request) = requests.pop() {
             match (request, &status) {
-                // A standing older than the newest keys would make this thread request them again.
+                // A status older than the newest keys would make this thread request them again.
                 (Request::Status(newer, keys), _) => status = (keys == given).then_some(newer),
                 (Request::Message(reply_address, message), Some(known)) => {
                     let now_ns = system::now_ns();
