@@ -52,7 +52,7 @@ pub(crate) const NOT_FELT: f64 = f64::NEG_INFINITY;
 /// it ends at 80 ms.
 ///
 /// A free device has r = 0 except for model errors, `|eps| + (|c - c^| + gravity + 3 sigma_F) / A`: eps is the
-/// relative error of the mass, c the friction, c^ that of the model, sigma_F the noise of `F_h`. A hand adds its
+/// relative error of the mass, c the friction, c^ that of the model, `sigma_F` the noise of `F_h`. A hand adds its
 /// mass, damping and stiffness, or its present motion. It is felt if `r > r_th` in the first half, or `r > 2 r_th` in
 /// the second.
 ///
