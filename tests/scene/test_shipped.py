@@ -18,6 +18,12 @@ Bounds: TypeAlias = tuple[float, float]
 Shown: TypeAlias = tuple[str, list[str], Bounds, Bounds, Bounds | None, int]
 
 WITHOUT = "safety.controllers=[]"
+# A hand that goes 45 mm into the wall and opens at 2.3 s, 0.4 s after its last aim.
+PRESSED = ", ".join(
+    f"{{at_s={at_s}, target=[{target}], over_s=0.35, damping=8.0, strength_n=12.0}}"
+    for at_s, target in ((0.5, 0.0), (0.85, -0.02), (1.2, -0.04), (1.55, -0.045), (1.9, -0.045))
+)
+AIMED = f"operator.aims.rows=[{PRESSED}]"
 
 
 def kinds(run: Run) -> Counter[str]:
@@ -40,6 +46,9 @@ SHOWN: list[Shown] = [
     ("remote_push", [], (0.29, 0.33), (6.0, 6.4), (0.04, 0.06), 0),
     ("remote_push", ["safety.controllers=[hsc]"], (0.18, 0.25), (6.0, 6.4), (0.03, 0.055), 0),
     ("remote_push", [WITHOUT], (2.7, 2.9), (6.0, 6.4), None, 0),
+    # Without recorded aims the hand is open, and nothing touches the wall.
+    ("try", [], (0.0, 0.0), (0.0, 0.0), None, 0),
+    ("try", [AIMED, WITHOUT], (2.1, 2.3), (3.4, 3.7), None, 0),
     ("moving_wall", [], (0.08, 0.10), (2.2, 2.5), (0.045, 0.06), 0),
     ("moving_wall", ["safety.controllers=[wsc]"], (0.28, 0.30), (2.2, 2.5), (0.06, 0.09), 0),
     # 0.1 m in 0.35 s along a minimum-jerk path: 1.875 L / T = 0.536 m/s at most.

@@ -87,6 +87,7 @@ function sayStopped(answers) {
   // A side that is not at rest needs the operator's attention.
   const done = texts.length > 0 && Object.values(answers).every(answer => answer.done && answer.is_at_rest);
   if (done) sayStopped.done = true;
+  if (done && texts.length > 2) texts.splice(0, texts.length, `all ${texts.length} sides have stopped: no force, no motion`);
   // The second of two stops reaches no side any more.
   if (done || !sayStopped.done) {
     say(texts.length ? texts.join("; ") : "no --control was given: nothing can be stopped from here", !done);

@@ -17,6 +17,7 @@ TOKEN_S = 0.3
 """Time in s for which a token of a side is used; the side accepts it for 0.4 s."""
 OVER_S = 1.0 / 30
 """Duration in s of the leg to each target."""
+NOT_THERE = "does not answer: it has ended, or is starting"
 Components = Annotated[tuple[Annotated[float, Meta(ge=-1e3, le=1e3)], ...], Meta(min_length=1, max_length=3)]
 Bounded = Annotated[float, Meta(ge=0.0, le=1e4)]
 
@@ -107,7 +108,7 @@ class SideHand:
         if self._token is None or time.monotonic() > self._until_s:
             status = await self._connection.ask({"do": "status"})
             if not status.get("done"):
-                return {**status, "to": request["do"]}
+                return {"done": False, "text": NOT_THERE}
             self._keep(status)
         answer = await self._connection.ask({**request, "token": self._token})
         self._keep(answer)
@@ -174,7 +175,7 @@ class PageHand:
         if side not in self._hands:
             path = self._path_of(side)
             if path is None:
-                return {"done": False, "text": "does not answer yet"}
+                return {"done": False, "text": NOT_THERE}
             self._hands[side] = SideHand(path)
         return await self._hands[side].ask(values)
 

@@ -24,7 +24,7 @@ const LESSONS = [
     ["Press P: something pushes both remote arms for 2 s.", seen => seen.releases.some(row => row.kind === "push" && row.number > lessons.since)],
     ["Let go while it still pushes.", seen => let_go(seen, 0.5)]],
     learnt: speeds => `The push reached the stylus through the network and threw it: ${speeds}.` },
-  { name: "3 The same at 200 ms", steps: [
+  { name: "3 At 200 ms", steps: [
     ["Set the delay to 200 ms. Both sides hold, because nothing arrives for so long.", seen => seen.network.delay_s >= 0.195],
     ...WALL],
     learnt: speeds => `The force of the wall outlasts the contact by the delay: ${speeds}.` },

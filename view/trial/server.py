@@ -223,7 +223,7 @@ class Trial(PageServer):
             await asyncio.to_thread(self._bridges.start, choice)
         except Exception as error:
             self._enter("failed", str(error))
-            raise
+            raise RuntimeError(str(error)) from error
         self._choice = choice
         self._is_gripped = False
         self._enter("running")

@@ -120,7 +120,7 @@ function showTrial(now) {
 // ---------------------------------------------------------------------------------------------------- state of a pair
 
 const STOPPED = "Press Restart, then hold Engage.";
-const HOLD = "Hold Engage for a second.";
+const HOLD = "Hold Engage for a second, then grip.";
 const ADVICE = { disengaged: HOLD, hold: HOLD, stop: STOPPED, fault: STOPPED };
 
 function showPair(name, sides) {

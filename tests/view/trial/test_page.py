@@ -171,3 +171,25 @@ def test_a_page_that_is_killed_while_it_holds_couples_nothing(browser: "Browser"
             os.kill(renderer, signal.SIGKILL)
     time.sleep(1.2)
     assert runs.states() == {"disengaged"}
+
+
+def test_keys_and_a_gamepad_move_the_hand_and_press_nothing(browser: "Browser", runs: Tried) -> None:
+    page = opened(browser, runs)
+    page.keyboard.down("g")
+    page.keyboard.down("ArrowLeft")
+    wait_for(lambda: all(at < -0.03 for at in runs.positions().values()))
+    page.keyboard.up("ArrowLeft")
+    page.keyboard.up("g")
+    # A stick to the right, and its first button held.
+    page.evaluate("""() => { navigator.getGamepads = () => [{ axes: [0.5, 0], buttons: [{ pressed: true }] }]; }""")
+    wait_for(lambda: all(at > 0.03 for at in runs.positions().values()))
+    page.wait_for_timeout(1500)
+    page.evaluate("() => { navigator.getGamepads = () => []; }")
+    wait_for(lambda: not page.evaluate("() => hand.by"))
+    assert runs.states() == {"disengaged"}
+    # Events of a script are no acts of a person.
+    page.evaluate("""() => { for (const name of ['pointerdown', 'pointermove'])
+        document.getElementById('pad').dispatchEvent(new PointerEvent(name, {bubbles: true, button: 0, pointerId: 1}));
+        document.dispatchEvent(new KeyboardEvent('keydown', {key: 'g'})); }""")
+    assert page.evaluate("() => hand.by") is None
+    page.context.close()
