@@ -20,14 +20,15 @@ from haptether.slave.ur.checks import (
     check_workspace,
     recover,
 )
-from haptether.slave.ur.connection import ClosedError, RtdeConnection, vendor_module
+from haptether.slave.ur.connection import ClosedError, RtdeConnection, RtdeConnectionError, vendor_module
 from haptether.slave.ur.kinematics.pose import quat_wxyz_from_rotvec
 from haptether.slave.ur.modes import model_distance, ur_mode
 from haptether.slave.ur.motion import Motion, MotionError, along
 from haptether.slave.ur.options import UrOptions, unit_calibration, ur_options
+from haptether.slave.ur.plausible import PlausibleStates
 from haptether.slave.ur.set_point import ORIGIN
-from haptether.slave.ur.state import UrState, safety_stop
-from haptether.slave.ur.stop import SoftStop, Watchdog
+from haptether.slave.ur.state import Numbers, UrState, safety_stop
+from haptether.slave.ur.stop import Phase, SoftStop, Watchdog
 from haptether.slave.ur.worker import Call, TimedWorker
 from haptether.slave.ur.wrench import UrWrench
 
@@ -38,6 +39,12 @@ STALE_S: Final = 0.1
 POLL_S: Final = 1e-4
 EARLY: Final = 0.7
 """Fraction of the period after which a package is polled."""
+OPEN_PACKAGES: Final = 9
+"""Number of packages in a row that follow from each other at the start, whose median zeroes the wrench."""
+OPEN_S: Final = 2.0
+"""Timeout for these packages in s."""
+UNCONFIRMED_S: Final = 0.5
+"""Time in s for which commands may wait for a state that packages confirm; four packages take 8 or 32 ms."""
 
 
 class UrSlave:
@@ -89,7 +96,11 @@ class UrSlave:
         self._watchdog: Watchdog
         self._motion: Motion | None = None
         self._wrench: UrWrench
+        self._states: PlausibleStates
         self._state: UrState
+        """Newest state, judged by `_states`."""
+        self._waiting = 0
+        """Number of commands in a row that found no confirmed state."""
         self._before: UrState | None = None
         """Last state in which the arm was allowed to move."""
         self._opened = False
@@ -121,6 +132,7 @@ class UrSlave:
         self._connection = RtdeConnection(options, seen.version)
         self._watchdog = Watchdog(options, self._connection, watches_remote=seen.version[:2] >= REMOTE_SINCE)
         self._period_s = 1.0 / self._connection.rate_hz
+        self._states = PlausibleStates(self._period_s)
         self._aside = TimedWorker("ur-aside")
         self._soft_stop = SoftStop(self._connection, options.host, self._report)
         if self._closed:
@@ -138,7 +150,8 @@ class UrSlave:
             deadband_n=options.force_deadband_n, payload_kg=options.payload_kg or 0.0,
             payload_cog=options.payload_cog or ORIGIN,
         )  # fmt: skip
-        self._state = check_after(options, self._connection, checklist)
+        check_after(options, self._connection, checklist)
+        wrenches = self._await_confirmed(checklist)
         check_workspace(motion.outside(self._state), motion.tilted(self._state), options, checklist)
         mode.begin(self._state)
         distance_m = model_distance(mode)
@@ -147,11 +160,11 @@ class UrSlave:
         # Imports and compilation of the first order would exceed the watchdog's period.
         motion.rehearse(self._state)
         if options.force_source == "raw" and options.zero_ft_sensor:
-            self._wrench.zero(self._state.wrench, self._state.pose)
+            self._wrench.zero(wrenches, self._state.pose)
         self._arrived_s = self._read_s = time.monotonic()
 
     def read(self) -> SlaveSample:
-        """Return the next package, or the last one after a timeout."""
+        """Return the next package, or the last one after a timeout; a wrong package is replaced by its prediction."""
         if self._recovery is not None:
             self._look_at_recovery(self._recovery)
         if self._recovery is not None:
@@ -181,7 +194,9 @@ class UrSlave:
         orientation: tuple[float, ...] | None = None,
         angular_velocity: tuple[float, ...] | None = None,
     ) -> None:
-        """Send the tool on within its bounds; no effect during a fault or without an armed watchdog.
+        """Send the tool on within its bounds.
+
+        No effect during a fault or without an armed watchdog. A motion begins only from a state that packages confirm.
 
         Args:
             position: Commanded position in m, shape `(axes,)`.
@@ -193,6 +208,15 @@ class UrSlave:
             self._latch("engaged before the arm was ready: acknowledge again, and wait for the line that says so")
         if self._fault is not None or not self._watchdog.armed or self._motion is None:
             return
+        if self._soft_stop.phase is not Phase.MOVING and not self._states.confirmed:
+            self._waiting += 1
+            if self._waiting * self._period_s > UNCONFIRMED_S:
+                self._latch(
+                    "the controller's packages do not follow from each other: see its log and the network, then"
+                    " acknowledge"
+                )
+            return
+        self._waiting = 0
         try:
             self._motion.send(self._state, position, velocity, orientation, angular_velocity)
         except MotionError as error:
@@ -243,6 +267,8 @@ class UrSlave:
         self._aside.end()
         if (latency_s := self.latency_s) is not None:
             self._report(f"the arm followed {1e3 * latency_s:.0f} ms late")
+        if replaced := self._states.replaced:
+            self._report(f"replaced by their prediction: {replaced} wrong packages of the controller")
 
     # ------------------------------------------------------------------------------------------------- figures
 
@@ -252,6 +278,26 @@ class UrSlave:
         return None if self._motion is None else self._motion.latency.seconds
 
     # ---------------------------------------------------------------------------------------------------- read
+
+    def _await_confirmed(self, checklist: Checklist) -> list[Numbers]:
+        """Wait for the first confirmed state; return the wrenches of the packages that follow from each other."""
+        states, at_s = self._states, -1.0
+        wrenches: list[Numbers] = []
+
+        def confirmed(package: UrState) -> bool:
+            nonlocal at_s
+            if package.finite and package.timestamp != at_s:
+                at_s = package.timestamp
+                self._state = states.take(package)
+                wrenches.append(package.wrench)
+            return states.in_a_row >= OPEN_PACKAGES
+
+        try:
+            self._connection.await_state(f"{OPEN_PACKAGES} packages that follow from each other", confirmed, OPEN_S)
+        except RtdeConnectionError as error:
+            checklist.refuse("packages", str(error), "see that the arm rests, and the controller's log")
+            checklist.finish()
+        return wrenches[-OPEN_PACKAGES:]
 
     def _await_package(self) -> None:
         receive, before = self._connection.receive, self._state.timestamp
@@ -266,7 +312,7 @@ class UrSlave:
         state = self._connection.state()
         self._arrived_s = time.monotonic()
         if state.finite:
-            self._state = state
+            self._state = self._states.take(state)
         else:
             # Discard the package, because a NaN would persist in the filter.
             self._state = self._state._replace(timestamp=state.timestamp)
@@ -313,6 +359,8 @@ class UrSlave:
             # Same stop as before.
             self._fault_s = stopped_s
             return
+        self._states.restart()
+        self._waiting = 0
         self._state = recovery.result
         self._before = None
         self._arrived_s = time.monotonic()

@@ -13,7 +13,6 @@ from haptether.slave.ur.connection import RtdeConnection
 from haptether.slave.ur.kinematics.pose import finite, quat_wxyz_from_rotvec, turn_between, unit_quaternion
 from haptether.slave.ur.modes import Mode, UnreachableError, model_distance
 from haptether.slave.ur.options import Three, UrOptions
-from haptether.slave.ur.plausible import PlausibleStates
 from haptether.slave.ur.set_point import ORIGIN, Attitude, OrientationSetPoint, SetPoint
 from haptether.slave.ur.state import UrState
 from haptether.slave.ur.stop import Phase, SoftStop
@@ -72,7 +71,6 @@ class Motion:
         self._wrist = 0.0
         """Sine of joint 5 on its last side of the singularity."""
         self.latency = Latency(period_s)
-        self._states = PlausibleStates(period_s)
         self._written_s = 0.0
         self._max_behind_m = LAG_M + options.max_speed * (LAG_S + options.lookahead_time)
         self._max_behind_rad = LAG_RAD + options.max_angular_speed * (LAG_S + options.lookahead_time)
@@ -87,8 +85,7 @@ class Motion:
     ) -> None:
         """Move the tool towards a position in m with a velocity in m/s, along the scene axes.
 
-        No effect while the arm comes to rest. A motion does not begin from a state that the arm cannot have reached; it
-        continues from the last plausible one. An orientation is base_from_tool as `quat_wxyz` and turns in rad/s;
+        No effect while the arm comes to rest. An orientation is base_from_tool as `quat_wxyz` and turns in rad/s;
         without one the tool keeps the initial or last commanded one.
 
         Raises:
@@ -98,8 +95,7 @@ class Motion:
         now_s = time.monotonic()
         stop = self._soft_stop
         stop.update()
-        state = self._states.take(state, now_s)
-        if not stop.ready or (self._states.is_doubtful and stop.phase is not Phase.MOVING):
+        if not stop.ready:
             return
         target = placed(self._options, position, self.point.position if stop.commanded else _three(state.pose))
         if not stop.commanded:

@@ -1,6 +1,8 @@
 """Force and moment of the environment on a UR tool, in the base frame about the tool point."""
 
 import math
+from collections.abc import Sequence
+from statistics import median
 from typing import Final
 
 from haptether.slave.ur.kinematics.models import Six
@@ -71,9 +73,10 @@ class UrWrench:
         a, b, c = (rotation @ about_tool).tolist()
         return (x, y, z - self._weight), (a, b, c)
 
-    def zero(self, wrench: Numbers, pose: Numbers) -> None:
-        """Make the current reading zero; only the payload may load the flange."""
-        force, torque = (wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])
+    def zero(self, wrenches: Sequence[Numbers], pose: Numbers) -> None:
+        """Make the component-wise median of some readings zero; only the payload may load the flange."""
+        x, y, z, a, b, c = (median(component) for component in zip(*wrenches, strict=True))
+        force, torque = (x, y, z), (a, b, c)
         if self._tool_from_flange is not None:
             weight = self._weight_at(self._base_from_flange(pose))
             force, torque = _minus(force, weight), _minus(torque, _cross(self._cog, weight))

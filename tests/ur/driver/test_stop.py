@@ -7,7 +7,7 @@ import pytest
 from tests.ur.fake_rtde import PLAYING, START_POSE, START_Q, STOPPED
 
 from haptether.slave.ur.modes import ServoL
-from haptether.slave.ur.motion import Motion, MotionError
+from haptether.slave.ur.motion import Motion
 from haptether.slave.ur.options import ur_options
 from haptether.slave.ur.state import UrState
 from haptether.slave.ur.stop import STILL_S, Phase, SoftStop
@@ -160,46 +160,6 @@ def test_nothing_is_commanded_while_the_arm_pauses(stopped: Stopped) -> None:
     stopped.rests()
     assert send() == ["servoL", "servoL"]
     assert (stopped.phase, stopped.soft_stop.ready) == (Phase.MOVING, True)
-
-
-@pytest.mark.parametrize("size_m", [0.1, 1.0])
-@pytest.mark.parametrize("count", [1, 2, 3, 4])
-@pytest.mark.parametrize("is_paused", [False, True])
-def test_wrong_packages_neither_move_nor_stop_an_arm(
-    stopped: Stopped, size_m: float, count: int, *, is_paused: bool
-) -> None:
-    """Up to three in a row; the fourth is the arm's: the motion begins there, or the arm does not follow."""
-    options = ur_options({"host": "fake", "axes": 3, "mode": "servol"})
-    mode = ServoL(options, 0.002)
-    motion = Motion(options, stopped.connection, stopped.soft_stop, mode, 0.002, report=print)  # type: ignore[arg-type]
-
-    def send(off_m: float) -> None:
-        state = stopped.state()
-        pose = (state.pose[0] + off_m, *state.pose[1:])
-        q = (state.q[0] + off_m, *state.q[1:])
-        motion.send(state._replace(pose=pose, q=q), START_POSE[:3], (0.0, 0.0, 0.0))
-
-    for _ in range(10):
-        send(0.0)
-    if is_paused:
-        stopped.connection.pause()
-        stopped.soft_stop.update()
-        stopped.rests()
-        assert stopped.phase is Phase.PAUSED
-    for _ in range(min(count, 3)):
-        send(size_m)
-        assert motion.point.position == pytest.approx(START_POSE[:3], abs=1e-9)
-        assert stopped.phase is (Phase.PAUSED if is_paused else Phase.MOVING)
-    if count < 4:
-        send(0.0)
-        assert motion.point.position == pytest.approx(START_POSE[:3], abs=1e-9)
-        assert stopped.phase is Phase.MOVING
-    elif is_paused:
-        send(size_m)
-        assert motion.point.position[0] - START_POSE[0] == pytest.approx(size_m, abs=1e-3)
-    elif size_m > 0.2:
-        with pytest.raises(MotionError, match=r"the arm does not follow: 1000 mm behind its command"):
-            send(size_m)
 
 
 @pytest.mark.parametrize("rests", [False, True])

@@ -24,7 +24,7 @@ def test_the_raw_force_is_turned_from_the_flange_to_the_base() -> None:
     pushed = np.array((5.0, -1.0, 2.0))
     shown = (base_from_tool * flange_from_tool.inv()).inv().apply(pushed)
     assert wrench.felt((*shown, 0.0, 0.0, 0.0), POSE, 0.002)[0] == pytest.approx(tuple(pushed), abs=1e-12)
-    wrench.zero((*shown, 0.0, 0.0, 0.0), POSE)
+    wrench.zero([(*shown, 0.0, 0.0, 0.0)], POSE)
     assert wrench.felt((*shown, 0.0, 0.0, 0.0), POSE, 0.002)[0] == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
 
 
@@ -38,11 +38,18 @@ def test_the_payload_is_taken_away_in_every_orientation() -> None:
         return (*(bias + base_from_flange.inv().apply(np.array(pushed) + weight)), 0.0, 0.0, 0.0)
 
     wrench = UrWrench(raw=True, tool=TOOL, filter_hz=None, deadband_n=0.0, payload_kg=1.5)
-    wrench.zero(shown(POSE[3:], (0.0, 0.0, 0.0)), POSE)
+    wrench.zero([shown(POSE[3:], (0.0, 0.0, 0.0))], POSE)
     for rotation in ((0.0, 0.0, 0.0), (1.2, 0.0, 0.0), (0.3, -2.0, 0.9)):
         pose = (*POSE[:3], *rotation)
         for pushed in ((0.0, 0.0, 0.0), (5.0, -1.0, 2.0)):
             assert wrench.base_wrench(shown(rotation, pushed), pose)[0] == pytest.approx(pushed, abs=1e-12)
+
+
+def test_one_wrong_force_does_not_move_the_zero() -> None:
+    wrench = UrWrench(raw=True, tool=(0.0,) * 6, filter_hz=None, deadband_n=0.0)
+    right = (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
+    wrench.zero([right, (40.0, *right[1:]), right, (*right[:5], -9.0), right], POSE)
+    assert wrench.base_wrench(right, POSE) == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 def test_the_filter_is_the_discrete_one_of_its_corner() -> None:
@@ -77,7 +84,7 @@ def test_the_moment_is_that_about_the_tool_point_whatever_the_flange_carries() -
     wrench = UrWrench(
         raw=True, tool=TOOL, filter_hz=None, deadband_n=0.0, payload_kg=1.5, payload_cog=(0.02, -0.01, 0.08)
     )
-    wrench.zero(shown(POSE[3:], nothing, nothing), POSE)
+    wrench.zero([shown(POSE[3:], nothing, nothing)], POSE)
     for rotation in (nothing, (1.2, 0.0, 0.0), (0.3, -2.0, 0.9)):
         for force, torque in ((nothing, nothing), ((5.0, -1.0, 2.0), nothing), ((5.0, -1.0, 2.0), (0.3, 0.1, -0.2))):
             felt = wrench.felt(shown(rotation, force, torque), (*POSE[:3], *rotation), 0.002)
