@@ -17,7 +17,7 @@ import pytest
 from haptether import _core
 from haptether.bridge import OBSERVED_SIGNALS, Metrics, Run, SafetyTable, Signals, load_scene, trip_thresholds
 from haptether.cli.entry import main
-from haptether.cli.live.master import Controller
+from haptether.cli.live.options import Controller
 from haptether.cli.shared.ejection import release_law
 from haptether.safety import (
     CONTROLLERS,
