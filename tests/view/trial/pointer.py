@@ -4,8 +4,7 @@ import contextlib
 from typing import TYPE_CHECKING
 
 from tests.view.console.browser import hold
-from tests.view.console.served import wait_for
-from tests.view.trial.tried import Tried
+from tests.view.trial.tried import Tried, wait_until
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -31,7 +30,7 @@ def coupled(runs: Tried, page: "Page") -> None:
     for _ in range(TRIES):
         hold(page, 1.4)
         with contextlib.suppress(AssertionError):
-            wait_for(lambda: runs.states() == {"engaged"}, 2.0)
+            wait_until(lambda: runs.states() == {"engaged"}, 2.0)
             return
     message = f"{page.inner_text('#said')}: {page.inner_text('#pairs')}"
     raise AssertionError(message)
