@@ -140,8 +140,9 @@ def test_stop_ends_all_four_and_restart_couples_none(browser: "Browser", runs: T
 
 
 def test_a_page_that_is_duplicated_stalled_or_killed_loses_its_hand(browser: "Browser", bare: Tried) -> None:
-    page, second = opened(browser, bare), opened(browser, bare)
+    page = opened(browser, bare)
     coupled(bare, page)
+    second = opened(browser, bare)
     grip(bare, page)
     point(second, 0.05)
     second.mouse.down()
