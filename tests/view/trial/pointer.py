@@ -4,8 +4,7 @@ import contextlib
 from typing import TYPE_CHECKING
 
 from tests.view.console.browser import hold
-from tests.view.console.served import wait_for
-from tests.view.trial.tried import Tried
+from tests.view.trial.tried import Tried, wait_until
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -13,6 +12,7 @@ if TYPE_CHECKING:
 SPAN = 0.1
 """Half the width of the field in m."""
 STEP_S = 0.03
+TRIES = 5
 
 
 def opened(browser: "Browser", runs: Tried) -> "Page":
@@ -27,10 +27,10 @@ def opened(browser: "Browser", runs: Tried) -> "Page":
 
 def coupled(runs: Tried, page: "Page") -> None:
     """Hold Engage until all four sides are engaged; a person repeats a hold that the browser held up."""
-    for _ in range(3):
+    for _ in range(TRIES):
         hold(page, 1.4)
         with contextlib.suppress(AssertionError):
-            wait_for(lambda: runs.states() == {"engaged"}, 2.0)
+            wait_until(lambda: runs.states() == {"engaged"}, 2.0)
             return
     message = f"{page.inner_text('#said')}: {page.inner_text('#pairs')}"
     raise AssertionError(message)
@@ -53,15 +53,28 @@ def press_in(page: "Page", begin: float, end: float, seconds: float) -> None:
         page.wait_for_timeout(STEP_S * 1e3)
 
 
-def release(page: "Page") -> None:
-    """Let go, and wait until the measurement is complete."""
-    before = page.evaluate("(lanes.releases || []).length")
-    page.mouse.up()
-    page.wait_for_function(
-        """before => (lanes.releases || []).length > before
-        && Object.values(lanes.releases.at(-1).pairs).every(one => one.is_complete)""",
-        arg=before,
-    )
+def throw(page: "Page", depth: float, *, seconds: float = 1.5, rest_ms: float = 500.0, push: bool = False) -> None:
+    """Press into the wall, let go, and wait for the measurement of both pairs.
+
+    A browser that is held up opens the hand before; a person then tries again.
+    """
+    for _ in range(TRIES):
+        before = page.evaluate("() => (lanes.releases || []).length")
+        press_in(page, 0.02, depth, seconds)
+        if push:
+            page.keyboard.press("p")
+        page.wait_for_timeout(rest_ms)
+        was_held = page.evaluate("() => hand.by === 'pointer'")
+        page.mouse.up()
+        if not was_held:
+            continue
+        page.wait_for_function(
+            """before => { const found = (lanes.releases || []).slice(before).filter(row => row.kind === 'let go');
+            return found.length && Object.values(found.at(-1).pairs).every(one => one.is_complete); }""",
+            arg=before,
+        )
+        return
+    raise AssertionError(page.inner_text("#said"))
 
 
 def peak_speeds(page: "Page") -> dict[str, float]:

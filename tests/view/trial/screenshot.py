@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 from tests.view.console.browser import chromium, hold
-from tests.view.trial.pointer import press_in, release
+from tests.view.trial.pointer import press_in, throw
 
 
 def main(path: str) -> None:
@@ -23,9 +23,7 @@ def main(path: str) -> None:
             hold(page, 1.4)
             page.wait_for_selector("#pair-right .engaged")
             for depth in (-0.03, -0.045):
-                press_in(page, 0.02, depth, 1.2)
-                page.wait_for_timeout(400)
-                release(page)
+                throw(page, depth)
             press_in(page, 0.02, -0.04, 0.8)
             page.wait_for_timeout(300)
             page.screenshot(path=path)

@@ -2,13 +2,13 @@
 
 import contextlib
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tests.live.control_client import Control
-from tests.view.console.served import wait_for
 
 from haptether.bridge import load_scene
 from haptether.cli.view.trial.bridges import TrialBridges
@@ -17,6 +17,18 @@ from haptether.view.trial.server import Choice, Network, Trial
 
 NAMES = ("left", "right")
 CHOICE = Choice(controllers={"left": "none", "right": "wsc"})
+
+
+POLL_S = 0.05
+"""Time in s between two looks: the server runs in this process, and its aims must not wait for them."""
+
+
+def wait_until(condition: Callable[[], bool], within_s: float = 30.0) -> None:
+    """Wait for a condition, looking rarely."""
+    end_s = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < end_s
+        time.sleep(POLL_S)
 
 
 class Running:
@@ -65,21 +77,21 @@ class Tried:
 
 
 @contextlib.contextmanager
-def tried(folder: Path, record: Path | None = None, network: Network | None = None) -> Iterator[Tried]:
+def tried(folder: Path, record: Path | None = None, choice: Choice = CHOICE) -> Iterator[Tried]:
     """Yield both pairs, disengaged, and the server of their page."""
-    network = network or Network(delay_s=0.02, jitter_s=0.001, loss=0.0)
+    network = Network(delay_s=0.02, jitter_s=0.001, loss=0.0)
     ended = threading.Event()
     with TrialBridges(
         "try", (), network, names=NAMES, folder=folder, record=record, stopped=Running()
     ) as bridges:  # fmt: skip
-        bridges.start(CHOICE)
+        bridges.start(choice)
         kept = None if record is None else TrialRecord(bridges, load_scene("try"), record)
-        trial = Trial(bridges, CHOICE, network, record=kept)
+        trial = Trial(bridges, choice, network, record=kept)
         thread = threading.Thread(target=trial.serve, args=(ended.is_set,))
         thread.start()
         try:
             runs = Tried(trial, bridges)
-            wait_for(lambda: all(feed.summary().get("time_s", 0.0) > 0.0 for feed in trial.feeds))
+            wait_until(lambda: all(feed.summary().get("time_s", 0.0) > 0.0 for feed in trial.feeds))
             yield runs
         finally:
             ended.set()
