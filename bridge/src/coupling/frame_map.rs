@@ -203,15 +203,15 @@ mod tests {
         for (refused, text) in [
             (
                 FrameMap::<2>::rotated([half, half, 0.0, 0.0], &[]).map(|_| ()).unwrap_err(),
-                "a rotation of 2 axes",
+                "quat_wxyz with 2 axes",
             ),
             (
                 FrameMap::<1>::rotated([half, 0.0, 0.0, half], &[]).map(|_| ()).unwrap_err(),
-                "a rotation of 1 axes",
+                "quat_wxyz with 1 axes",
             ),
             (
                 FrameMap::<6>::rotated([0.0, 0.0, 0.0, 1.0], &[]).map(|_| ()).unwrap_err(),
-                "a rotation of 6 axes",
+                "quat_wxyz with 6 axes",
             ),
             (FrameMap::<3>::rotated([0.5; 4].map(|w| 2.0 * w), &[]).map(|_| ()).unwrap_err(), "norm of 2"),
             (FrameMap::<3>::rotated([f64::NAN; 4], &[]).map(|_| ()).unwrap_err(), "norm of NaN"),
