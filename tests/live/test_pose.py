@@ -225,7 +225,7 @@ def test_a_driven_arm_that_is_turned_too_far_from_the_hand_is_not_moved_and_both
     for side in (master, slave):
         cause = json.loads(side.cause() or "")
         assert cause["at"] == "slave"
-        assert "turned further from the master than it may turn before it engages" in cause["text"]
+        assert "larger than the slave may turn to align" in cause["text"]
         assert [(step["at"], step["remedy"]) for step in cause["steps"]] == [("master", "turn"), ("master", "press")]
     assert (master.state, slave.state) == ("aligning", "disengaged")
     master.stop()

@@ -419,7 +419,7 @@ fn too_large_angle_is_refused_without_motion_and_with_reason() {
                     let cause = pair.cause(of_slave).unwrap();
                     assert_eq!(cause.at, "slave");
                     assert!(
-                        cause.text.contains("turned further from the master than it may"),
+                        cause.text.contains("larger than the slave may turn"),
                         "{}",
                         cause.text
                     );
@@ -462,9 +462,9 @@ fn hand_out_of_reach_ends_the_alignment() {
     assert!((left - ALIGNMENT.max_angle).abs() < 6e-3, "{left}");
     pair.begins_to_brake();
     pair.comes_to_rest(50);
-    assert!(pair.cause(true).unwrap().text.contains("turned further"));
+    assert!(pair.cause(true).unwrap().text.contains("larger than the slave may turn"));
     pair.sweep(&set, angle, 1.4);
-    assert!(pair.cause(false).unwrap().text.contains("turned further"));
+    assert!(pair.cause(false).unwrap().text.contains("larger than the slave may turn"));
     pair.comes_to_rest(300);
 }
 
