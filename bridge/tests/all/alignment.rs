@@ -418,11 +418,7 @@ fn too_large_angle_is_refused_without_motion_and_with_reason() {
                 for of_slave in [false, true] {
                     let cause = pair.cause(of_slave).unwrap();
                     assert_eq!(cause.at, "slave");
-                    assert!(
-                        cause.text.contains("larger than the slave may turn"),
-                        "{}",
-                        cause.text
-                    );
+                    assert!(cause.text.contains("larger than the slave may turn"), "{}", cause.text);
                     let steps: Vec<_> = cause.steps.iter().map(|step| (step.at, step.remedy)).collect();
                     assert_eq!(steps, [("master", Remedy::Turn), ("master", Remedy::Press)]);
                 }
