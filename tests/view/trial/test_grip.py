@@ -17,6 +17,7 @@ def aim(strength_n: float, token: int) -> Aim:
         # Page, time in ms, age of the token in ms, strength in N.
         ([("a", 0, 0, 6.0), ("a", 400, 400, 6.0)], None),
         ([("a", 0, 401, 6.0)], "the page was late"),
+        ([("a", 0, -1, 6.0)], "the page was late"),
         ([("a", 0, 0, 6.0), ("a", 900, 900, 0.0), ("a", 910, 0, 6.0)], None),
         ([("a", 0, 0, 6.0), ("a", 401, 0, 6.0)], "the aims stopped for more than 0.4 s"),
         ([("a", 0, 0, 6.0), ("a", 500, 0, 0.0), ("a", 510, 0, 6.0)], None),
@@ -49,3 +50,18 @@ def test_a_page_that_leaves_holds_nothing() -> None:
     grip.leave("a")
     assert not grip.is_gripping("a")
     assert grip.refusal("b", aim(6.0, MAX_AGE_US), MAX_AGE_US + 1) is None
+
+
+def test_a_grip_lapses_when_its_sides_restart() -> None:
+    grip = Grip()
+    at_us = MAX_AGE_US
+    assert grip.refusal("a", aim(6.0, at_us), at_us) is None
+    grip.lapse("b")
+    assert grip.is_gripping("a")
+    grip.lapse()
+    assert not grip.is_gripping("a")
+    # Another page may take the stylus, and the first must let go of its button.
+    refused = grip.refusal("a", aim(6.0, at_us), at_us)
+    assert refused is not None
+    assert "let go, and grip again" in refused
+    assert grip.refusal("b", aim(6.0, at_us), at_us) is None

@@ -263,7 +263,7 @@ def _pushers(run: PairRun) -> list[PusherTable]:
         return []
     found: list[PusherTable] = []
     ends_s = [*(at_s for at_s, _ in run.pushes[1:]), math.inf]
-    for (at_s, push), end_s in zip(run.pushes, ends_s, strict=True):
+    for (at_s, push), end_s in zip(run.pushes, ends_s, strict=False):
         duration_s = min(push.duration_s, end_s - at_s)
         if duration_s > 0.0:
             begun_s = max(0.0, at_s - run.engaged_s)
