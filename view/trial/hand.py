@@ -52,6 +52,11 @@ def now_us() -> int:
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME) // 1000
 
 
+def is_late(asked: Aim | Push, at_us: int, issued: int | None) -> bool:
+    """Return True if the token of a request is not the one issued last, or too old."""
+    return asked.token != issued or at_us - asked.token > MAX_AGE_US
+
+
 class Grip:
     """Decides whether an aim of a page may grip: at most one page aims, and a lapsed grip must open first.
 
@@ -64,14 +69,14 @@ class Grip:
         self._closed: set[object] = set()
         """Pages that must open before they grip, unless they hold the stylus."""
 
-    def refusal(self, page: object, aim: Aim, at_us: int) -> str | None:
-        """Return the reason to refuse an aim, or None and take it."""
+    def refusal(self, page: object, aim: Aim, at_us: int, issued: int | None) -> str | None:
+        """Return the reason to refuse an aim, or None and take it; `issued` is the last token of the page."""
         gap_us = at_us - self._last_us
         if self._owner not in (page, None) and gap_us <= MAX_AGE_US:
             return "another page holds the stylus"
         if aim.strength_n > 0.0:
             # A late aim may still open the hand.
-            if not 0 <= at_us - aim.token <= MAX_AGE_US:
+            if is_late(aim, at_us, issued):
                 return LATE
             if page in self._closed and (self._owner is not page or gap_us > MAX_AGE_US):
                 return "the aims stopped for more than 0.4 s: the hand has opened; let go, and grip again"
@@ -176,18 +181,18 @@ class PageHand:
         was_gripping = self.is_gripping
         if isinstance(asked, Aim):
             is_opening = asked.strength_n == 0.0
-            refused = self._grip.refusal(self, asked, now_us()) if is_opening or self._is_valid(asked) else LATE
+            refused = self._grip.refusal(self, asked, now_us(), self._token)
             side, values = "master", msgspec.structs.asdict(asked) | {"do": "aim", "over_s": OVER_S}
         else:
             is_opening = False
-            refused = None if self._is_valid(asked) else "the page was late: once more"
+            refused = "the page was late: once more" if is_late(asked, now_us(), self._token) else None
             side, values = "slave", msgspec.structs.asdict(asked) | {"do": "push"}
         answers: Mapping[str, dict[str, Any]] = {}
         if refused is None:
             del values["token"]
 
             def may_send() -> bool:
-                return is_opening or (self._is_valid(asked) and self._is_open())
+                return is_opening or (self._is_open() and not is_late(asked, now_us(), self._token))
 
             found = await asyncio.gather(*(self._ask(f"{pair}.{side}", values, may_send) for pair in self._pairs))
             answers = dict(zip(self._pairs, found, strict=True))
@@ -198,10 +203,6 @@ class PageHand:
             texts = {name: answer["text"] for name, answer in answers.items() if not answer["done"]}
             refused = "; ".join(f"{name}: {text}" for name, text in texts.items()) or None
         return {"to": values["do"], "done": refused is None, "text": refused or "", "token": self.token()}
-
-    def _is_valid(self, asked: Aim | Push) -> bool:
-        """Return True if a request has the token of the answer before, and is not late."""
-        return asked.token == self._token and now_us() - asked.token <= MAX_AGE_US
 
     async def _ask(self, side: str, values: dict[str, Any], may_send: Callable[[], bool]) -> dict[str, Any]:
         if side not in self._hands:
