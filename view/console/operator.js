@@ -77,7 +77,7 @@ function stop() {
   // Also send by HTTP: the WebSocket may be stuck.
   fetch(base + "stop", { method: "POST", keepalive: true }).then(answer => answer.json()).then(sayStopped).catch(
     () => say("STOP did not reach the console: stop the sides where they run", true));
-  // After the requests: an exception here must not lose them.
+  // An exception here must not lose the requests.
   letGo();
   operator.stopped();
   say("STOP");

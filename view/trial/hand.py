@@ -179,12 +179,11 @@ class PageHand:
         """
         asked = msgspec.json.decode(text, type=Aim | Push)
         was_gripping = self.is_gripping
+        is_opening = isinstance(asked, Aim) and asked.strength_n == 0.0
         if isinstance(asked, Aim):
-            is_opening = asked.strength_n == 0.0
             refused = self._grip.refusal(self, asked, now_us(), self._token)
             side, values = "master", msgspec.structs.asdict(asked) | {"do": "aim", "over_s": OVER_S}
         else:
-            is_opening = False
             refused = "the page was late: once more" if is_late(asked, now_us(), self._token) else None
             side, values = "slave", msgspec.structs.asdict(asked) | {"do": "push"}
         answers: Mapping[str, dict[str, Any]] = {}

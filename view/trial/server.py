@@ -200,9 +200,7 @@ class Trial(PageServer):
             return
         self._aiming += 1
         connection = page.scope["state"]["connection"]
-        hand = PageHand(
-            self._grip, self.path_of, self._names, self._took, is_open=lambda: not connection.is_closing()
-        )  # fmt: skip
+        hand = PageHand(self._grip, self.path_of, self._names, self._took, lambda: not connection.is_closing())
         try:
             async with self.kept(page):
                 with contextlib.suppress(WebSocketDisconnect, RuntimeError):
