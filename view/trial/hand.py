@@ -19,6 +19,7 @@ OVER_S = 1.0 / 30
 """Duration in s of the leg to each target."""
 NOT_THERE = "does not answer: it has ended, or is starting"
 LATE = "the page was late: the hand has opened; let go, and grip again"
+AGED = "took too long to answer, or the page has closed: once more"
 Components = Annotated[tuple[Annotated[float, Meta(ge=-1e3, le=1e3)], ...], Meta(min_length=1, max_length=3)]
 Bounded = Annotated[float, Meta(ge=0.0, le=1e4)]
 
@@ -125,7 +126,7 @@ class SideHand:
                 return {"done": False, "text": NOT_THERE}
             self._keep(status)
         if not may_send():
-            return {"done": False, "text": LATE}
+            return {"done": False, "text": AGED}
         answer = await self._connection.ask({**request, "token": self._token})
         self._keep(answer)
         return answer

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from haptether.view.trial.hand import LATE, MAX_AGE_US, Aim, Grip, PageHand, Push
+from haptether.view.trial.hand import AGED, MAX_AGE_US, Aim, Grip, PageHand, Push
 
 GRIP = {"do": "aim", "target": [0.0], "stiffness": 300.0, "damping": 8.0, "strength_n": 12.0}
 PUSH = {"do": "push", "force": [3.5], "duration_s": 0.5}
@@ -65,7 +65,7 @@ def test_a_request_that_ages_while_a_side_is_asked_is_not_sent(tmp_path: Path, r
     async def acts(hand: PageHand, side: Side) -> None:
         side.status_s = LATE_S
         answer = await hand.answer(json.dumps({**request_, "token": hand.token()}))
-        assert (answer["done"], answer["text"]) == (False, f"left: {LATE}")
+        assert (answer["done"], answer["text"]) == (False, f"left: {AGED}")
         # The hand opens all the same.
         side.status_s = 0.0
         assert (await hand.answer(json.dumps({**GRIP, "strength_n": 0.0, "token": answer["token"]})))["done"]
