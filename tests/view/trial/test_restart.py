@@ -8,8 +8,6 @@ from http.client import HTTPConnection
 from typing import Any
 
 import pytest
-from tests.view.console.served import wait_for
-
 from haptether.view.console.page_server import MAX_REASON, close_reason
 from haptether.view.console.pair import Pair
 from haptether.view.trial.server import Choice, Network, Trial
@@ -51,8 +49,10 @@ def slow() -> Iterator[tuple[Slow, Trial]]:
     assert not thread.is_alive()
 
 
-def post(trial: Trial, path: str, body: bytes = b"", *, missing: int = 0) -> dict[str, Any]:
-    """Post a body; close early if it lacks its last bytes."""
+def post(
+    trial: Trial, path: str, body: bytes = b"", *, missing: int = 0, sent: threading.Event | None = None
+) -> dict[str, Any]:
+    """Post a body, note that it is sent, and return the answer; close early if it lacks its last bytes."""
     token = trial.address.rstrip("/").rpartition("/")[2]
     connection = HTTPConnection("127.0.0.1", trial.port, timeout=20.0)
     try:
@@ -60,6 +60,8 @@ def post(trial: Trial, path: str, body: bytes = b"", *, missing: int = 0) -> dic
         connection.putheader("Origin", f"http://127.0.0.1:{trial.port}")
         connection.putheader("Content-Length", str(len(body) + missing))
         connection.endheaders(body)
+        if sent is not None:
+            sent.set()
         return {} if missing else dict(json.loads(connection.getresponse().read()))
     finally:
         connection.close()
@@ -71,9 +73,10 @@ def test_stop_ends_a_restart_and_those_that_wait(slow: tuple[Slow, Trial]) -> No
     with ThreadPoolExecutor(2) as requests:
         restarts = [requests.submit(post, trial, "restart", body)]
         assert bridges.begun.wait(20.0)
-        restarts.append(requests.submit(post, trial, "restart", body))
-        wait_for(lambda: trial.parts()["trial"]["phase"] == "restarting", 5.0)
-        # The second one waits by now: the server reads both before this.
+        sent = threading.Event()
+        restarts.append(requests.submit(post, trial, "restart", body, sent=sent))
+        # The server reads requests in their order.
+        assert sent.wait(20.0)
         assert post(trial, "stop") == {}
         bridges.allowed.set()
         for restart in restarts:
@@ -85,7 +88,7 @@ def test_stop_ends_a_restart_and_those_that_wait(slow: tuple[Slow, Trial]) -> No
 
 
 def test_a_request_that_ends_early_is_no_error_of_the_server(
-    slow: tuple[Slow, Trial], capfd: pytest.CaptureFixture[str]
+    capfd: pytest.CaptureFixture[str], slow: tuple[Slow, Trial]
 ) -> None:
     bridges, trial = slow
     bridges.allowed.set()
