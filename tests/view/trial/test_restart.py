@@ -8,6 +8,7 @@ from http.client import HTTPConnection
 from typing import Any
 
 import pytest
+
 from haptether.view.console.page_server import MAX_REASON, close_reason
 from haptether.view.console.pair import Pair
 from haptether.view.trial.server import Choice, Network, Trial
