@@ -70,16 +70,17 @@ async function request(side, what, clicked) {
 // ---------------------------------------------------------------------------------------------------- stop
 
 function stop() {
-  letGo();
-  operator.stopped();
   sayStopped.done = false;
-  say("STOP");
   if (socket && socket.readyState === WebSocket.OPEN && socket.bufferedAmount === 0) {
     socket.send('{"do":"stop"}');
   }
   // Also send by HTTP: the WebSocket may be stuck.
   fetch(base + "stop", { method: "POST", keepalive: true }).then(answer => answer.json()).then(sayStopped).catch(
     () => say("STOP did not reach the console: stop the sides where they run", true));
+  // An exception here must not lose the requests.
+  letGo();
+  operator.stopped();
+  say("STOP");
 }
 
 function sayStopped(answers) {

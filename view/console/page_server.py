@@ -57,6 +57,8 @@ MAX_PAGES = 8
 MAX_ASKED = 32
 """Limit of queued requests of a page; a page with more is closed."""
 MAX_MESSAGE = 4096
+MAX_REASON = 123
+"""Largest reason of a close in bytes."""
 BACKLOG = 4
 """Connections accepted per round of the event loop; a request is read within a few rounds."""
 WAITING = 512
@@ -348,6 +350,14 @@ def _colours() -> dict[str, str]:
     return {**controllers, **SIGNALS, "safety": AXES[3]}
 
 
+def close_reason(text: str) -> str:
+    """Return a text cut to the length that a WebSocket may give as its reason.
+
+    Source: RFC 6455, section 5.5.
+    """
+    return text.encode()[:MAX_REASON].decode(errors="ignore")
+
+
 async def texts(page: "WebSocket") -> AsyncIterator[str]:
     """Yield the texts that a page sends until it is closed."""
     from starlette.websockets import WebSocketDisconnect
@@ -395,7 +405,7 @@ class _Page(contextlib.AbstractAsyncContextManager["_Page"]):
                 self._asked.put_nowait(msgspec.json.decode(text, type=Asked))
             except (msgspec.DecodeError, asyncio.QueueFull) as error:
                 reason = "too many requests" if isinstance(error, asyncio.QueueFull) else f"no request: {error}"
-                await self._page.close(1008, reason[:100])
+                await self._page.close(1008, close_reason(reason))
                 return
 
     async def _send(self, message: dict[str, Any]) -> None:

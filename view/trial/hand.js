@@ -4,7 +4,7 @@
 
 const AIM_MS = 16;          // between two aims
 const HELD_UP_MS = 350;     // a page held up for longer has lost its grip
-const FRESH_TOKEN_MS = 250; // age of a token that may still grip or push
+const FRESH_TOKEN_MS = 250; // age of a token, and of a press of P, that may still grip or push
 const KEY_SPEED = 0.08;     // of the target by keys, in m/s
 const STICK = 0.08;         // dead zone of a gamepad
 const PUSH = { force_n: 3.5, duration_s: 2.0 };
@@ -23,7 +23,7 @@ function connectHand() {
   hand.token = null;
   hand.isWaiting = true;    // until the first token
   mine.onclose = () => {
-    openHand();
+    loseHand();
     hand.token = null;
     setTimeout(connectHand, RETRY_MS);
   };
@@ -61,6 +61,10 @@ function tickHand() {
   if (gap > HELD_UP_MS && hand.by) openHand("the page was held up: the hand has opened; grip again");
   takeKeys(Math.min(gap, 50) / 1e3);
   takeGamepad();
+  if (hand.push && now - hand.push.pressed > FRESH_TOKEN_MS) {
+    hand.push = null;
+    say("the page was late: nothing is pushed; once more", true);
+  }
   if (hand.isWaiting) {
     if (hand.by && now - hand.sent > HELD_UP_MS) openHand("no answer: the hand has opened; grip again");
     return;
@@ -68,11 +72,12 @@ function tickHand() {
   if (!hand.socket || hand.socket.readyState !== WebSocket.OPEN) return;
   const isFresh = now - hand.answered < FRESH_TOKEN_MS;
   if (hand.push && isFresh) {
-    sendHand({ do: "push", ...hand.push });
+    sendHand({ do: "push", force: hand.push.force, duration_s: hand.push.duration_s });
     hand.push = null;
   } else if (hand.by || hand.push || hand.mustOpen) {
-    // An open hand needs no fresh token, and allows the next grip.
-    const strength_n = hand.by && !hand.mustOpen && isFresh ? hand.grip.strength_n : 0;
+    // An open hand needs no fresh token, and allows the next grip. A grip that is late stays open until it is released.
+    if (hand.by && !hand.mustOpen && !isFresh) openHand("the page was held up: the hand has opened; grip again");
+    const strength_n = hand.by && !hand.mustOpen ? hand.grip.strength_n : 0;
     hand.mustOpen = false;
     sendHand({ do: "aim", target: hand.target, stiffness: hand.grip.stiffness, damping: hand.grip.damping, strength_n });
   }
@@ -85,7 +90,7 @@ function sendHand(request) {
 }
 
 function pushArms() {
-  hand.push = { force: hand.target.map((_, axis) => axis ? 0 : PUSH.force_n), duration_s: PUSH.duration_s };
+  hand.push = { force: hand.target.map((_, axis) => axis ? 0 : PUSH.force_n), duration_s: PUSH.duration_s, pressed: performance.now() };
 }
 
 // ---------------------------------------------------------------------------------------------------- keys and gamepad
@@ -102,10 +107,11 @@ function takeKeys(seconds) {
 function takeGamepad() {
   const stick = [...navigator.getGamepads()].find(Boolean);
   const isPressed = Boolean(stick && stick.buttons[0] && stick.buttons[0].pressed);
-  if (isPressed && !hand.wasPressed) gripHand("gamepad");
+  // Every window sees a gamepad.
+  if (isPressed && !hand.wasPressed && document.hasFocus()) gripHand("gamepad");
   if (!isPressed && hand.by === "gamepad") openHand();
   hand.wasPressed = isPressed;
-  if (!stick || (hand.by && hand.by !== "gamepad")) return;
+  if (!stick || !document.hasFocus() || (hand.by && hand.by !== "gamepad")) return;
   hand.target.forEach((_, axis) => {
     const at = stick.axes[axis] || 0;
     if (Math.abs(at) > STICK || hand.by === "gamepad") moveHand((axis ? -at : at) * hand.reach, axis);
@@ -131,6 +137,7 @@ document.addEventListener("keyup", event => {
 
 function loseHand() {
   hand.arrows.clear();
+  hand.push = null;
   openHand();
 }
 

@@ -18,6 +18,8 @@ TOKEN_S = 0.3
 OVER_S = 1.0 / 30
 """Duration in s of the leg to each target."""
 NOT_THERE = "does not answer: it has ended, or is starting"
+LATE = "the page was late: the hand has opened; let go, and grip again"
+AGED = "took too long to answer, or the page has closed: once more"
 Components = Annotated[tuple[Annotated[float, Meta(ge=-1e3, le=1e3)], ...], Meta(min_length=1, max_length=3)]
 Bounded = Annotated[float, Meta(ge=0.0, le=1e4)]
 
@@ -51,6 +53,11 @@ def now_us() -> int:
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME) // 1000
 
 
+def is_late(asked: Aim | Push, at_us: int, issued: int | None) -> bool:
+    """Return True if the token of a request is not the one issued last, or too old."""
+    return asked.token != issued or at_us - asked.token > MAX_AGE_US
+
+
 class Grip:
     """Decides whether an aim of a page may grip: at most one page aims, and a lapsed grip must open first.
 
@@ -61,17 +68,17 @@ class Grip:
         self._owner: object = None
         self._last_us = -MAX_AGE_US
         self._closed: set[object] = set()
-        """Pages whose last aim gripped."""
+        """Pages that must open before they grip, unless they hold the stylus."""
 
-    def refusal(self, page: object, aim: Aim, at_us: int) -> str | None:
-        """Return the reason to refuse an aim, or None and take it."""
+    def refusal(self, page: object, aim: Aim, at_us: int, issued: int | None) -> str | None:
+        """Return the reason to refuse an aim, or None and take it; `issued` is the last token of the page."""
         gap_us = at_us - self._last_us
         if self._owner not in (page, None) and gap_us <= MAX_AGE_US:
             return "another page holds the stylus"
         if aim.strength_n > 0.0:
             # A late aim may still open the hand.
-            if at_us - aim.token > MAX_AGE_US:
-                return "the page was late: the hand has opened; let go, and grip again"
+            if is_late(aim, at_us, issued):
+                return LATE
             if page in self._closed and (self._owner is not page or gap_us > MAX_AGE_US):
                 return "the aims stopped for more than 0.4 s: the hand has opened; let go, and grip again"
             self._closed.add(page)
@@ -81,11 +88,16 @@ class Grip:
         return None
 
     def is_gripping(self, page: object) -> bool:
-        """Return True if the last aim of a page gripped."""
-        return page in self._closed
+        """Return True if a page holds the stylus."""
+        return self._owner is page and page in self._closed
+
+    def lapse(self, page: object = None) -> None:
+        """Take the stylus from a page, by default from any; the page must open before it grips again."""
+        if page in (self._owner, None):
+            self._owner = None
 
     def leave(self, page: object) -> None:
-        """Forget a page that has closed."""
+        """Forget a page that has closed, or has not gripped."""
         self._closed.discard(page)
         if self._owner is page:
             self._owner = None
@@ -103,13 +115,18 @@ class SideHand:
         self._token: int | None = None
         self._until_s = 0.0
 
-    async def ask(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Return the answer to a request, sent with the newest token of the side."""
+    async def ask(self, request: dict[str, Any], may_send: Callable[[], bool]) -> dict[str, Any]:
+        """Return the answer to a request, sent with the newest token of the side.
+
+        A side may take a second to give a token, so `may_send` is called just before the request is sent.
+        """
         if self._token is None or time.monotonic() > self._until_s:
             status = await self._connection.ask({"do": "status"})
             if not status.get("done"):
                 return {"done": False, "text": NOT_THERE}
             self._keep(status)
+        if not may_send():
+            return {"done": False, "text": AGED}
         answer = await self._connection.ask({**request, "token": self._token})
         self._keep(answer)
         return answer
@@ -132,20 +149,28 @@ class PageHand:
         path_of: Returns the control socket of a side, None without one.
         pairs: Names of the pairs.
         took: Called with each aim or push and the ticks of the sides that accepted it, by pair.
+        is_open: Returns True while the page is connected.
     """
 
     def __init__(self, grip: Grip, path_of: Callable[[str], Path | None], pairs: tuple[str, ...],
-                 took: Callable[[Aim | Push, dict[str, int]], None]) -> None:  # fmt: skip
+                 took: Callable[[Aim | Push, dict[str, int]], None], is_open: Callable[[], bool]) -> None:  # fmt: skip
         self._grip = grip
         self._path_of = path_of
         self._pairs = pairs
         self._took = took
+        self._is_open = is_open
         self._hands: dict[str, SideHand] = {}
+        self._token: int | None = None
 
     @property
     def is_gripping(self) -> bool:
-        """True if the last aim gripped."""
+        """True if the page holds the stylus."""
         return self._grip.is_gripping(self)
+
+    def token(self) -> int:
+        """Return the token of the next request; it replaces the one before."""
+        self._token = now_us()
+        return self._token
 
     async def answer(self, text: str) -> dict[str, Any]:
         """Return the answer to a request of the page, with the token of the next one.
@@ -154,30 +179,38 @@ class PageHand:
             msgspec.DecodeError: Not a request.
         """
         asked = msgspec.json.decode(text, type=Aim | Push)
-        at_us = now_us()
+        was_gripping = self.is_gripping
+        is_opening = isinstance(asked, Aim) and asked.strength_n == 0.0
         if isinstance(asked, Aim):
-            refused = self._grip.refusal(self, asked, at_us)
+            refused = self._grip.refusal(self, asked, now_us(), self._token)
             side, values = "master", msgspec.structs.asdict(asked) | {"do": "aim", "over_s": OVER_S}
         else:
-            refused = "the page was late: once more" if at_us - asked.token > MAX_AGE_US else None
+            refused = "the page was late: once more" if is_late(asked, now_us(), self._token) else None
             side, values = "slave", msgspec.structs.asdict(asked) | {"do": "push"}
         answers: Mapping[str, dict[str, Any]] = {}
         if refused is None:
             del values["token"]
-            found = await asyncio.gather(*(self._ask(f"{pair}.{side}", values) for pair in self._pairs))
+
+            def may_send() -> bool:
+                return is_opening or (self._is_open() and not is_late(asked, now_us(), self._token))
+
+            found = await asyncio.gather(*(self._ask(f"{pair}.{side}", values, may_send) for pair in self._pairs))
             answers = dict(zip(self._pairs, found, strict=True))
-            self._took(asked, {pair: answer["ticks"] for pair, answer in answers.items() if answer["done"]})
+            ticks = {pair: answer["ticks"] for pair, answer in answers.items() if answer["done"]}
+            self._took(asked, ticks)
+            if isinstance(asked, Aim) and not ticks:
+                (self._grip.lapse if was_gripping else self._grip.leave)(self)
             texts = {name: answer["text"] for name, answer in answers.items() if not answer["done"]}
             refused = "; ".join(f"{name}: {text}" for name, text in texts.items()) or None
-        return {"to": values["do"], "done": refused is None, "text": refused or "", "token": now_us()}
+        return {"to": values["do"], "done": refused is None, "text": refused or "", "token": self.token()}
 
-    async def _ask(self, side: str, values: dict[str, Any]) -> dict[str, Any]:
+    async def _ask(self, side: str, values: dict[str, Any], may_send: Callable[[], bool]) -> dict[str, Any]:
         if side not in self._hands:
             path = self._path_of(side)
             if path is None:
                 return {"done": False, "text": NOT_THERE}
             self._hands[side] = SideHand(path)
-        return await self._hands[side].ask(values)
+        return await self._hands[side].ask(values, may_send)
 
     def close(self) -> None:
         """Close all connections, which opens the hands."""

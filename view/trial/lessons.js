@@ -5,7 +5,7 @@ const PRESSED_N = 2.0;      // force of a wall worth letting go of
 const lessons = { at: 0, step: 0, since: 0, results: [], shown: "" };
 
 const engaged = seen => seen.states.every(state => state === "engaged" || state === "stale");
-const let_go = (seen, force) => seen.releases.find(row => row.kind === "let go" && row.number > lessons.since && complete(row, force));
+const letGoRow = (seen, force) => seen.releases.find(row => row.kind === "let go" && row.number > lessons.since && complete(row, force));
 const complete = (row, force) => Object.keys(row.pairs).length === lanes.names.length
   && Object.values(row.pairs).every(one => one.is_complete && one.force_n >= force);
 
@@ -13,7 +13,7 @@ const WALL = [
   ["Hold Engage until its bar is full: only a person couples the two sides.", engaged],
   [`Press the button in the field and draw the stylus into the wall, until both arrows read ${PRESSED_N} N or more.`,
     seen => hand.by && seen.forces.every(force => force >= PRESSED_N)],
-  ["Let go of the button.", seen => let_go(seen, 0.5 * PRESSED_N)],
+  ["Let go of the button.", seen => letGoRow(seen, 0.5 * PRESSED_N)],
 ];
 const LESSONS = [
   { name: "1 Let go at a wall", steps: WALL,
@@ -22,7 +22,7 @@ const LESSONS = [
     WALL[0],
     ["Hold the stylus near the wall, with a light touch.", seen => hand.by],
     ["Press P: something pushes both remote arms for 2 s.", seen => seen.releases.some(row => row.kind === "push" && row.number > lessons.since)],
-    ["Let go while it still pushes.", seen => let_go(seen, 0.5)]],
+    ["Let go while it still pushes.", seen => letGoRow(seen, 0.5)]],
     learnt: speeds => `The push reached the stylus through the network and threw it: ${speeds}.` },
   { name: "3 At 200 ms", steps: [
     ["Set the delay to 200 ms. Both sides hold, because nothing arrives for so long.", seen => seen.network.delay_s >= 0.195],

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import time
 from collections.abc import Callable, Coroutine, Iterable
 from functools import partial
 from pathlib import Path
@@ -13,9 +14,9 @@ from msgspec import Meta, Struct
 from msgspec.structs import asdict
 
 from haptether.bridge import TelemetryHello, TelemetryMessage
-from haptether.view.console.page_server import DESCRIPTORS, MAX_MESSAGE, MAX_PAGES, PageServer, texts
+from haptether.view.console.page_server import DESCRIPTORS, MAX_MESSAGE, MAX_PAGES, PageServer, close_reason, texts
 from haptether.view.console.pair import Pair
-from haptether.view.trial.hand import Aim, Grip, PageHand, Push, now_us
+from haptether.view.trial.hand import Aim, Grip, PageHand, Push
 from haptether.view.trial.releases import Releases
 
 if TYPE_CHECKING:
@@ -30,9 +31,8 @@ FILES = {
     "try.css": HERE / "try.css",
     **{f"{name}.js": HERE / f"{name}.js" for name in ("hand", "pad", "lessons", "try")},
 }
-
-
 MAX_SIDES = 4
+STOPPED = "STOP was pressed before the bridges had started: press Restart"
 MIN_WALL, MAX_WALL = 10.0, 1000.0
 """Bounds of the stiffness of the wall in N/m."""
 MAX_DELAY_S, MAX_JITTER_S, MAX_LOSS = 0.5, 0.05, 0.5
@@ -86,10 +86,13 @@ class Bridges(Protocol):
 
 
 class Record(Protocol):
-    """Record of what a person does."""
+    """Record of the acts of a person. No call may wait for a disk."""
 
     def took(self, asked: Aim | Push, ticks: dict[str, int]) -> None:
         """Take an aim or a push with the ticks of the sides that accepted it, by pair."""
+
+    def opened(self, after_s: float) -> None:
+        """Open the hands this time in s after the last aim, because their page has closed."""
 
     def hear(self, pair: str, hello: TelemetryHello, message: TelemetryMessage | None) -> None:
         """Take a message of a side, or the start of its run."""
@@ -124,6 +127,10 @@ class Trial(PageServer):
         self._grip = Grip()
         self._aiming = 0
         self._is_gripped = False
+        self._aimed_s = 0.0
+        """Monotonic time in s of the last aim that a side took."""
+        self._stops = 0
+        """Number of stops requested."""
         self._choice, self._network = choice, network
         self._phase = ("running", "")
         self._changing = asyncio.Lock()
@@ -172,11 +179,15 @@ class Trial(PageServer):
         else:
             if self._is_gripped and asked.strength_n == 0.0:
                 self._releases.begin("let go", ticks, asdict(self._network))
-            self._is_gripped = asked.strength_n > 0.0
+            self._is_gripped = bool(ticks) and asked.strength_n > 0.0
+            if ticks:
+                self._aimed_s = time.monotonic()
 
     def _took_away(self) -> None:
-        """Measure the release of a hand whose page has closed."""
+        """Record and measure the release of a hand whose page has closed."""
         self._is_gripped = False
+        if self._record is not None:
+            self._record.opened(time.monotonic() - self._aimed_s)
         self._releases.begin("let go", dict.fromkeys(self._names), asdict(self._network))
 
     async def _hand(self, page: "WebSocket") -> None:
@@ -188,7 +199,8 @@ class Trial(PageServer):
             await page.close(1013, f"{MAX_PAGES} pages are open: close one")
             return
         self._aiming += 1
-        hand = PageHand(self._grip, self.path_of, self._names, self._took)
+        connection = page.scope["state"]["connection"]
+        hand = PageHand(self._grip, self.path_of, self._names, self._took, lambda: not connection.is_closing())
         try:
             async with self.kept(page):
                 with contextlib.suppress(WebSocketDisconnect, RuntimeError):
@@ -200,24 +212,31 @@ class Trial(PageServer):
             self._aiming -= 1
 
     async def _lead(self, page: "WebSocket", hand: PageHand) -> None:
-        await page.send_text(json.dumps({"to": "begin", "done": True, "text": "", "token": now_us()}))
+        await page.send_text(json.dumps({"to": "begin", "done": True, "text": "", "token": hand.token()}))
         async for text in texts(page):
             try:
                 answer = await hand.answer(text)
             except msgspec.DecodeError as error:
-                await page.close(1008, f"no request: {error}"[:100])
+                await page.close(1008, close_reason(f"no request: {error}"))
                 return
             await page.send_text(json.dumps(answer))
 
     async def _restart(self, request: "Request") -> "Response":
         """Restart all pairs with other settings, disengaged."""
-        return await self._carried_out(request, Choice, self._started)
+        return await self._carried_out(request, Choice, partial(self._started, self._stops))
 
-    async def _started(self, choice: Choice) -> None:
+    def begin_stop(self) -> "asyncio.Task[dict[str, dict[str, Any]]]":
+        """Begin a stop, or return the running one; a restart that was requested before ends with a stop, too."""
+        self._stops += 1
+        return super().begin_stop()
+
+    async def _started(self, stops: int, choice: Choice) -> None:
         names, possible = set(self._names), self._bridges.controllers
         if set(choice.controllers) != names or not set(choice.controllers.values()) <= set(possible):
             message = f"controllers = {choice.controllers}: must be for each of {', '.join(sorted(names))} one of "
             raise ValueError(message + ", ".join(possible))
+        if self._stops != stops:
+            raise RuntimeError(STOPPED)
         self._enter("restarting")
         try:
             await asyncio.to_thread(self._bridges.start, choice)
@@ -226,7 +245,13 @@ class Trial(PageServer):
             raise RuntimeError(str(error)) from error
         self._choice = choice
         self._is_gripped = False
+        self._grip.lapse()
         self._enter("running")
+        if self._stops != stops:
+            # The stop came before the sides had sockets; one that still runs may have missed them.
+            await self.stop()
+            await self.stop()
+            raise RuntimeError(STOPPED)
 
     async def _set_network(self, request: "Request") -> "Response":
         return await self._carried_out(request, Network, self._networked)
@@ -242,6 +267,7 @@ class Trial(PageServer):
         self, request: "Request", kind: type[Any], work: Callable[[Any], Coroutine[Any, Any, None]]
     ) -> "Response":
         """Carry out one change at a time, even if its page closes; answer with `done` and `text`."""
+        from starlette.requests import ClientDisconnect
         from starlette.responses import Response
 
         async def locked(change: object) -> None:
@@ -259,4 +285,6 @@ class Trial(PageServer):
             await asyncio.shield(asyncio.create_task(locked(msgspec.json.decode(body, type=kind))))
         except (msgspec.DecodeError, ValueError, OSError, RuntimeError) as error:
             text = str(error)
+        except ClientDisconnect:
+            text = "the page has closed"
         return Response(json.dumps({"done": not text, "text": text}), media_type="application/json")

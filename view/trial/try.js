@@ -27,7 +27,7 @@ operator.show = message => {
   });
   $("link").textContent = lostRows ? `${lostRows} rows not shown: this page was too slow` : "";
 };
-operator.stopped = () => openHand();
+operator.stopped = () => loseHand();
 
 const side = (name, role) => sidesNow.find(one => one.id === `${name}.${role}` && one.side);
 

@@ -34,7 +34,8 @@ def test_aims_of_pages(acts: list[tuple[str, int, int, float]], refused: str | N
     grip = Grip()
     for page, at_ms, age_ms, strength_n in acts:
         at_us = (10_000 + at_ms) * MS
-        found = grip.refusal(page, aim(strength_n, at_us - age_ms * MS), at_us)
+        asked = aim(strength_n, at_us - age_ms * MS)
+        found = grip.refusal(page, asked, at_us, asked.token)
     if refused is None:
         assert found is None
     else:
@@ -44,8 +45,30 @@ def test_aims_of_pages(acts: list[tuple[str, int, int, float]], refused: str | N
 
 def test_a_page_that_leaves_holds_nothing() -> None:
     grip = Grip()
-    assert grip.refusal("a", aim(6.0, MAX_AGE_US), MAX_AGE_US) is None
+    assert grip.refusal("a", aim(6.0, MAX_AGE_US), MAX_AGE_US, MAX_AGE_US) is None
     assert grip.is_gripping("a")
     grip.leave("a")
     assert not grip.is_gripping("a")
-    assert grip.refusal("b", aim(6.0, MAX_AGE_US), MAX_AGE_US + 1) is None
+    assert grip.refusal("b", aim(6.0, MAX_AGE_US), MAX_AGE_US + 1, MAX_AGE_US) is None
+
+
+def test_a_grip_lapses_when_its_sides_restart() -> None:
+    grip = Grip()
+    at_us = MAX_AGE_US
+    assert grip.refusal("a", aim(6.0, at_us), at_us, at_us) is None
+    grip.lapse("b")
+    assert grip.is_gripping("a")
+    grip.lapse()
+    assert not grip.is_gripping("a")
+    # Another page may take the stylus, and the first must let go of its button.
+    refused = grip.refusal("a", aim(6.0, at_us), at_us, at_us)
+    assert refused is not None
+    assert "let go, and grip again" in refused
+    assert grip.refusal("b", aim(6.0, at_us), at_us, at_us) is None
+
+
+@pytest.mark.parametrize("token", [0, MAX_AGE_US - 1, MAX_AGE_US + 1, 2**62])
+def test_a_token_other_than_the_last_opens_only(token: int) -> None:
+    grip = Grip()
+    assert grip.refusal("a", aim(6.0, token), MAX_AGE_US, MAX_AGE_US) is not None
+    assert grip.refusal("a", aim(0.0, token), MAX_AGE_US, MAX_AGE_US) is None

@@ -41,6 +41,8 @@ class Pointer:
         return self.ask(do="aim", target=[target], **{**GRIP, **changed})
 
     def hold(self, target: float, seconds: float) -> None:
+        # The page opens first, too; it connects to the sides.
+        assert self.aim(target, strength_n=0.0)["done"]
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
             answer = self.aim(target)

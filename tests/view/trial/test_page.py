@@ -209,3 +209,28 @@ def test_keys_and_a_gamepad_move_the_hand_and_press_nothing(browser: "Browser", 
         document.dispatchEvent(new KeyboardEvent('keydown', {key: 'g'})); }""")
     assert page.evaluate("() => hand.by") is None
     page.context.close()
+
+
+def test_a_late_grip_stays_open_and_a_late_push_is_dropped(browser: "Browser", runs: Tried) -> None:
+    page = opened(browser, runs)
+    for _ in range(TRIES):
+        # A browser that is held up opens the hand before.
+        press_in(page, 0.02, 0.0, 0.3)
+        if page.evaluate("() => hand.by === 'pointer' && !hand.mustOpen"):
+            break
+        page.mouse.up()
+    late = "hand.isWaiting = false; hand.answered = performance.now() - 300; tickHand(); return hand.by;"
+    assert page.evaluate(f"() => {{ {late} }}") is None
+    page.wait_for_timeout(500)
+    assert page.evaluate("() => hand.by") is None
+    page.mouse.up()
+    assert page.evaluate("() => { pushArms(); hand.push.pressed -= 300; tickHand(); return hand.push; }") is None
+    said(page, "nothing is pushed")
+    # A push waits for no other connection.
+    page.evaluate("() => { hand.socket.close(); pushArms(); }")
+    page.wait_for_function("() => !hand.push")
+    # STOP precedes all that may fail on the page.
+    page.evaluate("() => { operator.stopped = () => { throw new Error('a fault of the page'); }; }")
+    page.keyboard.press("Escape")
+    wait_until(lambda: all(feed.summary().get("has_ended") for feed in runs.trial.feeds))
+    page.context.close()

@@ -1,16 +1,19 @@
 """The record of a trial: aims, clutch and pushes become a scene that repeats them."""
 
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from haptether.bridge import TelemetryChange, TelemetryHello, load_scene, simulate
-from haptether.cli.view.trial.record import TrialRecord
+from haptether.bridge import TelemetryChange, TelemetryEnd, TelemetryHello, load_scene, override_scene, simulate
+from haptether.cli.view.trial.record import LONGEST_S, TrialRecord
+from haptether.private_file import write_private
 from haptether.view.trial.hand import Aim, Push
 from haptether.view.trial.server import Choice, Network
 
 PERIOD_NS = 1_000_000
+WRITE = "haptether.cli.view.trial.record.write_private"
 
 
 class StandIn:
@@ -18,14 +21,14 @@ class StandIn:
 
     runs = 1
     network = Network(delay_s=0.0, jitter_s=0.0, loss=0.0)
-    choice = Choice(controllers={"left": "wsc"})
+    choice = Choice(controllers={"left": "wsc", "right": "wsc"})
 
     def changes(self, _pair: str, _choice: Choice) -> tuple[str, ...]:
         return ('safety.controllers=["wsc"]',)
 
 
-def hello(side: str) -> TelemetryHello:
-    return TelemetryHello(schema=1, side=side, security="secure", signals=[])
+def hello(side: str, process: int = 0) -> TelemetryHello:
+    return TelemetryHello(schema=1, side=side, security="secure", process=process, signals=[])
 
 
 def change(tick: int, signal: str, to: str | bool) -> TelemetryChange:
@@ -78,3 +81,146 @@ def test_a_recorded_push_counts_from_the_engagement(recorded: Callable[[bool], P
     (push,) = scene.environment.pushers
     assert push.at_s == pytest.approx(1.0)
     assert (push.duration_s, push.force_n) == (0.5, (3.5,))
+
+
+def aim(target: float = 0.02, strength_n: float = 12.0) -> Aim:
+    return Aim(token=0, target=(target,), stiffness=300.0, damping=8.0, strength_n=strength_n)
+
+
+def push(force_n: float) -> Push:
+    return Push(token=0, force=(force_n,), duration_s=2.0)
+
+
+def end() -> TelemetryEnd:
+    return TelemetryEnd(time_ns=400 * PERIOD_NS)
+
+
+def begun(folder: Path, *overrides: str, pairs: tuple[str, ...] = ("left",)) -> tuple[TrialRecord, StandIn]:
+    """Return a record of pairs that are engaged and pressed, each with one aim."""
+    bridges = StandIn()
+    record = TrialRecord(bridges, override_scene(load_scene("try"), overrides), folder)
+    for pair in pairs:
+        for side in ("slave", "master"):
+            record.hear(pair, hello(side, 1), None)
+        record.hear(pair, hello("master", 1), change(100, "clutch", to=True))
+        record.hear(pair, hello("slave", 1), change(200, "state", to="engaged"))
+    record.took(aim(), dict.fromkeys(pairs, 300))
+    return record, bridges
+
+
+def rows(folder: Path, name: str = "left") -> list[list[float]]:
+    """Return times and strengths of the recorded aims."""
+    lines = (folder / f"{name}-aims.csv").read_text(encoding="utf-8").splitlines()[1:]
+    cells = [line.split(",") for line in lines]
+    return [[float(line[0]), float(line[-1])] for line in cells]
+
+
+def test_a_hanging_disk_holds_up_no_aim(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers, reached = threading.Event(), threading.Event()
+
+    def slow(path: Path, content: bytes) -> None:
+        reached.set()
+        assert answers.wait(2.0)
+        write_private(path, content)
+
+    monkeypatch.setattr(WRITE, slow)
+    record, bridges = begun(tmp_path)
+    record.hear("left", hello("master", 1), end())
+    assert reached.wait(20.0)
+    record.took(aim(), {"left": 320})
+    record.change(Network())
+    record.hear("left", hello("master", 1), change(400, "clutch", to=False))
+    # The disk has not answered yet.
+    assert not (tmp_path / "left-aims.csv").exists()
+    answers.set()
+    record.close()
+    assert bridges.runs == 1
+    assert rows(tmp_path) == [[0.3, 12.0]]
+
+
+def test_a_disk_that_never_answers_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    answers = threading.Event()
+    monkeypatch.setattr(WRITE, lambda *_: answers.wait(20.0))
+    monkeypatch.setattr("haptether.cli.view.trial.record.CLOSE_S", 0.2)
+    record, _ = begun(tmp_path)
+    record.close()
+    assert "the disk does not answer" in capsys.readouterr().err
+    answers.set()
+
+
+def test_a_press_after_the_last_aim_is_repeated(tmp_path: Path) -> None:
+    record, _ = begun(tmp_path)
+    for tick, to in ((5000, False), (9000, True)):
+        record.hear("left", hello("master", 1), change(tick, "clutch", to=to))
+    record.close()
+    scene = load_scene(tmp_path / "left.toml")
+    assert scene.operator is not None
+    assert scene.operator.clutch == ((0.1, 5.0), (9.0, 11.0))
+    assert scene.run.duration_s == pytest.approx(11.0)
+
+
+def test_a_pair_that_cannot_be_written_spares_the_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "left-aims.csv").mkdir()
+    record, _ = begun(tmp_path, pairs=("left", "right"))
+    record.close()
+    assert "record: left: the aims are not kept: " in capsys.readouterr().err
+    assert rows(tmp_path, "right") == [[0.3, 12.0]]
+    assert load_scene(tmp_path / "right.toml").run.duration_s == pytest.approx(2.3)
+
+
+def test_aims_of_a_new_master_are_not_of_the_old_run(tmp_path: Path) -> None:
+    record, bridges = begun(tmp_path)
+    bridges.runs = 2
+    record.took(aim(), {"left": 10})
+    record.hear("left", hello("master", 2), None)
+    record.took(aim(strength_n=1.0), {"left": 20})
+    record.close()
+    assert rows(tmp_path) == [[0.3, 12.0]]
+    assert rows(tmp_path, "left-2") == [[0.02, 1.0]]
+
+
+def test_telemetry_that_connects_again_continues_the_run(tmp_path: Path) -> None:
+    record, _ = begun(tmp_path)
+    record.hear("left", hello("master", 1), None)
+    record.took(aim(strength_n=1.0), {"left": 320})
+    record.close()
+    assert rows(tmp_path) == [[0.3, 12.0], [0.32, 1.0]]
+    scene = load_scene(tmp_path / "left.toml")
+    assert scene.operator is not None
+    assert scene.operator.clutch == ((0.1, 2.32),)
+
+
+def test_a_push_ends_at_the_next_and_counts_the_periods_of_the_slave(tmp_path: Path) -> None:
+    record, _ = begun(tmp_path, "slave.period_s=0.002")
+    for tick, force_n in ((500, 3.5), (750, 1.0), (750, 2.0), (3000, 4.0)):
+        record.took(push(force_n), {"left": tick})
+    record.close()
+    scene = load_scene(tmp_path / "left.toml")
+    assert scene.environment is not None
+    pushers = scene.environment.pushers
+    # The sides engaged 0.2 s after the slave's start.
+    assert [one.at_s for one in pushers] == pytest.approx([0.8, 1.3, 5.8])
+    assert [one.duration_s for one in pushers] == pytest.approx([0.5, 2.0, 2.0])
+    assert [one.force_n for one in pushers] == [(3.5,), (2.0,), (4.0,)]
+    assert scene.run.duration_s == pytest.approx(8.0)
+
+
+@pytest.mark.parametrize(("after_s", "found"), [(0.1, [[0.3, 12.0], [0.4, 0.0]]), (0.5, [[0.3, 12.0]])])
+def test_the_hand_of_a_closed_page_opens(tmp_path: Path, after_s: float, found: list[list[float]]) -> None:
+    record, _ = begun(tmp_path)
+    record.opened(after_s)
+    # An open hand stays as it is.
+    record.opened(after_s)
+    record.close()
+    assert rows(tmp_path) == [pytest.approx(row) for row in found]
+
+
+def test_a_long_run_keeps_its_first_hour_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record, _ = begun(tmp_path)
+    record.took(aim(), {"left": round(LONGEST_S * 1e3) + 1})
+    record.close()
+    assert rows(tmp_path) == [[0.3, 12.0]]
+    assert "acts after 3600 s are not recorded" in (tmp_path / "left.toml").read_text(encoding="utf-8")
+    assert "left: the scene has the aims of the first 3600 s" in capsys.readouterr().err

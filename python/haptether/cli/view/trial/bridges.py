@@ -3,7 +3,7 @@
 import contextlib
 import threading
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -116,7 +116,10 @@ class TrialBridges:
             self.runs += 1
             self.choice = choice
             try:
-                for started in [self._threads.submit(self._start, name, choice) for name in self._names]:
+                starts = [self._threads.submit(self._start, name, choice) for name in self._names]
+                # After an error, another pair must start no process that would not be ended.
+                wait(starts)
+                for started in starts:
                     started.result()
             except BaseException:
                 self._end_sides()
@@ -172,18 +175,27 @@ class TrialBridges:
         return self._folder / f"{pair}.net"
 
     def change(self, network: Network) -> None:
-        """Change the network of all pairs.
+        """Change the network of all pairs; after an error all keep their network.
 
         Raises:
             OSError: A proxy does not answer.
             ValueError: A proxy refuses the settings.
         """
-        link = {"delay_s": network.delay_s, "jitter_s": network.jitter_s, "loss": network.loss}
-        for name in self._names:
-            answer = ask_control(str(self._proxy(name)), {"forward": link, "backward": link}, patience_s=PATIENCE_S)
-            if not answer["ok"]:
-                raise ValueError(answer["error"])
+        try:
+            for name in self._names:
+                self._change(name, network)
+        except (OSError, ValueError):
+            for name in self._names:
+                with contextlib.suppress(OSError, ValueError):
+                    self._change(name, self.network)
+            raise
         self.network = network
+
+    def _change(self, pair: str, network: Network) -> None:
+        link = {"delay_s": network.delay_s, "jitter_s": network.jitter_s, "loss": network.loss}
+        answer = ask_control(str(self._proxy(pair)), {"forward": link, "backward": link}, patience_s=PATIENCE_S)
+        if not answer["ok"]:
+            raise ValueError(answer["error"])
 
 
 def run_name(pair: str, run: int) -> str:

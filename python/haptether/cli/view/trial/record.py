@@ -1,5 +1,8 @@
 """Record of a trial: aims, and a scene for each run that repeats in virtual time what a person did."""
 
+import math
+import queue
+import sys
 import threading
 from collections.abc import Iterable
 from pathlib import Path
@@ -24,7 +27,13 @@ from haptether.view.trial.hand import OVER_S, Aim, Push
 from haptether.view.trial.server import Choice, Network
 
 AFTER_S = 2.0
-"""Time in s in a scene after the last aim."""
+"""Time in s in a scene after the last act."""
+LONGEST_S = 3600.0
+"""Time in s from the start of a run up to which acts are recorded."""
+SILENT_S = 0.4
+"""Time in s after the last aim at which the hand opens by itself."""
+CLOSE_S = 5.0
+"""Timeout in s of the files at the end; a disk may hang."""
 AXES = "xyz"
 
 
@@ -48,12 +57,22 @@ class Recorded(Protocol):
 
 
 class PairRun:
-    """Acts of a person in one run of a pair; times in s since the loop of its master began, unless stated otherwise."""
+    """Acts of a person in one run of a pair; times in s since the loop of its master began, unless stated otherwise.
 
-    def __init__(self, name: str, changes: tuple[str, ...], period_s: float, network: Network) -> None:
+    Args:
+        name: Name of the files.
+        key: Number of the start, and process of the master.
+        changes: Changes of the scene.
+        periods_s: Periods in s of master and slave.
+        network: Network at the start.
+    """
+
+    def __init__(self, name: str, key: tuple[int, int], changes: tuple[str, ...], periods_s: tuple[float, float],
+                 network: Network) -> None:  # fmt: skip
         self.name = name
+        self.key = key
         self.changes = changes
-        self.period_s = period_s
+        self.periods_s = periods_s
         self.network = network
         self.aims: list[tuple[float, Aim]] = []
         self.clutch: list[list[float]] = []
@@ -63,12 +82,43 @@ class PairRun:
         self.pushes: list[tuple[float, Push]] = []
         """Time in s since the slave's loop began."""
         self.has_other_network = False
+        self.is_full = False
+        """True if an act after `LONGEST_S` was not recorded."""
+
+    def took(self, asked: Aim | Push, ticks: int) -> None:
+        """Take an aim or a push with the ticks of the side that accepted it."""
+        master_s, slave_s = self.periods_s
+        at_s = ticks * (master_s if isinstance(asked, Aim) else slave_s)
+        if at_s > LONGEST_S:
+            self.is_full = True
+        elif isinstance(asked, Aim):
+            self.aims.append((at_s, asked))
+        else:
+            self.pushes.append((at_s, asked))
+
+    def opened(self, after_s: float) -> None:
+        """Open a closed hand this time after its last aim, unless silence has opened it before."""
+        if self.aims and self.aims[-1][1].strength_n > 0.0 and after_s < SILENT_S:
+            at_s, aim = self.aims[-1]
+            self.aims.append((at_s + after_s, replace(aim, strength_n=0.0)))
+
+    def take(self, side: str, change: TelemetryChange) -> None:
+        """Take a change of a side."""
+        at_s = change.time_ns * 1e-9
+        if side == "master" and change.signal == "clutch" and at_s <= LONGEST_S:
+            if change.to:
+                self.clutch.append([at_s])
+            elif self.clutch and len(self.clutch[-1]) == 1:
+                self.clutch[-1].append(at_s)
+        if side == "slave" and change.signal == "state" and change.to == "engaged" and self.engaged_s is None:
+            self.engaged_s = at_s
 
 
 class TrialRecord:
     """Files of a trial: for each run of a pair `PAIR.toml`, `PAIR-aims.csv` and, from the side itself, `PAIR.mcap`.
 
-    Further runs after a restart have a number, `PAIR-2.toml`. Messages and requests come from different threads.
+    Further runs after a restart have a number, `PAIR-2.toml`. Messages and requests come from different threads, which
+    never wait for the disk: a thread of its own writes the runs that are over.
 
     Args:
         bridges: Pairs behind the page.
@@ -82,31 +132,44 @@ class TrialRecord:
         self._folder = folder
         self._lock = threading.Lock()
         self._runs: dict[str, PairRun] = {}
+        self._over: queue.SimpleQueue[PairRun | None] = queue.SimpleQueue()
+        """Runs to be written; None ends the writer."""
+        self._writer = threading.Thread(target=self._write_all, name="try-record", daemon=True)
+        self._writer.start()
 
     def took(self, asked: Aim | Push, ticks: dict[str, int]) -> None:
         """Take an aim or a push with the ticks of the sides that accepted it, by pair."""
         with self._lock:
             for pair, at in ticks.items():
-                if (run := self._runs.get(pair)) is None:
-                    continue
-                if isinstance(asked, Aim):
-                    run.aims.append((at * run.period_s, asked))
-                else:
-                    run.pushes.append((at * run.period_s, asked))
+                run = self._runs.get(pair)
+                # The first aims of a new master may precede its telemetry.
+                if run is not None and run.key[0] == self._bridges.runs:
+                    run.took(asked, at)
+
+    def opened(self, after_s: float) -> None:
+        """Open the hands this time in s after the last aim, because their page has closed."""
+        with self._lock:
+            for run in self._runs.values():
+                run.opened(after_s)
 
     def hear(self, pair: str, hello: TelemetryHello, message: TelemetryMessage | None) -> None:
         """Take a message of a side, or the start of its run."""
         with self._lock:
+            run = self._runs.get(pair)
             if message is None and hello.side == "master":
-                self._write(pair)
                 bridges = self._bridges
-                changes = bridges.changes(pair, bridges.choice)
-                period_s = self._scene.run.period_s
-                self._runs[pair] = PairRun(run_name(pair, bridges.runs), changes, period_s, bridges.network)
-            elif (run := self._runs.get(pair)) is not None and isinstance(message, TelemetryChange):
-                _take(run, hello.side, message)
-            elif isinstance(message, TelemetryEnd) and hello.side == "master":
-                self._write(pair)
+                key = bridges.runs, hello.process
+                # A reader that connects again continues the same run.
+                if run is None or run.key != key:
+                    changes = bridges.changes(pair, bridges.choice)
+                    name = run_name(pair, bridges.runs)
+                    self._runs[pair] = PairRun(name, key, changes, _periods_s(self._scene), bridges.network)
+                    if run is not None:
+                        self._over.put(run)
+            elif run is not None and isinstance(message, TelemetryChange):
+                run.take(hello.side, message)
+            elif run is not None and isinstance(message, TelemetryEnd) and hello.side == "master":
+                self._over.put(self._runs.pop(pair))
 
     def change(self, network: Network) -> None:
         """Take a change of the network."""
@@ -116,33 +179,48 @@ class TrialRecord:
                 run.network = run.network if run.aims else network
 
     def close(self) -> None:
-        """Write the files of the runs that have not ended."""
+        """Write the files of the runs that have not ended; wait for a few seconds at most."""
         with self._lock:
-            for pair in self._runs:
-                self._write(pair)
+            for run in self._runs.values():
+                self._over.put(run)
+            self._runs.clear()
+        self._over.put(None)
+        self._writer.join(CLOSE_S)
+        if self._writer.is_alive():
+            _report(f"{self._folder}: the disk does not answer: the aims of the last runs are not kept")
 
-    def _write(self, pair: str) -> None:
+    def _write_all(self) -> None:
+        while (run := self._over.get()) is not None:
+            try:
+                self._write(run)
+            except Exception as error:  # the other runs must still be written
+                _report(f"{run.name}: the aims are not kept: {error}")
+
+    def _write(self, run: PairRun) -> None:
         """Write the files of a run in which a person aimed."""
-        run = self._runs.get(pair)
-        if run is None or not run.aims:
+        if not run.aims:
             return
         file = f"{run.name}-aims.csv"
         write_private(self._folder / file, _csv(run.aims).encode())
         scene = _repeated(override_scene(self._scene, [*run.changes, *_changes(run)]), run, file)
-        network = "; the delay, jitter or loss was changed later" if run.has_other_network else ""
-        comment = f"What a person did in `haptether try`, pair {pair}{network}."
-        save_scene(scene, self._folder / f"{run.name}.toml", comment)
+        notes = [f"Acts of a person in `haptether try`, {run.name}"]
+        if run.has_other_network:
+            notes.append("the delay, jitter or loss was changed later")
+        if run.is_full:
+            notes.append(f"acts after {LONGEST_S:g} s are not recorded")
+            _report(f"{run.name}: the scene has the aims of the first {LONGEST_S:g} s: Restart begins another")
+        save_scene(scene, self._folder / f"{run.name}.toml", "; ".join(notes) + ".")
 
 
-def _take(run: PairRun, side: str, change: TelemetryChange) -> None:
-    at_s = change.time_ns * 1e-9
-    if side == "master" and change.signal == "clutch":
-        if change.to:
-            run.clutch.append([at_s])
-        elif run.clutch and len(run.clutch[-1]) == 1:
-            run.clutch[-1].append(at_s)
-    if side == "slave" and change.signal == "state" and change.to == "engaged" and run.engaged_s is None:
-        run.engaged_s = at_s
+def _report(text: str) -> None:
+    print(f"record: {text}", file=sys.stderr, flush=True)
+
+
+def _periods_s(scene: Scene) -> tuple[float, float]:
+    """Return the periods in s of master and slave."""
+    master_s = scene.run.period_s
+    slave_s = None if scene.slave is None else scene.slave.period_s
+    return master_s, master_s if slave_s is None else slave_s
 
 
 def _csv(aims: Iterable[tuple[float, Aim]]) -> str:
@@ -156,7 +234,9 @@ def _csv(aims: Iterable[tuple[float, Aim]]) -> str:
 
 def _changes(run: PairRun) -> list[str]:
     """Return the changes of the scene to the clutch and the network of a run."""
-    end_s = run.aims[-1][0] + AFTER_S
+    # The loop of the slave begins first, so the time of a push is a bound of its time in the scene.
+    acts = (run.aims[-1][0], *(at_s for times in run.clutch for at_s in times), *(at_s for at_s, _ in run.pushes))
+    end_s = max(acts) + AFTER_S
     link = run.network
     clutch = [[*times, end_s][:2] for times in run.clutch]
     found: dict[str, Any] = {"run.duration_s": end_s, "operator.clutch": clutch}
@@ -170,13 +250,22 @@ def _repeated(scene: Scene, run: PairRun, file: str) -> Scene:
     """Return the scene with the aims of a file beside it, and the pushes, whose times count from the engagement."""
     assert scene.operator is not None
     assert scene.environment is not None
-    begun_s = run.engaged_s
-    pushers = () if begun_s is None else tuple(
-        PusherTable(at_s=max(0.0, at_s - begun_s), duration_s=push.duration_s, force_n=push.force)
-        for at_s, push in run.pushes
-    )  # fmt: skip
     return replace(
         scene,
         operator=replace(scene.operator, aims=AimsTable(file=file)),
-        environment=replace(scene.environment, pushers=(*scene.environment.pushers, *pushers)),
+        environment=replace(scene.environment, pushers=(*scene.environment.pushers, *_pushers(run))),
     )
+
+
+def _pushers(run: PairRun) -> list[PusherTable]:
+    """Return the pushes of a run; each one ends at the next, which replaces it."""
+    if run.engaged_s is None:
+        return []
+    found: list[PusherTable] = []
+    ends_s = [*(at_s for at_s, _ in run.pushes[1:]), math.inf]
+    for (at_s, push), end_s in zip(run.pushes, ends_s, strict=False):
+        duration_s = min(push.duration_s, end_s - at_s)
+        if duration_s > 0.0:
+            begun_s = max(0.0, at_s - run.engaged_s)
+            found.append(PusherTable(at_s=begun_s, duration_s=duration_s, force_n=push.force))
+    return found
