@@ -35,6 +35,7 @@ WRITTEN: dict[str, tuple[list[str], dict[str, str]]] = {
     "replay": (["in.mcap"], {"plot": "a.png", **JSON}),
     "playback": (["in.mcap"], {"plot": "a.png", "out": "a.npz", **JSON}),
     "list": ([], JSON),
+    "try": ([], {"record": "folder/left.mcap"}),
     "check-device": (["ur"], JSON),
     "identify": (["touch", "--yes"], JSON),
     "ur-emulator": ([], JSON),

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from haptether import _core
+from haptether._core import __version__
 from haptether.bridge.scene.errors import SceneError
 from haptether.bridge.scene.load import Checked, leaf_values, override_texts
 from haptether.bridge.scene.research import controller_names, source_of
@@ -148,7 +148,7 @@ def sweep_to_file(
     design = design_of(grid, with_population(base.scene, samples, population, seed), ties)
     settings = SweepSettings(threads=thread_count(threads), lanes=lanes, progress=progress, metrics=asked)
     request = {
-        "version": _core.__version__,
+        "version": __version__,
         "scene": name,
         "rows": design.rows,
         **design.described(),
