@@ -64,7 +64,7 @@ class LinkSummary(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def summarise_link(trace: MasterTrace | SlaveTrace, report: LoopReport, period_s: float = 1e-3) -> LinkSummary:
-    """Summarise a run of one side.
+    """Summarise the run of a side.
 
     Args:
         trace: Ticks of the side.

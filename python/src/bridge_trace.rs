@@ -90,63 +90,25 @@ macro_rules! trace_class {
     };
 }
 
-trace_class!(
+trace_class! {
     MasterTrace,
     [
-        position,
-        velocity,
-        hand_force,
-        rendered_force,
-        grasp_force,
-        safety_force,
-        device_force,
-        trigger,
-        velocity_force,
-        grasp,
-        windowed_energy_j,
-        tripped,
-        acted,
-        state,
-        reason,
-        clutch,
-        overshoot_s,
-        fault,
-        orientation,
-        angular_velocity,
-        hand_torque,
-        rendered_torque,
-        grasp_torque,
-        safety_torque,
-        device_torque,
-        trigger_velocity,
-        trigger_rendered_force,
-        trigger_safety_force,
-        trigger_device_force,
+        position, velocity, hand_force, rendered_force, grasp_force, safety_force, device_force, trigger,
+        velocity_force, grasp, windowed_energy_j, tripped, acted, state, reason, clutch, overshoot_s, fault,
+        orientation, angular_velocity, hand_torque, rendered_torque, grasp_torque, safety_torque,
+        device_torque, trigger_velocity, trigger_rendered_force, trigger_safety_force, trigger_device_force,
         trigger_tripped,
     ]
-);
+}
 
-trace_class!(
+trace_class! {
     SlaveTrace,
     [
-        position,
-        command,
-        environment_force,
-        gripper,
-        gripper_command,
-        gripper_force,
-        holds_object,
-        limited,
-        state,
-        reason,
-        clutch,
-        overshoot_s,
-        fault,
-        orientation,
-        command_orientation,
+        position, command, environment_force, gripper, gripper_command, gripper_force, holds_object,
+        limited, state, reason, clutch, overshoot_s, fault, orientation, command_orientation,
         environment_torque,
     ]
-);
+}
 
 #[documented]
 #[pyclass(name = "LinkStatistics", module = "haptether.bridge", frozen, get_all)]

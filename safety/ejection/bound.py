@@ -155,7 +155,7 @@ class ControllerBound(Struct, frozen=True, kw_only=True):
 
 
 class EjectionBound(Struct, frozen=True, kw_only=True):
-    """Bound of all controllers together: the smallest of their bounds, since the trip of one suffices."""
+    """Smallest bound of the controllers: one trip suffices."""
 
     speed: float | None
     """Largest |V| in m/s after a release; None without a bound."""

@@ -1,10 +1,10 @@
 //! Safety observers, controllers and limits between a remote push and a hand.
 //!
 //! Per tick: position -> [`Guard`] -> [`estimator`] -> grasp force ([`DeviceModel::grasp_force`]) -> [`observer`] ->
-//! [`controller`] -> [`Limiter`]. [`SafetyLayer`] runs that pipeline in one step for a position. [`RotationLayer`] does
-//! so for a rotation, and [`WrenchLayer`] for position and rotation of one hand. Everything is a pure state machine: no
-//! clock, no lock, no allocation after construction. The code for positions is generic over [`Real`]: an `f64`, or SIMD
-//! lanes that step several scenarios at once.
+//! [`controller`] -> [`Limiter`]. [`SafetyLayer`] runs these steps for a position, [`RotationLayer`] for a rotation, and
+//! [`WrenchLayer`] for both of one hand. All are pure state machines: no clock, no lock, no allocation after
+//! construction. The code for positions is generic over [`Real`]: an `f64`, or SIMD lanes that step several scenarios at
+//! once.
 //!
 //! "The paper" is *Safety Control for Impedance Haptic Interfaces*: see `docs/paper.md`.
 

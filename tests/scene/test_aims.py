@@ -54,7 +54,7 @@ def test_an_open_hand_throws_the_device_as_a_release_does(opens: str) -> None:
 
 
 def test_an_aim_changes_neither_clutch_nor_ladder() -> None:
-    """A hand that only holds and one that moves engage, hold and stop at the same ticks."""
+    """The sides engage, hold and stop at the same ticks, whether the hand rests or moves."""
     times = ["run.duration_s=3", "link.forward.outages=[{times={kind=once, at_s=2.0, duration_s=0.15}}]"]
     still = [aim(0.3 * row, 0.02, over_s=0.3) for row in range(10)]
     moving = [aim(0.3 * row, 0.02 - 0.01 * (row % 2), over_s=0.05, strength_n=0.5 * row) for row in range(10)]

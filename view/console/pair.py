@@ -1,4 +1,4 @@
-"""Pair of sides of one bridge, by its sockets."""
+"""Sockets of a bridge: a master and a slave, or one of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from pathlib import Path
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
-    """Sockets and files of the sides of one bridge; each side identifies itself."""
+    """Sockets and files of the sides of a bridge; each side identifies itself."""
 
     name: str = ""
     """Name of the pair; empty if a page shows one pair only."""

@@ -1,4 +1,4 @@
-"""Server of the console: the page of one pair, with its bodies in three dimensions."""
+"""Server of the console: its page shows one bridge in three dimensions."""
 
 import contextlib
 from collections.abc import Callable, Iterable, Sequence
@@ -24,7 +24,7 @@ FILES = {
 
 
 class Console(PageServer):
-    """Running sides of one pair, or one side, shown to pages of this machine.
+    """Show one or two running sides to browsers of this machine.
 
     Args:
         telemetry: Sockets of `--telemetry`.

@@ -11,8 +11,9 @@ from msgspec import Meta, Struct
 
 from haptether.view.console.control import ControlConnection
 
-MAX_AGE_US = 400_000
-"""Largest age of a page's token in us, and of its last aim before the hand must open."""
+EXPIRES_S = 0.4
+"""Time in s after the last aim at which the hand opens; also the largest age of a page's token."""
+MAX_AGE_US = round(EXPIRES_S * 1e6)
 TOKEN_S = 0.3
 """Time in s for which a token of a side is used; the side accepts it for 0.4 s."""
 OVER_S = 1.0 / 30
@@ -142,7 +143,7 @@ class SideHand:
 
 
 class PageHand:
-    """Hand of one page on all pairs.
+    """Forwards the aims and pushes of a page to all bridges.
 
     Args:
         grip: Shared by all pages.

@@ -18,7 +18,7 @@ MAX_SHOWN = 50
 
 
 class Measured(Struct, kw_only=True):
-    """Measurement of one pair."""
+    """Result of a bridge after a release or a push."""
 
     controllers: list[str]
     force_n: float
@@ -33,7 +33,7 @@ class Measured(Struct, kw_only=True):
 
 
 class Pending(Struct, kw_only=True):
-    """Running measurement of one pair."""
+    """Measurement that still runs, of one bridge."""
 
     begun_ns: int
     position: list[float]

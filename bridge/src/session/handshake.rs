@@ -117,9 +117,9 @@ impl Handshake {
 
     /// Take a datagram from [`super::Session::open`] that was sent from `from`.
     ///
-    /// A rejected datagram changes only a counter, except an authentic one that fails after that. At a slave
-    /// this is [`Rejection::Unable`]: budget, `seen` and possibly a ticket are then used up. At a master it
-    /// is an answer with an invalid payload, which leaves the pending handshake unusable.
+    /// A rejected datagram changes only a counter, with two exceptions. An authentic message that a slave cannot
+    /// answer ([`Rejection::Unable`]) uses up budget, `seen` and possibly a ticket. An authentic answer with an
+    /// invalid payload makes a master's pending handshake unusable.
     pub fn receive(
         &mut self,
         now_ns: u64,

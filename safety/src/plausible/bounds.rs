@@ -160,3 +160,24 @@ impl fmt::Display for Excess {
         )
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A PHANTOM Premium at 1 kHz and 200 Hz, a device with little mass, one without a limit on its force.
+    #[test]
+    fn own_acceleration_widens_the_bounds_up_to_the_speed_bound() {
+        let bounds = SampleBounds { speed: 16.0, quantum: 1e-5, ..SampleBounds::LINEAR };
+        for (acceleration, period_s, change) in [
+            (8.5 / 0.075, 1e-3, 0.5),
+            (8.5 / 0.075, 5e-3, 1.1 * 8.5 / 0.075 * 5e-3),
+            (8.0 / 1e-3, 5e-3, 16.0),
+            (f64::INFINITY, 1e-3, 0.5),
+        ] {
+            let widened = bounds.with_acceleration(acceleration, period_s);
+            assert_eq!(widened, SampleBounds { velocity_change: change, ..bounds });
+        }
+        assert_eq!(SampleBounds::UNBOUNDED.with_acceleration(1e9, 1e-3), SampleBounds::UNBOUNDED);
+    }
+}

@@ -243,3 +243,33 @@ fn shared_trips_require_equal_times() {
     assert_eq!(change(|of| of.rotation.safety.release_ramp_s = f64::NAN), Err("release_ramp_s"));
     assert_eq!(change(|of| (of.rotation.safety.hold_off_s, of.shares_trips) = (0.2, false)), Ok(()));
 }
+
+/// With 7.9 N on 45 g and 0.395 N m on 1e-4 kg m² at 5 ms, each sample changes V by more than dV.
+#[test]
+fn own_acceleration_of_a_light_device_is_no_outlier() {
+    let (mass_kg, inertia, period_s) = (0.045, 1e-4, 5e-3);
+    let mut light = settings(false, vfc());
+    light.translation.device = DeviceModel::uniform(mass_kg, 0.0, 0.0).unwrap();
+    light.rotation.device = RotationModel::new(Axes::repeat(inertia), 0.0, 0.0).unwrap();
+    (light.translation.period_s, light.rotation.period_s) = (period_s, period_s);
+    (light.translation.safety.damping, light.rotation.safety.damping) = (0.5, 1e-3);
+    let [force, torque] =
+        [light.translation.limiter, light.rotation.limiter].map(|limiter| limiter.max_force_n);
+    assert!(force / mass_kg * period_s > 0.5 && torque / inertia * period_s > 0.5 / 0.05);
+    for shares in [[1.0, 0.0], [0.0, 1.0]] {
+        let mut layer = WrenchLayer::<3>::new(&light).unwrap();
+        for tick in 0..5_u32 {
+            let half_square = 0.5 * (f64::from(tick.saturating_sub(2)) * period_s).powi(2);
+            let [x, angle] =
+                [shares[0] * force / mass_kg, shares[1] * torque / inertia].map(|a| a * half_square);
+            let sample = PoseSample {
+                position: along_x(x),
+                orientation: UnitQuaternion::from_scaled_axis(along_x(angle)),
+                velocity: None,
+                angular_velocity: None,
+            };
+            layer.tick(&sample, &Axes::zeros(), &Axes::zeros());
+            assert!(!layer.translation.guard().holds(), "{shares:?} at tick {tick}");
+        }
+    }
+}

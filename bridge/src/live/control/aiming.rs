@@ -1,7 +1,10 @@
 //! Connection that aims the hand of a model: one at a time.
 
-/// Time in us after its last aim for which a connection alone may aim, as long as the hand follows it.
-const ALONE_US: u64 = 400_000;
+use haptether_master::Aim;
+
+/// Time in us after its last aim for which no other connection may aim: the hand still follows it.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a positive constant
+const ALONE_US: u64 = (Aim::<1>::EXPIRES_S * 1e6) as u64;
 
 #[derive(Debug, Default)]
 pub(super) struct Aiming(Option<Last>);
@@ -24,7 +27,7 @@ impl Aiming {
         self.0 = Some(Last { from, at_us: now_us });
     }
 
-    /// Forget connection `from`. Returns whether its was the last aim: then the hand must open.
+    /// Forget connection `from`. Returns whether the last aim was of this connection: then the hand must open.
     pub(super) fn end(&mut self, from: u64) -> bool {
         self.0.take_if(|last| last.from == from).is_some()
     }

@@ -72,7 +72,7 @@ struct Branch<const N: usize> {
     follower: Follower<N>,
 }
 
-/// Scenes of one connection, to be run.
+/// Scenes that share one connection and wait to run.
 struct Runs<'a, const N: usize> {
     connection: &'a Connection,
     scenes: &'a [&'a SceneSpec<N>],

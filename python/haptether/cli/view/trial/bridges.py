@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Self, get_args
 
 from haptether.bridge import write_key
+from haptether.cli.live.options import Controller
 from haptether.netsim import ask_control
 from haptether.studies.processes import Process, StopRequest, child_process
 from haptether.view.console.pair import Pair
 from haptether.view.trial.server import Choice, Network
 
 SIDES = ("slave", "master")
-CONTROLLERS = ("none", "vfc", "hsc", "wsc", "pc")
 LONG_S = "1000000"
 """Time in s for which the sides wait for a person."""
 KEPT_S = "60"
@@ -80,7 +80,7 @@ class TrialBridges:
     @property
     def controllers(self) -> tuple[str, ...]:
         """Possible controllers of a pair."""
-        return CONTROLLERS
+        return get_args(Controller)
 
     @property
     def pairs(self) -> tuple[Pair, ...]:

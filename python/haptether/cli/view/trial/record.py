@@ -23,15 +23,13 @@ from haptether.bridge import (
 )
 from haptether.cli.view.trial.bridges import run_name
 from haptether.private_file import write_private
-from haptether.view.trial.hand import OVER_S, Aim, Push
+from haptether.view.trial.hand import EXPIRES_S, OVER_S, Aim, Push
 from haptether.view.trial.server import Choice, Network
 
 AFTER_S = 2.0
 """Time in s in a scene after the last act."""
 LONGEST_S = 3600.0
 """Time in s from the start of a run up to which acts are recorded."""
-SILENT_S = 0.4
-"""Time in s after the last aim at which the hand opens by itself."""
 CLOSE_S = 5.0
 """Timeout in s of the files at the end; a disk may hang."""
 AXES = "xyz"
@@ -98,7 +96,7 @@ class PairRun:
 
     def opened(self, after_s: float) -> None:
         """Open a closed hand this time after its last aim, unless silence has opened it before."""
-        if self.aims and self.aims[-1][1].strength_n > 0.0 and after_s < SILENT_S:
+        if self.aims and self.aims[-1][1].strength_n > 0.0 and after_s < EXPIRES_S:
             at_s, aim = self.aims[-1]
             self.aims.append((at_s + after_s, replace(aim, strength_n=0.0)))
 
