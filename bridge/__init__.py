@@ -1,6 +1,7 @@
 """Bridge: couple both sides in virtual time and over UDP, from a scene."""
 
 from haptether._core import (
+    COUPLINGS,
     LinkStatistics,
     LiveMaster,
     LiveSlave,
@@ -142,6 +143,7 @@ from haptether.bridge.telemetry import (
 )
 
 __all__ = [
+    "COUPLINGS",
     "GRIPPERS",
     "LADDER_STATES",
     "MASTERS",

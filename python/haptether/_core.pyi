@@ -23,6 +23,7 @@ from haptether.safety import ControllerName
 __all__ = [
     "CANCELLING",
     "CONTROLLERS",
+    "COUPLINGS",
     "ESTIMATORS",
     "LADDER_STATES",
     "METRICS",
@@ -113,6 +114,8 @@ ROUND_TRIP_S: float
 """Part of `PRESS_S` that a press takes over the slowest link, besides a turn: 500 ms each way."""
 CONTROLLERS: tuple[tuple[str, str, str], ...]
 """Name, title and source of each safety controller, in the order of the bits of `tripped`."""
+COUPLINGS: tuple[tuple[str, str, str], ...]
+"""Name, title and source of each coupling, in the order of its code in frames."""
 TRIP_BITS: tuple[tuple[str, int], ...]
 """Controllers by name, and "held", with their bits in `tripped`."""
 CANCELLING: tuple[str, ...]

@@ -1,10 +1,13 @@
 //! `haptether.bridge`: texts for codes of the ladder, and conversion of times.
 
-use haptether_bridge::{LadderState, Reason};
+use haptether_bridge::{LadderState, Reason, coupling::CouplingKind};
 use pyo3::{exceptions::PyValueError, prelude::*, types::PyTuple};
 
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("LADDER_STATES", PyTuple::new(module.py(), LadderState::ALL.map(LadderState::name))?)?;
+    let couplings = CouplingKind::ALL.iter().map(|kind| kind.about());
+    let rows = couplings.map(|about| (about.name, about.title, about.source)).collect::<Vec<_>>();
+    module.add("COUPLINGS", PyTuple::new(module.py(), rows)?)?;
     module.add_function(wrap_pyfunction!(ladder_state_name, module)?)?;
     module.add_function(wrap_pyfunction!(ladder_reason, module)?)
 }

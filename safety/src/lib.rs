@@ -24,7 +24,7 @@ mod wrench;
 pub use fault::{Fault, Signal};
 pub use grasp::DeviceModel;
 pub use haptether_numeric::{Axes, Real, is_within, norm};
-pub use layer::{Advance, LayerSettings, SafetyLayer, SafetyTick};
+pub use layer::{Advance, Coupled, LayerSettings, SafetyLayer, SafetyTick};
 pub use limiter::{ActiveLimits, Limited, Limiter, LimiterSettings, SaturatedForce};
 pub use observer::Observation;
 pub use parameter::ParameterError;

@@ -268,7 +268,7 @@ impl RotationLayer {
         self.turn_to(orientation)?;
         let in_body = |vector: &Axes<3>| orientation.inverse_transform_vector(vector);
         let (w, torque) = (angular_velocity.map(in_body), in_body(requested_torque));
-        self.layer.checked(&self.turned, w.as_ref(), &torque, &mut self.gyroscope).map_err(Fault::of_rotation)
+        self.layer.checked(&self.turned, w.as_ref(), |_| torque, &mut self.gyroscope).map_err(Fault::of_rotation)
     }
 
     /// Add the increment to this orientation, and turn the stored torques.
@@ -324,6 +324,11 @@ impl RotationLayer {
 
     pub(crate) fn stop(&mut self, fault: Fault) -> SafetyTick<3> {
         self.layer.stop(fault)
+    }
+
+    /// Return the torque in N m of the coupling that the device has exerted since the last tick, in the base frame.
+    pub(crate) fn exerted(&self) -> Axes<3> {
+        self.orientation.unwrap_or_default() * self.layer.exerted()
     }
 
     pub(crate) fn faded(&self, requested_torque: &Axes<3>, gain: f64) -> Axes<3> {

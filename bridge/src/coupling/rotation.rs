@@ -7,7 +7,7 @@ use super::{
     CouplingError, canonical,
     change::Changing,
     frame_map::{UNIT, normalised},
-    position_force::check,
+    mapping::check,
 };
 
 /// Angle in rad from the anchor beyond which a scaled rotation sets a new anchor.

@@ -3,7 +3,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use std::f64::consts::PI;
 
-use super::{CouplingError, position_force::check};
+use super::{CouplingError, mapping::check};
 
 /// Angle in rad up to which the spring is linear; beyond it the torque decreases, to zero at pi.
 pub const FULL_SPRING_RAD: f64 = 5.0 * PI / 6.0;

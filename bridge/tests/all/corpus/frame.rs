@@ -18,7 +18,11 @@ pub(crate) fn check(bytes: &[u8]) {
             for parts in 0..4 {
                 let (has_gripper, has_buttons) = (parts & 1 != 0, parts & 2 != 0);
                 for axes in 1..=7 {
-                    check_layout(bytes, role, FrameLayout { axes, kind, has_gripper, has_buttons });
+                    check_layout(
+                        bytes,
+                        role,
+                        FrameLayout { kind, has_gripper, has_buttons, ..FrameLayout::of(axes) },
+                    );
                 }
             }
         }
