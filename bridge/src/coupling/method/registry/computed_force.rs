@@ -10,7 +10,7 @@ use super::super::{CouplingAbout, Gains, Local, Method, Peer, SlaveSends, spring
 /// `F = (x_t - x_w) / (lambda_f lambda_p / K_h + 1/K + 1/K_e)`. It needs no force sensor, and bears more stiffness than
 /// the measured force at short delays.
 ///
-/// Source: Hannaford 1989; Lawrence 1993; Daniel and McAree 1998.
+/// Source: Hannaford 1989; Lawrence 1993; Daniel and `McAree` 1998.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PositionForceComputed {
     gains: Gains,
