@@ -54,7 +54,8 @@ pub enum AlignmentError {
     /// The turn may last longer than the press.
     #[error(
         "alignment.max_angle / alignment.speed = {seen_s} s: must be at most {allowed_s} s: \
-         a press waits {align_s} s, and a round trip takes 1 s of it; raise the speed or lower the angle"
+         a press waits {align_s} s, and a round trip takes 1 s of it; raise the \
+         speed or lower the angle"
     )]
     Long {
         /// Longest turn in s.
