@@ -309,7 +309,7 @@ def _alignment(coupling: CouplingTable, table: AlignmentTable) -> Iterator[Scene
     if coupling.locks_rotation or coupling.rotation_axis is not None:
         key = "locks_rotation" if coupling.locks_rotation else "rotation_axis"
         yield contradiction(path, f"turns about any axis: leave it out, or {key}")
-    apart = "1 with [coupling.alignment], which would not last: leave one of the two out"
+    apart = "1 with [coupling.alignment]: at another scale the sides would not stay aligned; leave out one of the keys"
     if coupling.rotation_scale != 1.0:
         yield wrong(("coupling", "rotation_scale"), coupling.rotation_scale, apart)
     for index, change in enumerate(coupling.changes):

@@ -10,7 +10,7 @@
 //! | 3 | `u8` | role of the sender: 1 master, 2 slave |
 //! | 4 | `u8` | axes N, and 16 times the kind: 1 linear, 2 joints, 3 pose |
 //! | 5 | `u8` | state of the sender's ladder |
-//! | 6 | `u16` | flags: bit 0, the echo is valid; bit 1, the sender hears the peer; bit 2, its clutch is closed; bit 3, it ends; bit 4, the state of its gripper or trigger is known; bit 5, its gripper holds something; bit 6, its gripper follows the trigger, of a slave; bits 8 to 11, the coupling, [`CouplingKind::code`] |
+//! | 6 | `u16` | flags: bit 0, the echo is valid; bit 1, the sender hears the peer; bit 2, its clutch is closed; bit 3, it ends; bit 4, the state of its gripper or trigger is known; bit 5, its gripper holds something; bit 6, of a slave only, its gripper follows the trigger; bits 8 to 11, the coupling, [`CouplingKind::code`] |
 //! | 8 | `u64` | run id: drawn by the sender when it starts |
 //! | 16 | `u64` | sequence, from 0, one more with each frame |
 //! | 24 | `u64` | echo: newest sequence received from the peer |
@@ -21,18 +21,18 @@
 //! | 64 | `[f64; N]` | position in m (rad) |
 //! | 64 + 8 N | `[f64; N]` | velocity in m/s (rad/s) |
 //! | 64 + 16 N | `[f64; N]` | force in N (N m): master, `F_device`; slave, force of the environment |
-//! | 64 + 24 N | `[f64; 4]` | only of kind `pose`, and what follows 80 bytes later: orientation, unit quaternion w, x, y, z |
+//! | 64 + 24 N | `[f64; 4]` | only of kind `pose`; the following fields are then 80 bytes later: orientation, unit quaternion w, x, y, z |
 //! | 96 + 24 N | `[f64; 3]` | angular velocity in rad/s |
 //! | 120 + 24 N | `[f64; 3]` | torque in N m: master, of the device; slave, of the environment |
 //! | 64 + 24 N | `f64` | energy in J that this side's plant has put into the link since its engagement; it never falls during one |
 //! | 72 + 24 N | `f64` | energy in J that this side's plant has had out of the link, likewise |
 //! | 80 + 24 N | `[f64; N]` | vector of the coupling, [`CouplingMessage::vector`]; zeros of position-force |
-//! | 80 + 32 N | `[f64; 3]` | only of kind `pose`, and what follows 24 bytes later: the same for the rotation |
+//! | 80 + 32 N | `[f64; 3]` | only of kind `pose`; the following fields are then 24 bytes later: the same for the rotation |
 //! | 80 + 32 N | `[f64; 2]` | energies of the coupling in J, of translation and rotation; zeros of couplings without them |
-//! | 96 + 32 N | `[f64; 3]` | only with a gripper, and what follows 24 bytes later: position of gripper or trigger, 0 open to 1 closed; velocity in 1/s; force in N |
-//! | 96 + 32 N | `u32` | only with buttons, and what follows 4 bytes later: bit n, button n of the master is pressed; 0 of a slave |
+//! | 96 + 32 N | `[f64; 3]` | only with a gripper; the following fields are then 24 bytes later: position of gripper or trigger, 0 open to 1 closed; velocity in 1/s; force in N |
+//! | 96 + 32 N | `u32` | only with buttons; the following fields are then 4 bytes later: bit n, button n of the master is pressed; 0 of a slave |
 //! | 96 + 32 N | `u16` | count of the sender's engagements, from 1; 0 while its half of the coupling is not engaged |
-//! | 98 + 32 N | `u8` | why the sender stands in its state, [`crate::Reason::code`]; 0 where it began |
+//! | 98 + 32 N | `u8` | reason of the sender's state, [`crate::Reason::code`]; 0 in the initial state |
 //! | 99 + 32 N | `u8` | its fault, [`haptether_safety::Fault::code`]; 0 without |
 //! | 100 + 32 N | `u8` | number of its fault's text, 1 to 255; 0 without |
 //! | 101 + 32 N | `u8` | which piece of that text follows, 0 to 19 |
@@ -40,7 +40,8 @@
 //! | 114 + 32 N | `u32` | CRC-32 (IEEE) of all bytes before |
 //!
 //! A frame has exactly one encoding. Flags without a meaning are zero. The fields of an invalid echo, an
-//! unknown gripper, a missing text and a coupling that is not engaged are zero, and so are the bytes after the end of a text. The quaternion
+//! unknown gripper, a missing text and a coupling that is not engaged are zero, and so are the bytes after the end of a
+//! text. The quaternion
 //! is the one of q and -q that [`crate::coupling::canonical`] returns, of norm 1 to 1e-9.
 //!
 //! Codes of reasons and faults control nothing: an unknown code is passed on and shown as a number.
@@ -330,7 +331,8 @@ pub enum WireError {
     },
     /// Flags without a meaning, or an echo although its flag is not set.
     #[error(
-        "flags {0:#06x}: must be a sum of 1, 2, 4, 8 and with a gripper 16, 32 and of a slave 64, and without 1 the fields of the echo zero"
+        "flags {0:#06x}: must be a sum of 1, 2, 4 and 8, with a gripper also 16, 32 \
+         and (slave only) 64; without 1 the echo must be zero"
     )]
     Flags(u16),
     /// Damaged in transit.
@@ -346,7 +348,8 @@ pub enum WireError {
     Value(u64, haptether_safety::Fault),
     /// Quaternion that is not a unit quaternion, or not canonical.
     #[error(
-        "frame {sequence}: orientation {quat_wxyz:?}: must have a norm of 1 to 1e-9, and its first part that is not 0 above 0"
+        "frame {sequence}: orientation {quat_wxyz:?}: must have a norm of 1 to \
+         within 1e-9, and its first non-zero part must be positive"
     )]
     Orientation {
         /// Sequence of the frame.
@@ -382,7 +385,8 @@ pub enum WireError {
     },
     /// Piece of a text that is not in its only encoding.
     #[error(
-        "frame {sequence}: piece {index} of text {number}: must be 0 to 19 of 1 to 255 with zeros behind its end, or all zeros"
+        "frame {sequence}: piece {index} of text {number}: must be piece 0 to 19 \
+         of text 1 to 255 with zeros after its end, or all zeros"
     )]
     Text {
         /// Sequence of the frame.
@@ -732,7 +736,8 @@ impl Frame {
         self.message.replace(&port.message, self.coupling);
     }
 
-    /// Return whether decoding would not change the frame: it has neither gripper nor rotation.
+    /// Return whether the frame has neither gripper nor rotation; decoding then leaves it
+    /// unchanged.
     #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     pub(crate) fn is_plain(&self) -> bool {
         self.gripper.is_none() && self.rotation.is_none() && self.kind != SideKind::Pose

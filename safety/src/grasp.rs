@@ -162,8 +162,8 @@ mod tests {
         }
     }
 
-    /// Along one axis the direction is the sign of V. It equals `V / |V|` where the square is finite, and is 0 for
-    /// NaN.
+    /// Along one axis the direction is the sign of V. It equals `V / |V|` unless the square
+    /// overflows or underflows, and is 0 for NaN.
     #[test]
     fn direction_along_one_axis_is_a_sign() {
         let of = |v: f64| direction(&Axes::<1>::new(v))[0];

@@ -64,7 +64,7 @@ pub struct SafetyLayer<const N: usize, S = f64> {
     research: Option<Research>,
     /// Largest acceleration in m/s² (rad/s²) by the motors alone.
     acceleration: f64,
-    /// Sample guard and held ticks; used with one scenario only.
+    /// Sample guard and held ticks; used by a scalar layer only.
     entry: Entry<N>,
 }
 
@@ -158,7 +158,8 @@ impl<const N: usize> SafetyLayer<N> {
         Ok(layer.with_samples(SampleBounds::of_axes(N)))
     }
 
-    /// Bounds that the motors of this device cannot exceed by themselves, see [`SampleBounds::with_acceleration`].
+    /// Widen the bounds so that the motors alone cannot exceed them:
+    /// [`SampleBounds::with_acceleration`].
     pub(crate) fn reachable(&self, bounds: SampleBounds) -> SampleBounds {
         bounds.with_acceleration(self.acceleration, self.period_s)
     }
@@ -305,7 +306,7 @@ impl<const N: usize> SafetyLayer<N> {
         Ok(judged)
     }
 
-    /// Store the tick of one scenario for the next.
+    /// Store the values of this tick for the next.
     #[inline(always)]
     pub(crate) fn keep(&mut self, advance: &Advance<N>, authority: f64) -> SafetyTick<N> {
         let tick = advance.lane(0);
@@ -616,7 +617,8 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         self.bound(perceived, response)
     }
 
-    /// Return the share `gain` of a requested force, at most of the largest force of the device.
+    /// Scale a requested force by `gain`. If `gain` < 1, first clip its norm to the largest force
+    /// of the device.
     #[inline(always)]
     pub fn faded(&self, requested_force: &Axes<N, S>, gain: f64) -> Axes<N, S> {
         self.rendering.faded(requested_force, gain)
@@ -813,7 +815,7 @@ pub struct SafetyTick<const N: usize> {
     pub intervention: Intervention<N>,
     /// The bounds that acted.
     pub acted: ActiveLimits,
-    /// Energy in J that PC requested to dissipate and the bounds prevented.
+    /// Energy in J that PC asked to dissipate and that the bounds left over.
     pub owed_energy_j: f64,
     /// Fault that keeps the force at zero. It stays until
     /// [`SafetyLayer::reset`](SafetyLayer::reset).
@@ -855,7 +857,7 @@ pub struct Advance<const N: usize, S: Real = f64> {
     pub rendering: SaturatedForce<N, S>,
     /// `F_device` and the lanes in which a bound acted on it.
     pub limited: SaturatedForce<N, S>,
-    /// Energy in J that PC requested to dissipate and the bounds prevented.
+    /// Energy in J that PC asked to dissipate and that the bounds left over.
     pub owed_energy_j: S,
 }
 

@@ -21,7 +21,7 @@ use self::{
 };
 use crate::{Axes, Signal};
 
-/// Fewest accepted samples between two steps of a device in one direction.
+/// Fewest accepted samples between two steps of a device in the same direction.
 const MIN_BETWEEN_STEPS: u32 = 100;
 
 /// Largest number of successive samples off the path that count as outliers.
@@ -48,8 +48,8 @@ const SMOOTH: f64 = 0.3;
 /// Return the fraction of dV by which a sample `ticks` after the path may deviate while a wrong sample is held; the
 /// next may be wrong too.
 ///
-/// It follows a device that accelerates by dV / 10 per tick, 50 m/s^2 at 1 kHz. This leaves the path by
-/// `dV dT k (k + 1) / 20` in k ticks.
+/// The fraction covers a device that accelerates by dV / 10 per tick, 50 m/s^2 at 1 kHz. Such a
+/// device leaves the path by `dV dT k (k + 1) / 20` in k ticks.
 fn share_after(ticks: f64) -> f64 {
     (0.05 * ticks * (ticks + 1.0)).min(1.0)
 }
@@ -71,7 +71,8 @@ struct Knot<const N: usize> {
 pub(crate) enum Judged<const N: usize> {
     /// Accepted unchanged: on the path, one tick after the last sample.
     Passed,
-    /// Held: off the path, perhaps an outlier. [`Guard::taken`] is the prediction for this time in ticks.
+    /// Held: off the path, perhaps an outlier. [`Guard::sample_in_use`] is the prediction for this
+    /// time in ticks.
     Held(f64),
     /// Accepted; the ticks since the last accepted sample must be caught up ([`Guard::between`]).
     Settled,
@@ -182,7 +183,8 @@ impl<const N: usize> Guard<N> {
         &self.track
     }
 
-    /// Forget the path. The next sample starts a path; until then [`taken`](Self::taken) returns `sample`.
+    /// Forget the path. The next sample starts a path; until then
+    /// [`sample_in_use`](Self::sample_in_use) returns `sample`.
     pub fn restart_at(&mut self, sample: &Sample<N>) {
         let ([bounds, rotation], outliers) = (self.bounds, self.outliers);
         *self = Self { outliers, last: *sample, ..Self::new(bounds, rotation, self.period_s) };
@@ -190,7 +192,7 @@ impl<const N: usize> Guard<N> {
 
     /// Judge a finite sample, `ticks` after the one before; return the excess if the device cannot move so fast.
     ///
-    /// [`taken`](Self::taken) then returns the sample or its prediction.
+    /// [`sample_in_use`](Self::sample_in_use) then returns the sample or its prediction.
     pub fn pass(&mut self, sample: &Sample<N>, ticks: f64) -> Result<(), Excess> {
         if self.count == 0 && self.contains(sample.parts(), ticks, 1.0) {
             self.accept(sample.parts(), ticks, 1.0);
@@ -421,7 +423,7 @@ impl<const N: usize> Guard<N> {
         let (mut from, mut span, mut kept) = (0, 1.0, 0);
         for to in (1..chain.len()).filter(|n| wrong >> n & 1 == 0) {
             let (one, other) = (&chain[from], &chain[to]);
-            // A late tick widens nothing.
+            // A late tick does not widen the limit.
             let (ticks, samples) = (other.at - one.at, (to - from) as f64);
             let limit = |of: &PerTick| {
                 0.5 * (SMOOTH * of.change * (samples + span) + of.quantum * (1.0 / samples + 1.0 / span))
@@ -481,9 +483,11 @@ impl<const N: usize> Guard<N> {
             && one.velocity.zip(other.velocity).is_none_or(|(one, other)| point.is_steady(&one, &other, 1.0))
     }
 
-    /// Return whether a set of samples is wrong, as bits by index; None if the next sample will tell.
+    /// Return whether the samples in `wrong` (bits by index) are wrong; None if the next sample
+    /// will tell.
     ///
-    /// The other samples are within the speed bound, and no wrong one is on their line.
+    /// True if the other samples are within the speed bound, and no sample of `wrong` is on their
+    /// line.
     fn are_wrong(&self, wrong: u8, chain: &[Knot<N>]) -> Option<bool> {
         let length = chain.len();
         let mut kept = (0..length).filter(|n| wrong >> n & 1 == 0);

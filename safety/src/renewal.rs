@@ -3,18 +3,20 @@
 /// Share of the ticks with a new sample below which the device is slower than its loop.
 pub const MIN_RENEWAL: f64 = 0.9;
 
-/// Fewest ticks, and of these fewest with a new sample, that a share is measured over.
+/// Fewest ticks over which a share is measured.
 const MIN_TICKS: u64 = 128;
+/// Fewest new samples in these ticks.
 const MIN_RENEWED: u64 = 16;
 
-/// Two successive changes of a motion differ by a share between these. Steps of a quantum are equal, or differ by half
-/// of the larger and more.
+/// Two successive changes are alike if their difference, as a share of the larger one, is in this
+/// range. Steps of a quantum are equal, or differ by at least half of the larger one.
 const ALIKE: [f64; 2] = [0.003, 0.45];
-/// Share of the changes that are alike above which the device, and not its resolution, repeats samples.
+/// Above this share of alike changes, repeats come from the device's rate, not from its resolution.
 const MIN_ALIKE: f64 = 0.35;
 /// Weight of the newest change in that share.
 const MEMORY: f64 = 1.0 / 32.0;
-/// A device that renews its sample at so many ticks in a row is as fast as its loop, however small its steps are.
+/// After this many successive ticks with a new sample, the device is as fast as its loop, however
+/// small its steps are.
 const LONG_RUN: u32 = 16;
 
 /// Largest number of coordinates: joints of an arm.
@@ -50,7 +52,7 @@ impl Renewed {
     }
 }
 
-/// The same over the run and over windows.
+/// Ticks and new samples of the run, and of the present window.
 #[derive(Clone, Copy, Debug, Default)]
 struct Count {
     total: Renewed,
@@ -69,13 +71,13 @@ impl Count {
     }
 }
 
-/// Coordinates of one unit, from change to change.
+/// State of the position or of the orientation.
 #[derive(Clone, Copy, Debug, Default)]
 struct Motion {
     last: Option<[f64; MAX_COORDINATES]>,
     /// Ticks since the last change.
     interval: u32,
-    /// None of them was late.
+    /// True if none of these ticks was late.
     on_time: bool,
     /// Last change, and its interval in ticks.
     before: ([f64; MAX_COORDINATES], u32),
@@ -84,7 +86,7 @@ struct Motion {
     /// Share of the newest changes that were alike.
     alike: f64,
     count: Count,
-    /// Changes after a repeat that did not count.
+    /// Number of changes after a repeat that were not counted.
     unclear: u64,
 }
 
@@ -126,12 +128,15 @@ impl Motion {
 /// - A device that gives the time of its samples is measured exactly, also at rest: a sample is new if its time is.
 /// - Else a sample is new if its position or its orientation differs from the last. Each change counts with the ticks
 ///   since the change before.
-/// - A coarse encoder that moves slowly repeats its samples, too. Its changes are steps of one quantum: equal, or of
-///   another joint, at intervals that vary. Those of a slow device differ a little, as the motion does, at even
-///   intervals. So a change counts if it is like the one before and not equal to it, while a third of them are so.
-/// - Any change counts from the 16th tick in a row with a new sample on: no slow device has them.
-/// - A rest counts nothing, nor does a repeat between two clocks of one rate: the changes around it differ too much.
-/// - Position and orientation are measured separately; the slower one is the device's.
+/// - A coarse encoder in slow motion also repeats its samples. Its changes are steps of one quantum
+///   at varying intervals, equal or in different joints. The changes of a slow device vary a little
+///   with the motion, at even intervals. So a change counts if it is like the one before but not
+///   equal to it, and if more than 35 % of the recent changes are alike in this way.
+/// - From the 16th successive tick with a new sample on, any change counts: a slow device has no
+///   such run.
+/// - A rest does not count. Nor does a repeat that arises between two clocks of the same rate,
+///   because the changes around it differ too much.
+/// - Position and orientation are measured separately; the smaller share counts.
 ///
 /// A tick that is late, or that follows a late one, does not count: the device may have renewed its sample twice.
 ///
@@ -192,7 +197,8 @@ impl Renewal {
         })
     }
 
-    /// Return the number of changes after a repeat that may be steps of one quantum, and did not count.
+    /// Return the number of changes after a repeat that were not counted: they may be steps of one
+    /// quantum.
     pub fn unclear(&self) -> u64 {
         self.position.unclear + self.orientation.unclear
     }

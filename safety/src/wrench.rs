@@ -1,4 +1,4 @@
-//! Safety layer of a pose: a translation and a rotation whose trips are shared.
+//! Safety layer of a pose: a translation and a rotation, which may share their trips.
 
 use nalgebra::UnitQuaternion;
 
@@ -53,7 +53,7 @@ pub struct WrenchTick<const N: usize = 3> {
     pub rotation: SafetyTick<3>,
 }
 
-/// A force layer and a torque layer on one hand; a hand that turns moves along N = 3 axes.
+/// A force layer and a torque layer on one hand. Scenes of kind `pose` have N = 3.
 ///
 /// Each layer observes, responds and limits in its own unit. With shared trips, a tick that one layer calls unsafe is
 /// unsafe for both. Both then cancel, hold off and fade together, so their times must be equal. The layer that did
@@ -202,7 +202,7 @@ impl<const N: usize> WrenchLayer<N> {
         self.rotation.layer().recall(tick);
     }
 
-    /// Return the share `gain` of a requested torque, at most of the largest torque of the device.
+    /// Scale a torque by `gain`. If `gain` < 1, first clip its norm to the largest one of the device.
     pub fn faded_torque(&self, torque: &Axes<3>, gain: f64) -> Axes<3> {
         self.rotation.faded(torque, gain)
     }
@@ -306,10 +306,5 @@ fn same(name: &'static str, symbol: &'static str, [expected, seen]: [f64; 2]) ->
     if expected == seen {
         return Ok(());
     }
-    Err(ParameterError {
-        name,
-        symbol,
-        seen,
-        allowed: "that of the translation, with which the rotation acts",
-    })
+    Err(ParameterError { name, symbol, seen, allowed: "equal to that of the translation" })
 }

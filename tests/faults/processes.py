@@ -315,7 +315,7 @@ def frozen(who: str, length_s: float, limits: Limits) -> Row:
     other = "master" if who == "slave" else "slave"
     judged.silence(sides[other])
     judged.reached(sides[other], "hold" if length_s < 0.2 else "stop")
-    judged.woke(sides[who], "own loop was late" if length_s < 0.2 else "no sound peer for too long")
+    judged.woke(sides[who], "own loop was late" if length_s < 0.2 else "no working peer for too long")
     judged.master(sides["master"])
     judged.slave(sides["slave"])
     for side in sides.values():

@@ -123,7 +123,7 @@ def test_a_killed_slave_takes_the_force_from_the_hand(
     assert (result["final_state"], result["outliers"]) == ("stop", 0)
     explained = explain(tmp_path / "master.flight")
     because = [(step["to"], step["reason"]) for step in explained["transitions"]]
-    assert because[-2:] == [("hold", "peer is silent"), ("stop", "no sound peer for too long")]
+    assert because[-2:] == [("hold", "peer is silent"), ("stop", "no working peer for too long")]
     assert explained["at_hold"][-1]["state"] == "hold"
     assert len(explained["at_hold"]) == len(explained["latest"]) == 50
 

@@ -76,7 +76,7 @@ def test_a_hijacked_arm_goes_where_it_is_commanded(report: RavenReport) -> None:
     """Check the motion: 80 mm into the wall, until the slave no longer echoes the hand's frames: its news is old."""
     run = simulate("raven_hijack", overrides=SECURITY["off"])
     held = [event for event in run.events if event.kind == "hold"]
-    assert held[0].detail == "master: peer's news is old"
+    assert held[0].detail == "master: peer's newest state is old"
     # The last echo arrives 20 ms after the attacker's first frame. Then follow 20 ms, a period of silence, ticks, and
     # the rest of the initial guess of the deviation, 40 ms * 20 ms / 580 ms. The slave receives the hold within 11 ms.
     assert 0.64 <= held[0].time_s <= held[1].time_s <= 0.64 + 0.006 + 0.011
@@ -101,7 +101,7 @@ def test_a_creeping_delay_holds_before_it_is_long(report: RavenReport, security:
     """
     run = simulate("raven_creeping_delay", overrides=SECURITY[security])
     held = [event for event in run.events if event.kind == "hold"]
-    assert "peer's news is old" in held[0].detail
+    assert "peer's newest state is old" in held[0].detail
     assert 0.6 < held[0].time_s < 0.85
     assert row_of(report, "creeping_delay", security).lag_mm <= 1e3 * 0.048 * 1.875 * 0.06 / 0.6
 

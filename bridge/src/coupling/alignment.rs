@@ -17,8 +17,9 @@ pub struct AlignmentSettings {
     pub max_angle: f64,
 }
 
-/// Time in s that a press needs in addition to the turn: to the slave, and back with the engagement. It
-/// covers 500 ms each way, the slowest link for which the timeout of ALIGNING is made.
+/// Time in s that a press needs in addition to the turn: it travels to the slave, and the
+/// engagement travels back. This covers 500 ms each way, the slowest link for which the timeout of
+/// ALIGNING is made.
 pub const ROUND_TRIP_S: f64 = 1.0;
 
 /// Angle in rad within which the slave counts as aligned after [`SETTLED_S`], for a hand that trembles faster
@@ -33,7 +34,8 @@ pub const SETTLED_S: f64 = 0.2;
 pub enum AlignmentError {
     /// With another scale the two would not stay aligned.
     #[error(
-        "rotation_scale = {0}: must be 1 with an alignment, which would not last; leave one of the two out"
+        "rotation_scale = {0}: must be 1 with an alignment: at another scale the \
+         sides would not stay aligned; leave out one of the keys"
     )]
     Scale(f64),
     /// A locked rotation cannot reach the master's orientation.
@@ -51,8 +53,9 @@ pub enum AlignmentError {
     },
     /// The turn may last longer than the press.
     #[error(
-        "alignment.max_angle / alignment.speed = {seen_s} s: must be at most {allowed_s} s, the {align_s} s for which a \
-         press waits less a round trip of 1 s; raise the speed or lower the angle"
+        "alignment.max_angle / alignment.speed = {seen_s} s: must be at most {allowed_s} s: \
+         a press waits {align_s} s, and a round trip takes 1 s of it; raise the \
+         speed or lower the angle"
     )]
     Long {
         /// Longest turn in s.
@@ -106,7 +109,7 @@ impl AlignmentSettings {
 /// same axis.
 ///
 /// Source: the dVRK aligns before it follows (`mtsTeleOperationPSM`, state `ALIGNING_MTM`), by turning its
-/// motorised master to the slave; here it is the slave, because most masters cannot turn.
+/// motorised master to the slave. Here the slave turns, because most masters cannot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alignment {
     frame: UnitQuaternion<f64>,

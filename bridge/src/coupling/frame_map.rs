@@ -38,8 +38,8 @@ pub(super) fn normalised(quat_wxyz: [f64; 4]) -> Result<[f64; 4], CouplingError>
 }
 
 impl<const N: usize> FrameMap<N> {
-    /// Build the map from R, given as rows and orthonormal. More than 3 axes do not span one space and allow
-    /// no rotation.
+    /// Build the map from R, given as rows and orthonormal. With more than 3 axes, which do not
+    /// span one space, R must be the identity.
     pub fn new(rotation: [[f64; N]; N], locked: [bool; N]) -> Result<Self, CouplingError> {
         let rotation = SMatrix::<f64, N, N>::from_fn(|row, column| rotation[row][column]);
         if N > 3 && rotation != Self::straight() {

@@ -60,9 +60,9 @@ impl RotationLock {
 /// engage, so the slave never jumps. A change of frame or lock sets both again; a change of the scale sets
 /// only `R_s0`.
 ///
-/// **Powers.** `D^lambda = exp(lambda phi)` with `exp(phi) = D`. The vectors phi differ by whole turns; the
-/// coupling takes the one nearest to the last. So phi continues past pi without a jump. For `lambda_r = 1`
-/// phi is not needed, and `D^1 = D` for any number of turns.
+/// **Powers.** `D^lambda = exp(lambda phi)` with `exp(phi) = D`. The solutions phi differ by whole
+/// turns; the coupling takes the one nearest to the last phi, so phi continues past pi without a
+/// jump. For `lambda_r = 1` phi is not needed, and `D^1 = D` for any number of turns.
 ///
 /// The velocity of this command is `w_s = lambda J(lambda phi) J(phi)^-1 C w_m`, with J the left Jacobian of
 /// SO(3). Both Jacobians rotate and stretch the plane across phi, so their product has a closed form. Along
@@ -74,10 +74,10 @@ impl RotationLock {
 /// Beyond [`ANCHOR_REACH_RAD`] the coupling therefore anchors both sides again where they are. The command
 /// has no jump there, but its velocity across phi has a step.
 ///
-/// The slave thus turns at most `max(lambda_r, sqrt 2)` times as fast as the master, up to pi
-/// `max(lambda_r, 1)` times. It returns to `R_s0` when the master returns to `R_m0`: by any way within the
-/// reach, and about one axis after any number of turns. After a way of several axes beyond the reach it does
-/// not.
+/// The slave thus turns at most `max(lambda_r, sqrt 2)` times as fast as the master, and while
+/// `|phi| <= pi` at most `max(lambda_r, 1)` times. When the master returns to `R_m0`, the slave
+/// returns to `R_s0` if the motion stayed within the reach, or was about one axis. Otherwise it
+/// does not.
 ///
 /// **About one axis** e: `R_s = exp(lambda alpha e) R_s0`, where alpha is the turn about e in
 /// `D = exp(alpha e) S`, with S a swing about an axis across e. `alpha = 2 atan2(e·v, w)` of D's quaternion
@@ -87,11 +87,12 @@ impl RotationLock {
 ///
 /// **Lost frames.** The coupling assumes that the master turned evenly, on the shorter way, between two
 /// received orientations. If lost frames hide more than pi, the slave turns the other way. With
-/// `lambda_r = 1` it reaches the same orientation, else one that is off by `lambda_r 2 pi` until the next
-/// anchor. The bounds above also hold for the shorter way: no loss makes the command jump by more.
+/// `lambda_r = 1` it still reaches the same orientation. Otherwise it is off by `lambda_r 2 pi`
+/// until the next anchor. The bounds above also hold for the shorter way, so no loss makes the
+/// command jump beyond them.
 ///
-/// About a constant axis `tau_m·w_m = (lambda_tau / lambda_r) tau_s·w_s`. For other motions the torque is not
-/// the dual, because the hand is to feel a moment about the axis of that moment.
+/// About a constant axis `tau_m·w_m = (lambda_tau / lambda_r) tau_s·w_s`. For other
+/// motions this does not hold, because the hand must feel each moment about its own axis.
 ///
 /// Source: Murray, Li and Sastry 1994, section 2.2.2 (exponential coordinates); Sola, Deray and Atchuthan, *A
 /// micro Lie theory for state estimation in robotics*, arXiv 1812.01537, Eq. 145-146 (left Jacobian and its
@@ -259,13 +260,13 @@ impl RotationCoupling {
     #[inline(never)]
     fn step(&mut self, mut anchor: Anchor) {
         if self.lock == RotationLock::Free && self.change.motion == 1.0 {
-            // phi was not tracked until now; at power 1 every choice of phi is equal.
+            // phi was not tracked until now; at power 1 every phi gives the same command.
             anchor.turned = logarithm(&anchor.turn(&anchor.followed), &Vector3::zeros());
         }
         let is_exchanged = self.change.step();
         let back = UnitQuaternion::from_scaled_axis(anchor.turned * -self.change.motion);
         anchor.slave = product(&back, &anchor.command);
-        // In a new frame the turn so far is unknown, and both scales are zero at that tick.
+        // In a new frame the turn so far is unknown, so drop the anchor; both scales are zero now.
         self.anchor = (!is_exchanged).then_some(anchor);
     }
 
@@ -295,7 +296,7 @@ impl RotationCoupling {
 
     /// Slave half: angular velocity in rad/s of the last command, from the newest `w_m` in rad/s.
     ///
-    /// Before the two engage it is the value at engaging: `lambda_r L C w_m`.
+    /// Without an anchor it is `lambda_r L C w_m`, the value at engagement.
     pub fn commanded_velocity(&self, master_velocity: &Vector3<f64>) -> Vector3<f64> {
         let velocity = self.change.map * master_velocity;
         let scale = self.change.motion;

@@ -39,9 +39,9 @@ pub(super) struct SlaveRotation {
     /// Time in s that the turning arm has been within [`ALIGNED_RAD`] of the master.
     near_s: f64,
     bounds: RotationBounds,
-    /// Bounds with the speed that the arm's braking leaves.
+    /// Bounds on commands, with the speed reduced by the part for the arm's own braking.
     left: RotationBounds,
-    /// Orientation of the arm at the sample that defines the start of its position.
+    /// Orientation of the arm at the first confirmed sample.
     home: Option<UnitQuaternion<f64>>,
     /// Last command; none before the first engagement.
     pub(super) command: Option<UnitQuaternion<f64>>,
@@ -140,7 +140,7 @@ impl SlaveRotation {
         self.home.get_or_insert(measured.orientation);
     }
 
-    /// Forget home: the next confirmed sample is the start.
+    /// Forget home: the next confirmed sample becomes home.
     pub(super) fn forget_home(&mut self) {
         self.home = None;
     }

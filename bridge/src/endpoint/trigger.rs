@@ -28,8 +28,9 @@ pub struct TriggerSettings {
 /// `F_v` is 0 unless the jaws press on something and follow the trigger. Once they follow, g rises from 0 to 1
 /// within the ladder's fade-in.
 ///
-/// The trigger has its own [`SafetyLayer`]; its trips and those of the hand are independent. A finger that
-/// leaves its trigger opens the gripper, which must not remove the force that the hand leans on.
+/// The trigger has its own [`SafetyLayer`]; its trips and those of the hand are independent. When
+/// the finger leaves the trigger, the gripper opens. This must not remove the force that the hand
+/// leans on.
 #[derive(Clone, Debug)]
 pub(super) struct TriggerFeedback {
     layer: SafetyLayer<1>,
@@ -85,7 +86,7 @@ impl TriggerFeedback {
     ) -> SafetyTick<1> {
         self.is_lost &= is_coupled;
         let Some(x) = position.map(|share| share * self.travel_m) else {
-            // Without a known finger there is no force until the two sides engage again.
+            // After an unknown position the force stays zero until the two sides engage again.
             (self.is_known, self.share, self.is_lost) = (false, 0.0, is_coupled);
             return SafetyTick::still();
         };

@@ -29,8 +29,8 @@ pub struct Diagnosis {
     pub role: Role,
     /// State of the side.
     pub state: LadderState,
-    /// Reason for which it left the states that are not held; outside HOLD and STOP, that of the last
-    /// transition.
+    /// Reason of its state; in HOLD and STOP, of the first hold:
+    /// [`History::cause`](super::History::cause).
     pub reason: Option<Reason>,
     /// Its fault as [`Fault::code`]; 0 without one.
     pub fault: u8,
@@ -256,7 +256,7 @@ impl Diagnosis {
     }
 
     /// Build the explanation and add the last step. The start of a master without a button counts as a press,
-    /// so it needs no further one.
+    /// so no press follows it.
     fn explanation(&self, at: &'static str, text: String, mut steps: Vec<Step>) -> Explanation {
         let is_started = |step: &Step| step.remedy == Remedy::Start && step.at == Role::Master.name();
         if !steps.iter().any(is_started) {

@@ -281,7 +281,7 @@ impl Tick {
     }
 }
 
-/// Names of the controllers that tripped; outside the translation layer with the layer as prefix, as
+/// Names of the controllers that tripped. Layers other than translation add their name as prefix:
 /// `rotation:hsc`.
 fn names(tripped: [Tripped; LAYERS.len()]) -> Vec<String> {
     let of_layer = |(index, tripped): (usize, Tripped)| {

@@ -7,8 +7,10 @@ use super::{
 };
 use crate::wire::Role;
 
-/// Source of a ladder's inputs. It remembers this side's first frame after the last press, and the first
-/// after the last event that made a release necessary.
+/// Source of a ladder's inputs.
+///
+/// It stores the sequences of two frames of this side: the first after the last press, and the
+/// first after the last event that made a release necessary.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LadderInputs {
     role: Role,
@@ -70,7 +72,7 @@ impl LadderInputs {
                 let max_ns = settings.hold_after_ns + link.expected_age_ns;
                 let heard = link.age_ns.is_some_and(|age| age <= max_ns);
                 let age_ns = newest.and_then(|frame| frame.echo_age_ns);
-                // Without an echo the slave aligns, so that the master learns of it, but does not engage.
+                // Without an echo the slave aligns, to inform the master, but does not engage.
                 let is_press = newest.is_some_and(|frame| frame.state == LadderState::Aligning)
                     && age_ns.is_none_or(|age| age <= settings.align_ns);
                 (closed, closed && heard && is_press, age_ns.is_some_and(|age| age <= settings.align_ns))

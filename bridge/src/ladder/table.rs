@@ -14,9 +14,14 @@ use Reason::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LadderState {
-    /// Not coupled: the master moves freely and the slave holds. State before the first press, after a
-    /// release while coupled or aligning, and after an unanswered press. Also after the end of the peer while
-    /// coupled, an acknowledged fault, and in HOLD or STOP of a slave a restart of the master.
+    /// Not coupled: the master moves freely and the slave holds. Initial state, and the state
+    /// after:
+    ///
+    /// - a release while coupled or aligning;
+    /// - an unanswered press;
+    /// - the end of the peer while coupled;
+    /// - an acknowledged fault;
+    /// - at a slave in HOLD or STOP, a restart of the master.
     Disengaged,
     /// The clutch is pressed. The side waits until the other side is aligned too, for at most
     /// `LadderSettings::align_ns`. Meanwhile an arm that aligns rotates to the master's orientation.
@@ -178,7 +183,7 @@ impl Reason {
     /// Text for the operator.
     pub const fn text(self) -> &'static str {
         match self {
-            BadNumber => "a number that cannot be, or the device failed",
+            BadNumber => "an invalid number, or the device failed",
             OwnDelay => "own loop was late",
             PeerRestarted => "peer was restarted",
             PeerSilent => "peer is silent",
@@ -191,10 +196,10 @@ impl Reason {
             BothAligned => "both sides aligned",
             FramesLate => "frames are late",
             FramesBack => "frames are back",
-            SilentTooLong => "no sound peer for too long",
-            MasterStartedAnew => "master was started anew",
+            SilentTooLong => "no working peer for too long",
+            MasterStartedAnew => "master was restarted",
             Acknowledged => "fault acknowledged at this side",
-            NewsOld => "peer's news is old",
+            NewsOld => "peer's newest state is old",
             PeerEnded => "peer has ended",
             AlignTimedOut => "press not answered in time",
             PeerDisengaged => "peer is disengaged",
@@ -236,8 +241,8 @@ const fn row(from: LadderState, reason: Reason, to: LadderState) -> Row {
 /// are a late loop, silence for the time that leads to HOLD elsewhere, and too large an angle. A moving arm
 /// must not depend on a press that can no longer be revoked.
 ///
-/// The end of a peer only reduces the force, so a false end gains nothing. A fault of an ending peer takes
-/// precedence over its end, and its end over the silence that follows.
+/// The end of a peer only reduces the force, so a false end cannot add force. A fault of an ending
+/// peer takes precedence over its end, and its end over the silence that follows.
 pub const TABLE: &[Row] = &[
     row(Disengaged, BadNumber, Fault),
     row(Disengaged, ClutchPressed, Aligning),

@@ -8,7 +8,7 @@ use zeroize::Zeroizing;
 
 use crate::wire::Role;
 
-/// Smallest number of distinct byte values in a key. Fewer among 32 random bytes occur once in 1e36 keys.
+/// Smallest number of distinct byte values in a key. 32 random bytes have fewer once in 1e36 keys.
 const MIN_DISTINCT: usize = 8;
 const KEY_BYTES: usize = 32;
 

@@ -43,7 +43,7 @@ pub enum HandshakeError {
     #[error(transparent)]
     Entropy(#[from] NoEntropy),
     /// Message, key or state of the handshake does not match.
-    #[error("handshake message that does not fit")]
+    #[error("handshake failed: its message, key or state does not match")]
     Noise,
 }
 
@@ -74,7 +74,7 @@ impl CryptoResolver for Drawn {
     }
 }
 
-/// Returns its bytes once; a second request would repeat a key.
+/// Returns its bytes once. A second request would repeat a key, so it fails.
 struct Once(Option<Zeroizing<[u8; 32]>>);
 
 impl Random for Once {
@@ -104,7 +104,7 @@ impl Drop for Noise {
 }
 
 impl Noise {
-    /// Begin a handshake for the keys of `id`, which is bound into it.
+    /// Begin a handshake for the keys of `id`; its prologue contains `id`.
     pub(super) fn new(
         role: Role,
         id: EpochId,

@@ -252,13 +252,13 @@ pub enum Rejection {
     #[error("datagram of a kind that this side is never sent")]
     Kind,
     /// Unknown session.
-    #[error("datagram of a session that does not live here")]
+    #[error("datagram of an unknown session")]
     Session,
     /// Epoch whose keys this side does not have: past, or future.
-    #[error("datagram of an epoch whose keys are not here")]
+    #[error("datagram of an epoch whose keys this side does not have")]
     Epoch,
     /// Counter beyond the limit of one key.
-    #[error("counter beyond what one key may seal")]
+    #[error("counter beyond the limit of one key")]
     Counter,
     /// Counter too old for the replay window.
     #[error("counter too far behind the newest")]
@@ -267,22 +267,22 @@ pub enum Rejection {
     #[error("counter seen before")]
     Repeated,
     /// Tag that does not match: forged, damaged, or sealed with another key.
-    #[error("tag that does not fit: forged, damaged, or sealed with another key")]
+    #[error("tag that does not match: forged, damaged, or sealed with another key")]
     Forged,
     /// Answer without a waiting handshake.
-    #[error("answer to a handshake that does not wait for one")]
+    #[error("answer without a waiting handshake")]
     Unexpected,
     /// First message of a handshake that was seen before.
     #[error("first message of a handshake seen before")]
     Replayed,
     /// Handshake beyond the rate limit.
-    #[error("more handshakes than are answered in this time")]
+    #[error("handshake beyond the rate limit")]
     Busy,
     /// Keys of another master while one holds the lease.
     #[error("another master holds the lease")]
     Leased,
     /// Handshake that this side could not continue: no randomness.
-    #[error("handshake that could not go on here: no randomness")]
+    #[error("handshake that this side could not continue: no randomness")]
     Unable,
 }
 

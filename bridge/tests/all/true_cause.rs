@@ -125,7 +125,7 @@ fn fault_of_the_slave_is_reported_at_both_sides_in_the_drivers_words() {
     let expected = ("slave", format!("the slave has a fault: {WORDS}"), steps);
     assert_eq!(explained(&pair.master), expected);
     assert_eq!(explained(&pair.slave), expected);
-    assert_eq!(reasons(&pair.master)[2..], ["peer has a fault", "no sound peer for too long"]);
+    assert_eq!(reasons(&pair.master)[2..], ["peer has a fault", "no working peer for too long"]);
 
     // A press before the acknowledgement changes nothing, and the text stays.
     pair.press();

@@ -40,7 +40,7 @@ pub struct SafetySettings {
     pub hsc_velocity_threshold: f64,
     /// delta in J, of Eq. 10.
     pub energy_threshold_j: f64,
-    /// `F_w` in N: WSC accepts a motion up to this push along it. 0 is Eq. 13 as printed.
+    /// `F_w` in N: WSC accepts a push along the motion up to this force. 0 is Eq. 13 as printed.
     pub wsc_force_threshold_n: f64,
     /// eta, of Eq. 9.
     pub energy_ratio: f64,
@@ -57,8 +57,8 @@ pub struct SafetySettings {
     pub probe_force_n: f64,
     /// `r_th`: smallest share of the probe that counts as a hand.
     pub probe_threshold: f64,
-    /// Number of tries before the force is withheld; a force that is back for 1 s clears the count. 0 is no limit;
-    /// without a probe, 0 also requires no hand.
+    /// Number of tries before the force is withheld; a force that is back for 1 s clears the count.
+    /// 0 is no limit. Without a probe, 0 also lets the force return without a hand.
     pub release_tries: u32,
 }
 
@@ -348,8 +348,8 @@ impl<const N: usize, S: Real> SafetyController<N, S> {
     /// Return the share of `F_v` that the device was asked to render; every controller observes this share.
     ///
     /// While an intervention cancels `F_v`, the hand has nothing to hold against, and no push can eject the device.
-    /// Compared with all of `F_v`, `S_h` and `S_vf` would stay large, and a hand that returns would never get its
-    /// force back. Without a ramp or a probe, Eq. 2, 13 and 14 hold as printed.
+    /// If all of `F_v` counted, `S_h` and `S_vf` would stay large, and a hand that returns would
+    /// never get its force back. Without a ramp or a probe, Eq. 2, 13 and 14 hold as printed.
     #[inline(always)]
     fn felt_share(&self) -> S {
         self.let_through.select(self.on_for.simd_gt(S::splat(0.0)) & self.fades(), S::splat(1.0))

@@ -31,12 +31,13 @@ const STILL_SHARE: f64 = 0.2;
 const INTERVAL_S: f64 = 1.0;
 /// Assumed error of the Coulomb friction model as a factor of c, with room for other errors.
 pub const FRICTION_ROOM: f64 = 2.0;
-/// Limit in s on the time in which the hand takes up no further force, less the time in which it does.
+/// Limit in s on the net time in which the hand takes up no further force. Time in which it takes
+/// up force is subtracted.
 const UNBORNE_S: f64 = 0.5;
 /// The force returns up to this share of the power at which a controller trips.
 const TAKEN_SHARE: f64 = 0.9;
-/// Slope of the ease, a factor from 0 to 1 on the speed of the release ramp: the ramp slows down within the last
-/// quarter of its limit.
+/// Slope of the ease near a limit: the release ramp slows down within the limit's last quarter. The
+/// ease is a factor from 0 to 1 on the speed of the ramp.
 const EASE_SLOPE: f64 = 4.0;
 /// Ease below which the hand counts as taking up no further force.
 const LEAST_EASE: f64 = 0.05;
@@ -65,9 +66,9 @@ pub(crate) const NOT_FELT: f64 = f64::NEG_INFINITY;
 /// **The hand must bear the returning force.** After a hand is felt, the force returns over the ramp while the hand
 /// takes it up. P is the force let through. The unborne part is `U = P - max(0, -F_h . F_v / |F_v|)`; it accelerates
 /// the device, `U = m dV/dt + mu V`. The ramp slows down from U = three quarters of `A / 1.25` (of 4 c^ without a
-/// probe) and stops at `A / 1.25`. A device that nobody holds therefore becomes no faster than by the probe. The ramp
-/// also stops if the hand yields so far that a spring of `mu / HALF_S` in N/m would bear `P + A / 1.25`. A softer
-/// grip is not a hand.
+/// probe) and stops at `A / 1.25`. A device that nobody holds therefore moves no faster than under
+/// the probe. The ramp also stops if the hand yields so far that a spring of `mu / HALF_S` in N/m
+/// would bear `P + A / 1.25`. A softer grip is not a hand.
 ///
 /// The ramp slows down likewise as `P . V` nears 0.9 of the power at which an active controller trips: `V_t F_t` of
 /// VFC, `-delta / (w dT)` of WSC, with the energy threshold delta and the window w. If the hand takes up no further
@@ -229,7 +230,7 @@ impl<const N: usize> GraspProbe<N> {
     /// Compute the ease, 0 to 1, with which the force may return, or [`NOT_FELT`].
     fn ease(&mut self, seen: &Observation<N>, let_through: f64) -> f64 {
         let push_n = norm(&seen.rendered_force);
-        // No push, or neither a probe nor friction: there is no limit to compare the borne part with.
+        // Without a push there is nothing to bear. Without probe and friction there is no limit.
         if push_n == 0.0 || self.bear_n == 0.0 {
             return 1.0;
         }
@@ -308,7 +309,7 @@ impl<const N: usize> GraspProbe<N> {
         }
     }
 
-    /// End the try without the force.
+    /// End the try; the force does not return.
     fn give_up(&mut self) {
         self.enter(if self.limit == Some(self.tries) { Phase::Withheld } else { Phase::Waiting });
     }

@@ -101,7 +101,8 @@ macro_rules! controllers {
                 false $(|| $controller::<N, S>::READS_GRASP_FORCE && self.$file.is_some())+
             }
 
-            /// Return the energy in J that the force `delivered` owes to all controllers.
+            /// Return the energy in J that the controllers requested and that `delivered` did not
+            /// dissipate.
             #[inline(always)]
             fn owed_energy_j(
                 &self,

@@ -8,10 +8,11 @@ use crate::{
 };
 use haptether_numeric::{norm, pack, part};
 
-/// WSC: unsafe while `E_wso < delta`, with delta negative; with a force threshold, also `F_v·V / |V| > F_w`.
+/// WSC: unsafe while `E_wso < delta`, with delta negative. With a force threshold,
+/// `F_v·V / |V| > F_w` must hold too.
 ///
-/// `E_wso` also falls below delta when a hand moves fast in free motion or meets a wall. No push is present then that
-/// could eject the device: `F_w` accepts this case.
+/// `E_wso` also falls below delta when a hand moves fast in free motion or meets a wall. Then no
+/// push could eject the device, and `F_w` accepts the motion.
 ///
 /// Source: paper Eq. 13; `F_w`, `docs/thresholds.md`.
 #[derive(Clone, Debug, PartialEq)]

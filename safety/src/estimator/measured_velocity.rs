@@ -24,8 +24,9 @@ impl<const N: usize> MeasuredVelocity<N> {
 }
 
 impl<const N: usize, S: Real> MeasuredVelocity<N, S> {
-    /// Gather one estimator per lane, all of one period and all before their first velocity or all after it; else
-    /// return None.
+    /// Gather one estimator per lane.
+    ///
+    /// Returns None if their periods differ, or if only some of them have had a velocity.
     pub fn gather(of: &[&MeasuredVelocity<N>]) -> Option<Self> {
         Some(Self {
             period_s: shared(of, |one| one.period_s)?,

@@ -6,7 +6,7 @@ use crate::{
 };
 use haptether_numeric::{choose, pack, part, shared};
 
-/// SO: energy that the hand has put in since the start, less the kinetic energy that a safe device would need.
+/// SO: energy that the hand has put in since the start, less the kinetic energy divided by eta.
 ///
 /// `E_so(n) = dT sum_{i=1..n} F_h(i)·V(i) - V(n)' M V(n) / (2 eta)`
 ///
