@@ -27,7 +27,10 @@ pub use frame_map::FrameMap;
 pub use gripper::{GripperFollower, GripperState};
 pub use mapping::Mapping;
 pub(crate) use method::{CoupledMaster, CoupledSlave};
-pub use method::{CouplingAbout, CouplingKind, Gains, MethodSettings, SlaveSends, VirtualToolSettings};
+pub use method::{
+    CouplingAbout, CouplingKind, CouplingMatrix, Gains, MethodSettings, SlaveSends, VirtualToolSettings,
+    coupling_matrix,
+};
 pub use orientation::{MAX_NORM_ERROR, RotationState, canonical, checked, is_canonical, measured, quat_wxyz};
 pub use reference_point::{ReferencePoint, ReferencePointError};
 pub use rotation::{ANCHOR_REACH_RAD, RotationCoupling, RotationLock};

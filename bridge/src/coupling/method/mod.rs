@@ -16,6 +16,9 @@ pub use tool::VirtualToolSettings;
 
 use super::{CouplingError, mapping::check};
 
+#[cfg(test)]
+mod tests;
+
 /// Name, title and source of a coupling.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CouplingAbout {
@@ -105,11 +108,44 @@ pub(crate) trait Method<const N: usize> {
 
     fn new(gains: Gains) -> Self;
 
+    /// Return the least B in N s/m with which the coupling is passive at a round trip and a tick in s; none if it claims
+    /// no passivity.
+    fn least_damping(_stiffness: f64, _round_trip_s: f64, _period_s: f64) -> Option<f64> {
+        None
+    }
+
     /// Return `F_m` in N against the hand, in the slave's frame: the hand feels `F_v = -lambda_f R' L F_m`.
     fn master(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N>;
 
     /// Return `F_c` in N on the slave.
     fn slave(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N>;
+}
+
+/// Coefficients of both halves, which are linear: of `F_m` in `x_m, v_m, x_s', v_s', F_c'`, and of `F_c` in
+/// `x_s, v_s, x_m', v_m'`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CouplingMatrix {
+    /// Coefficients of `F_m`.
+    pub master: [f64; 5],
+    /// Coefficients of `F_c`.
+    pub slave: [f64; 4],
+}
+
+/// Return the coefficients of a coupling, by its halves; none of measured position-force, whose slave commands a motion.
+pub fn coupling_matrix(kind: CouplingKind, gains: Gains) -> Option<CouplingMatrix> {
+    let mut half = Half::new::<1>(kind, gains)?;
+    let axes = Axes::<1>::new;
+    let one = |index: usize, at: usize| axes(f64::from(u8::from(index == at)));
+    let inputs = |at: usize| [0, 1, 2, 3, 4].map(|index| one(index, at));
+    let mut step = |at: usize, is_master: bool| {
+        let [x, v, peer_x, peer_v, peer_force] = inputs(at);
+        let own = Local { position: &x, velocity: &v, gain: 1.0 };
+        let peer = Peer { position: &peer_x, velocity: &peer_v, force: &peer_force };
+        if is_master { half.master(&own, &peer)[0] } else { half.slave(&own, &peer)[0] }
+    };
+    let master = [0, 1, 2, 3, 4].map(|at| step(at, true));
+    let slave = [0, 1, 2, 3].map(|at| step(at, false));
+    Some(CouplingMatrix { master, slave })
 }
 
 /// Return `K (to - from) + B g (to' - from')`.

@@ -49,6 +49,15 @@ macro_rules! couplings {
                 }
             }
 
+            /// Return the least B in N s/m with which the coupling is passive at a stiffness in N/m, a round trip and a
+            /// tick in s; none if it claims no passivity.
+            pub fn least_damping(self, stiffness: f64, round_trip_s: f64, period_s: f64) -> Option<f64> {
+                match self {
+                    Self::$measured => None,
+                    $(Self::$kind => <$file::$kind as Method<1>>::least_damping(stiffness, round_trip_s, period_s),)+
+                }
+            }
+
             /// Return whether the push on a released stylus may grow.
             pub const fn push_may_grow(self) -> bool {
                 match self {

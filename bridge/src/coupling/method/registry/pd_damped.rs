@@ -8,7 +8,8 @@ use super::super::{CouplingAbout, Gains, Local, Method, Peer, SlaveSends};
 ///
 /// `F_m = K (x_m - x_s') + B v_m`, `F_c = K (x_m' - x_s) - B v_s`. In series it has the compliance `1/K`. It is passive
 /// if `4 B_m B_s > (T1 + T2)² K_m K_s`, with bounds of the delays that include jitter, and sampled with
-/// `B > K (dT/2 + d dT)`, where V lags by d ticks.
+/// `B > K (dT/2 + d dT)`, where V lags by d ticks. With equal gains at both sides:
+/// `B > K ((T1 + T2) / 2 + dT)`.
 ///
 /// Source: Lee and Spong 2006; Nuno, Basanez and Ortega 2011; sampled: Colgate and Schenkel 1997.
 #[derive(Clone, Copy, Debug)]
@@ -28,6 +29,11 @@ impl<const N: usize> Method<N> for PdDamped {
 
     fn new(gains: Gains) -> Self {
         Self { gains }
+    }
+
+    /// `K (T1 + T2) / 2 + K dT`: half a tick for the sampled spring, half a tick for V, which is older than the way.
+    fn least_damping(stiffness: f64, round_trip_s: f64, period_s: f64) -> Option<f64> {
+        Some(stiffness * (0.5 * round_trip_s + period_s))
     }
 
     fn master(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
