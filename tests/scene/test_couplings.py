@@ -3,10 +3,11 @@
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from tests.scene.two_sides import two_sides
 
-from haptether.bridge import COUPLINGS, SceneError, Scene, coupling_facts, override_scene, simulate
+from haptether.bridge import COUPLINGS, Scene, SceneError, coupling_facts, override_scene, simulate
 
 ONE_WAY_S = (0.0, 0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25)
 K_HAND, K, K_WALL, WALL, TARGET = 40.0, 100.0, 2000.0, 0.03, 0.06
@@ -40,13 +41,13 @@ def pressed(kind: str, one_way_s: float, **changed: Any) -> Scene:  # noqa: ANN4
     return two_sides(**tables)
 
 
-def end_force(scene: Scene) -> np.ndarray:
+def end_force(scene: Scene) -> npt.NDArray[np.float64]:
     """Return the mean of F_v over the last half second, which must be at rest."""
     signals = simulate(scene).signals
     assert signals is not None
     force = np.reshape(signals.rendered_force, (len(signals.time_s), -1))[-500:]
     assert np.ptp(force, axis=0).max() < 2e-3
-    return force.mean(axis=0)
+    return np.asarray(force.mean(axis=0))
 
 
 @pytest.mark.parametrize("one_way_s", ONE_WAY_S)
@@ -62,7 +63,10 @@ def test_a_contact_settles_at_its_closed_form(kind: str, one_way_s: float) -> No
 
 @pytest.mark.parametrize("kind", WITH_GAINS)
 def test_scales_and_a_turned_frame_stand_outside_the_coupling(kind: str) -> None:
-    """`F = (lambda_p x_t - x_w) / (lambda_p lambda_f / K_h + 1/K + 1/K_arm + 1/K_e)` along a turned axis, `F_v = -lambda_f R' F`."""
+    """`F = (lambda_p x_t - x_w) / (lambda_p lambda_f / K_h + 1/K + 1/K_arm + 1/K_e)` along a turned axis.
+
+    The hand feels `F_v = -lambda_f R' F`.
+    """
     motion, share = 1.5, 0.5
     quat = [float(np.cos(0.4)), 0.0, 0.0, float(np.sin(0.4))]
     turn = np.array([[np.cos(0.8), -np.sin(0.8), 0.0], [np.sin(0.8), np.cos(0.8), 0.0], [0.0, 0.0, 1.0]])
