@@ -6,10 +6,10 @@ use super::super::{CouplingAbout, Gains, Local, Method, Peer, SlaveSends};
 
 /// Spring between the sides, and a damper to ground at each side.
 ///
-/// `F_m = K (x_m - x_s') + B v_m`, `F_c = K (x_m' - x_s) - B v_s`. In series it has the compliance `1/K`. It is passive
-/// if `4 B_m B_s > (T1 + T2)² K_m K_s`, with bounds of the delays that include jitter, and sampled with
-/// `B > K (dT/2 + d dT)`, where V lags by d ticks. With equal gains at both sides:
-/// `B > K ((T1 + T2) / 2 + dT)`.
+/// `F_m = K (x_m - x_s') + B v_m`, `F_c = K (x_m' - x_s) - B v_s`. In series it has the compliance `1/K`.
+///
+/// It is passive if `4 B_m B_s > (T1 + T2)² K_m K_s`; the bounds of the delays include jitter. A sampled spring needs
+/// `B > K (dT/2 + d dT)` beside it, where V lags by d ticks. With equal gains: `B > K ((T1 + T2) / 2 + dT)`.
 ///
 /// Source: Lee and Spong 2006; Nuno, Basanez and Ortega 2011; sampled: Colgate and Schenkel 1997.
 #[derive(Clone, Copy, Debug)]
