@@ -166,6 +166,12 @@ impl Exchange {
         self.link.set_layout(FrameLayout { coupling, ..self.link.layout() });
     }
 
+    /// Energies through the port of this side since its engagement.
+    #[inline]
+    pub(crate) fn energy(&self) -> PortEnergy {
+        self.outgoing.energy
+    }
+
     /// Count of the engagements of this side, from 1; 0 while it is not coupled.
     #[inline]
     pub(super) fn epoch(&self) -> u16 {
