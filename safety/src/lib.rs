@@ -30,7 +30,7 @@ pub use observer::Observation;
 pub use parameter::ParameterError;
 pub use plausible::{Excess, Guard, Sample, SampleBounds, Track, Turned};
 pub use renewal::{MIN_RENEWAL, Renewal, Stamped};
-pub use rotation::{RotationLayer, RotationModel, RotationSettings};
+pub use rotation::{CoupledTurn, RotationLayer, RotationModel, RotationSettings};
 pub use wrench::{PoseSample, WrenchLayer, WrenchSettings, WrenchTick};
 
 /// Name, title and source of an observer, a controller or an estimator.

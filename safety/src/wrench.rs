@@ -7,7 +7,7 @@ use crate::{
     controller::{Judged, NOT_FELT, UNDECIDED},
     layer::DEFAULT_LEVER_M,
     plausible::{self, SampleBounds, Turned},
-    rotation::{RotationLayer, RotationSettings, check, in_base},
+    rotation::{CoupledTurn, RotationLayer, RotationSettings, check, in_base},
 };
 
 #[cfg(test)]
@@ -116,40 +116,42 @@ impl<const N: usize> WrenchLayer<N> {
         torque: &Axes<3>,
         authority: f64,
     ) -> WrenchTick<N> {
-        self.tick_coupled(missed, sample, |_| *force, torque, authority)
+        self.tick_coupled(missed, sample, |_| *force, |_| *torque, authority)
     }
 
-    /// Compute a tick as [`tick_after`](Self::tick_after), with `F_v` from `couple`, see [`SafetyLayer::tick_coupled`].
+    /// Compute a tick as [`tick_after`](Self::tick_after), with `F_v` from `couple` and the torque from `couple_torque`,
+    /// see [`SafetyLayer::tick_coupled`].
     #[inline(always)]
     pub fn tick_coupled(
         &mut self,
         missed: u64,
         sample: &PoseSample<N>,
         couple: impl FnOnce(&Coupled<'_, N>) -> Axes<N>,
-        torque: &Axes<3>,
+        couple_torque: impl FnOnce(&CoupledTurn<'_>) -> Axes<3>,
         authority: f64,
     ) -> WrenchTick<N> {
         let PoseSample { position, orientation, velocity, angular_velocity } = sample;
         let checked = self
             .translation
             .check(position, velocity.as_ref())
-            .and_then(|()| self.rotation.check(orientation, angular_velocity.as_ref(), torque))
+            .and_then(|()| self.rotation.check(orientation, angular_velocity.as_ref()))
             .and_then(|()| self.translation.judge(missed, Sample::from(sample).parts()));
         match checked {
             Err(fault) => return self.stop(fault),
             Ok(plausible::Judged::Held(at)) => {
                 let translation = self.translation.hold_coupled(at, couple, authority);
-                if let Some(fault) = translation.fault {
-                    return self.stop(fault);
-                }
-                return WrenchTick { translation, rotation: self.rotation.hold(at, torque, authority) };
+                let rotation = self.rotation.hold_coupled(at, couple_torque, authority);
+                return match translation.fault.or(rotation.fault) {
+                    Some(fault) => self.stop(fault),
+                    None => WrenchTick { translation, rotation },
+                };
             }
             Ok(plausible::Judged::Settled) => self.catch_up(),
             Ok(_) => {}
         }
         let moves =
             self.translation.checked(position, velocity.as_ref(), couple, &mut crate::layer::PointMass);
-        let turns = self.rotation.checked(orientation, angular_velocity.as_ref(), torque);
+        let turns = self.rotation.checked(orientation, angular_velocity.as_ref(), couple_torque);
         let (moves, turns) = match (moves, turns) {
             (Ok(moves), Ok(turns)) => (moves, turns),
             (Err(fault), _) | (_, Err(fault)) => return self.stop(fault),
@@ -200,11 +202,6 @@ impl<const N: usize> WrenchLayer<N> {
     fn recall(&mut self, tick: u64) {
         self.translation.recall(tick);
         self.rotation.layer().recall(tick);
-    }
-
-    /// Scale a torque by `gain`. If `gain` < 1, first clip its norm to the largest one of the device.
-    pub fn faded_torque(&self, torque: &Axes<3>, gain: f64) -> Axes<3> {
-        self.rotation.faded(torque, gain)
     }
 
     /// Return force and torque of the coupling that the device has exerted since the last tick, see

@@ -135,6 +135,10 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """K in N/m (N m/rad for joints) of a coupling with a spring; by default that of the coupling."""
     damping: NonNegative | None = None
     """B in N s/m (N m s/rad) of the same; by default that of the coupling."""
+    rotational_stiffness: Positive | None = None
+    """K in N m/rad of the rotation for kind "pose"; by default K at `safety.rotation.lever_m`."""
+    rotational_damping: NonNegative | None = None
+    """B in N m s/rad of the same."""
     tool_mass_kg: Positive | None = None
     """M_v of the virtual tool, which turns the coupling's force into a motion of the arm:
     `M_v a = F_c + F_e - B_v v`. By default `K_max / (0.4 w)^2`, with the stiffest wall of the scene and w of the arm.

@@ -206,6 +206,11 @@ impl RotationCoupling {
         self.anchor = None;
     }
 
+    /// C.
+    pub(super) fn frame(&self) -> UnitQuaternion<f64> {
+        self.change.map
+    }
+
     /// Master half: `tau_m` in N m from the newest `tau_s` in N m, in base frames about the tool point.
     pub fn rendered_torque(&self, slave_torque: &Vector3<f64>) -> Vector3<f64> {
         self.change.map.inverse_transform_vector(&self.lock.of(*slave_torque)) * self.change.force

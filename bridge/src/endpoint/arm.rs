@@ -10,7 +10,9 @@ use super::{
 };
 use crate::{
     command::OperatorCommand,
-    coupling::{AlignmentStep, CoupledSlave, CouplingError, Limited, MethodSettings, RotationState},
+    coupling::{
+        AlignmentStep, CoupledSlave, CoupledSlaveTurn, CouplingError, Limited, MethodSettings, RotationState,
+    },
     ladder::{AlignmentState, LadderState},
     port::{CouplingMessage, PortState},
     wire::{Padded, padded},
@@ -104,6 +106,9 @@ impl<const N: usize> Arm<N> {
     /// Set the coupling; the default is position-force.
     pub(super) fn set_coupling(&mut self, settings: &MethodSettings) {
         self.coupled = CoupledSlave::new(settings).map(Box::new);
+        if let Some(rotation) = &mut self.rotation {
+            rotation.coupled = CoupledSlaveTurn::new(settings).map(Box::new);
+        }
     }
 
     /// Add `rotation` (three axes). A press waits for at most `align_s`.
@@ -270,14 +275,20 @@ impl<const N: usize> Arm<N> {
             let [speed, reach] = led.limited;
             limited = Limited { speed, reach, ..limited };
             command_velocity = led.velocity;
-            if let (Some(rotation), Some(master), Some(measured)) =
-                (&mut self.rotation, newest.and_then(|master| master.rotation), &reading.rotation)
+            if let (Some(rotation), Some(master), Some(measured), Some(newest)) =
+                (&mut self.rotation, newest.and_then(|master| master.rotation), &reading.rotation, &newest)
             {
-                angular_velocity =
-                    rotation.follow(master, measured, elapsed_s, led.extrapolated, &mut limited);
+                let times = (elapsed_s, 0.5 * self.max_step_s);
+                let pushed = rotation.push(master, newest.message, measured, times, &mut limited);
+                angular_velocity = if let Some((velocity, work_j)) = pushed {
+                    outgoing.energy.add(-work_j);
+                    velocity
+                } else {
+                    rotation.follow(master, measured, elapsed_s, led.extrapolated, &mut limited)
+                };
             }
         } else if let Some(rotation) = &mut self.rotation {
-            rotation.coupling.disengage();
+            rotation.disengage();
         }
         if let (true, Some(step)) = (turns, step) {
             self.translation.stay_at(position);
@@ -312,6 +323,8 @@ impl<const N: usize> Arm<N> {
         }
         if let Some(coupled) = &self.coupled {
             outgoing.message.vector = coupled.sent().map_or(Padded::zeros(), padded);
+            let turning = self.rotation.as_ref().and_then(|rotation| rotation.coupled.as_ref());
+            outgoing.message.turned = turning.and_then(|one| one.sent()).copied().unwrap_or_default();
         }
         let SlaveReading { position, velocity, environment_force: force, rotation } = *reading;
         outgoing.report(&position, &velocity, &force, rotation);
@@ -328,7 +341,7 @@ impl<const N: usize> Arm<N> {
             coupled.disengage();
         }
         if let Some(rotation) = &mut self.rotation {
-            rotation.coupling.disengage();
+            rotation.disengage();
         }
     }
 

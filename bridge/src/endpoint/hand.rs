@@ -1,8 +1,8 @@
 //! Decision over the force on a hand. Live runs, virtual time and the replay of a recording all use it.
 
 use haptether_safety::{
-    Advance, Axes, Coupled, Excess, Fault, Guard, Real, SafetyLayer, SafetyTick, Sample, SampleBounds,
-    Signal, Track, controller::ResearchController, is_within,
+    Advance, Axes, Coupled, CoupledTurn, Excess, Fault, Guard, Real, SafetyLayer, SafetyTick, Sample,
+    SampleBounds, Signal, Track, controller::ResearchController, is_within,
 };
 
 use super::layer::{Layer, MasterReading};
@@ -120,16 +120,17 @@ impl<const N: usize> Hand<N> {
         reading: &MasterReading<N>,
         input: &HandInput<N>,
     ) -> (SafetyTick<N>, Option<SafetyTick<3>>) {
-        self.tick_coupled(reading, input, |_| input.requested_force)
+        self.tick_coupled(reading, input, |_| input.requested_force, |_| input.requested_torque)
     }
 
-    /// Step one tick with the force of `couple`, which gets the motion of this tick.
+    /// Step one tick with the force of `couple` and the torque of `couple_torque`, which get the motion of this tick.
     #[inline(always)] // its result is large and mostly empty
     pub(super) fn tick_coupled(
         &mut self,
         reading: &MasterReading<N>,
         input: &HandInput<N>,
         couple: impl FnOnce(&Coupled<'_, N>) -> Axes<N>,
+        couple_torque: impl FnOnce(&CoupledTurn<'_>) -> Axes<3>,
     ) -> (SafetyTick<N>, Option<SafetyTick<3>>) {
         // The state before a gap does not apply after it. If the position is still invalid, the layer stays
         // in fault, and the tick below reports it again.
@@ -149,8 +150,7 @@ impl<const N: usize> Hand<N> {
             self.layer.fail(fault);
         }
         self.is_new = false;
-        let HandInput { requested_torque, gain, .. } = input;
-        self.layer.tick(missed, reading, couple, requested_torque, *gain)
+        self.layer.tick(missed, reading, couple, couple_torque, input.gain)
     }
 }
 

@@ -2,8 +2,8 @@
 
 use haptether_master::RotationSample;
 use haptether_safety::{
-    Axes, Coupled, Excess, Fault, Guard, LayerSettings, LimiterSettings, ParameterError, PoseSample,
-    RotationModel, RotationSettings, SafetyLayer, SafetyTick, Sample, SampleBounds, WrenchLayer,
+    Axes, Coupled, CoupledTurn, Excess, Fault, Guard, LayerSettings, LimiterSettings, ParameterError,
+    PoseSample, RotationModel, RotationSettings, SafetyLayer, SafetyTick, Sample, SampleBounds, WrenchLayer,
     WrenchSettings, WrenchTick,
     controller::{ResearchController, SafetySettings},
     estimator::EstimatorKind,
@@ -139,15 +139,15 @@ impl<const N: usize> Layer<N> {
         }
     }
 
-    /// Step one tick after `missed` missed ticks; `couple` returns the request of the remote side in N, and `torque` is
-    /// that in N m.
+    /// Step one tick after `missed` missed ticks; `couple` returns the request of the remote side in N, and
+    /// `couple_torque` that in N m.
     #[inline(always)] // its result is large and mostly empty
     pub(super) fn tick(
         &mut self,
         missed: u64,
         reading: &MasterReading<N>,
         couple: impl FnOnce(&Coupled<'_, N>) -> Axes<N>,
-        torque: &Axes<3>,
+        couple_torque: impl FnOnce(&CoupledTurn<'_>) -> Axes<3>,
         gain: f64,
     ) -> (SafetyTick<N>, Option<SafetyTick<3>>) {
         let couple = |at: &Coupled<'_, N>| at.faded(&couple(at), gain);
@@ -157,9 +157,9 @@ impl<const N: usize> Layer<N> {
                 (layer.tick_coupled(missed, position, velocity.as_ref(), couple, gain), None)
             }
             Self::Wrench(layer) => {
-                let torque = layer.faded_torque(torque, gain);
+                let couple_torque = |at: &CoupledTurn<'_>| at.faded(&couple_torque(at), gain);
                 let WrenchTick { translation, rotation } =
-                    layer.tick_coupled(missed, &reading.pose(), couple, &torque, gain);
+                    layer.tick_coupled(missed, &reading.pose(), couple, couple_torque, gain);
                 (translation, Some(rotation))
             }
         }

@@ -1,7 +1,8 @@
 //! Endpoint of the master: one tick of the side of the hand.
 
 use haptether_safety::{
-    Axes, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyTick, Sample, SampleBounds, Turned,
+    Axes, Coupled, CoupledTurn, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyTick, Sample,
+    SampleBounds, Turned,
     controller::{ResearchController, SafetySettings},
     estimator::EstimatorKind,
 };
@@ -17,8 +18,8 @@ use crate::{
     SideKind,
     command::OperatorCommand,
     coupling::{
-        CHANGE_FACTOR, CoupledMaster, CouplingError, Mapping, MethodSettings, RotationCoupling, RotationLock,
-        RotationState, ScaleRange, ScaleRanges,
+        CHANGE_FACTOR, CoupledMaster, CoupledMasterTurn, CouplingError, Mapping, MethodSettings,
+        RotationCoupling, RotationLock, RotationState, ScaleRange, ScaleRanges,
     },
     ladder::{LAYERS, LadderSettings, LadderState, Observed, ROTATION, TRANSLATION, TRIGGER},
     wire::{Role, unpadded},
@@ -69,6 +70,8 @@ pub struct MasterEndpoint<const N: usize> {
     mapping: Mapping<N>,
     /// Half of the coupling; none of measured position-force, whose force follows from the newest frame alone.
     coupled: Option<Box<CoupledMaster<N>>>,
+    /// Half of the coupling for the rotation, likewise.
+    turning: Option<Box<CoupledMasterTurn>>,
     /// Sample in use at the last tick of this engagement, from which the work of the next tick counts.
     last: Option<Sample<N>>,
     /// Coupling of the rotation; none if the hand does not turn.
@@ -121,6 +124,7 @@ impl<const N: usize> MasterEndpoint<N> {
     pub fn with_coupling(mut self, settings: &MethodSettings) -> Self {
         self.exchange.set_coupling(settings.kind);
         self.coupled = CoupledMaster::new(settings).map(Box::new);
+        self.turning = CoupledMasterTurn::new(settings).map(Box::new);
         self
     }
 
@@ -196,6 +200,7 @@ impl<const N: usize> MasterEndpoint<N> {
             hand,
             mapping: Mapping::new(1.0, settings.force_scale)?,
             coupled: None,
+            turning: None,
             last: None,
             rotation: None,
             trigger: None,
@@ -252,12 +257,22 @@ impl<const N: usize> MasterEndpoint<N> {
         let newest = self.exchange.link().newest();
         let (safety, rotation) = match (&mut self.coupled, newest) {
             (Some(coupled), Some(newest)) => {
-                let (mapping, requested) = (&self.mapping, &mut input.requested_force);
-                let given = HandInput { requested_force: Axes::zeros(), ..input };
-                self.hand.tick_coupled(reading, &given, |at| {
-                    *requested = coupled.request(mapping, at, gain, state.is_coupled(), newest);
-                    *requested
-                })
+                let (mapping, is_coupled) = (&self.mapping, state.is_coupled());
+                let (mut force, mut torque) = (Axes::zeros(), Axes::zeros());
+                let request = |at: &Coupled<'_, N>| {
+                    force = coupled.request(mapping, (at.position, at.velocity), gain, is_coupled, newest);
+                    force
+                };
+                let request_torque = |at: &CoupledTurn<'_>| {
+                    if let (Some(turning), Some(map)) = (&mut self.turning, &self.rotation) {
+                        let motion = (at.orientation, &at.angular_velocity);
+                        torque = turning.request(map, motion, gain, is_coupled, newest);
+                    }
+                    torque
+                };
+                let ticks = self.hand.tick_coupled(reading, &input, request, request_torque);
+                (input.requested_force, input.requested_torque) = (force, torque);
+                ticks
             }
             _ => self.hand.tick(reading, &input),
         };
@@ -294,13 +309,19 @@ impl<const N: usize> MasterEndpoint<N> {
     /// one tick.
     #[inline(always)] // argument and result are large
     pub(crate) fn requested(&mut self, input: &HandInput<N>) -> HandInput<N> {
-        let requested_force = match self.coupled {
-            None => self.mapping.rendered_force(&input.received_force),
-            Some(_) => input.requested_force,
+        let is_measured = self.coupled.is_none();
+        let requested_force = if is_measured {
+            self.mapping.rendered_force(&input.received_force)
+        } else {
+            input.requested_force
         };
         self.mapping.advance();
         let requested_torque = self.rotation.as_mut().map_or(Axes::zeros(), |coupling| {
-            let torque = coupling.rendered_torque(&input.received_torque);
+            let torque = if is_measured {
+                coupling.rendered_torque(&input.received_torque)
+            } else {
+                input.requested_torque
+            };
             coupling.advance();
             torque
         });
@@ -346,6 +367,11 @@ impl<const N: usize> MasterEndpoint<N> {
         outgoing.message.epoch = epoch;
         if let Some(coupled) = &self.coupled {
             outgoing.message = coupled.message(epoch, &position);
+            if let (Some(turning), Some(turned)) = (&self.turning, &taken.rotation)
+                && outgoing.message.epoch != 0
+            {
+                outgoing.message.turned = turning.turned(&turned.orientation).unwrap_or_default();
+            }
         }
         outgoing.report(&position, &velocity, &safety.device_force, rotation);
     }

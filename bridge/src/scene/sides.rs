@@ -49,10 +49,19 @@ fn master_settings<const N: usize>(
 /// Stiffness in N/m of the walls that the virtual tool of a scene without any is for.
 const STIFFEST_WALL: f64 = 2000.0;
 
+/// Return the largest stiffness in N/m of a wall of the scene.
+pub(super) fn stiffest_wall<const N: usize>(scene: &SceneSpec<N>) -> f64 {
+    let walls = scene.environment.iter().flat_map(|environment| &environment.objects);
+    let stiffest = walls.map(|wall| wall.contact.stiffness).fold(0.0, f64::max);
+    if stiffest > 0.0 { stiffest } else { STIFFEST_WALL }
+}
+
 /// Return w in rad/s of the arm's control, and the time in s by which the arm lags behind its command.
-fn arm_response<const N: usize>(arm: &ArmSettings<N>) -> (f64, f64) {
+pub(super) fn arm_response<const N: usize>(arm: &ArmSettings<N>) -> (f64, f64) {
     let w = TAU * arm.bandwidth_hz;
     match arm.control {
+        // A tool is under an impedance servo.
+        _ if arm.tool.is_some() => ((arm.stiffness / arm.mass_kg).sqrt(), 0.0),
         ControlKind::Position => (w, 2.0 / w),
         ControlKind::Velocity => (w, 1.0 / w),
         ControlKind::Pd => ((arm.stiffness / arm.mass_kg).sqrt(), 0.0),
@@ -67,9 +76,7 @@ fn virtual_tool<const N: usize>(
     coupling: &CouplingSpec,
 ) -> Result<VirtualToolSettings, CouplingError> {
     let (w, lag_s) = arm_response(arm);
-    let walls = scene.environment.iter().flat_map(|environment| &environment.objects);
-    let stiffest = walls.map(|wall| wall.contact.stiffness).fold(0.0, f64::max);
-    let stiffest = if stiffest > 0.0 { stiffest } else { STIFFEST_WALL };
+    let stiffest = stiffest_wall(scene);
     let mass = coupling.tool_mass_kg.unwrap_or(stiffest / (0.4 * w).powi(2));
     VirtualToolSettings::new(mass, coupling.tool_damping, coupling.tool_lead_s.unwrap_or(lag_s))
 }
@@ -79,18 +86,16 @@ fn method<const N: usize>(scene: &SceneSpec<N>) -> Result<MethodSettings, SceneE
     let (arm, coupling) = scene.coupled()?;
     let CouplingSpec { kind, stiffness, damping, position_scale, .. } = *coupling;
     let default = kind.default_gains();
-    if default.is_some() && scene.master.kind == SideKind::Pose {
-        return Err(SceneError::Contradiction(format!(
-            "coupling.kind = \"{}\": couples points and joints; a scene of kind \"pose\" needs \"position-force\"",
-            kind.name()
-        )));
-    }
     let given = default.unwrap_or(Gains { stiffness: 1.0, damping: 0.0 });
     let gains = Gains::new(stiffness.unwrap_or(given.stiffness), damping.unwrap_or(given.damping));
     let (gains, tool) = gains
         .and_then(|gains| Ok((gains, virtual_tool(scene, arm, coupling)?)))
         .map_err(EndpointError::from)?;
-    Ok(MethodSettings { kind, gains, tool, position_scale })
+    let rotation = match default {
+        Some(_) if scene.master.kind == SideKind::Pose => Some(pose::coupled_rotation(scene, &gains)?),
+        _ => None,
+    };
+    Ok(MethodSettings { kind, gains, tool, position_scale, rotation })
 }
 
 /// Return the sample bounds of a side of this kind, with the speed bound of its device and a quantum in m (rad).

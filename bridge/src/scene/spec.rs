@@ -333,6 +333,12 @@ pub struct CouplingSpec {
     /// `B_v` in N s/m of the virtual tool; by default `10 M_v` per second.
     #[serde(default)]
     pub tool_damping: Option<f64>,
+    /// K in N m/rad of the rotation; by default that of the force at the lever.
+    #[serde(default)]
+    pub rotational_stiffness: Option<f64>,
+    /// B in N m s/rad of the rotation, likewise.
+    #[serde(default)]
+    pub rotational_damping: Option<f64>,
     /// Time in s by which the arm lags behind its command; by default that of its control.
     #[serde(default)]
     pub tool_lead_s: Option<f64>,

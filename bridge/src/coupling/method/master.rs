@@ -1,6 +1,6 @@
 //! Half of a coupling at the master, between the frame map and the safety layer.
 
-use haptether_safety::{Axes, Coupled};
+use haptether_safety::Axes;
 
 use super::{Half, Local, MethodSettings, Peer};
 use crate::{
@@ -34,13 +34,13 @@ impl<const N: usize> CoupledMaster<N> {
         Some(Self { half, position_scale, origin: None, peer_epoch: 0, force: Axes::zeros() })
     }
 
-    /// Return `F_v` in N before the ladder's gain. It is stepped while the sides are coupled; else the last force
+    /// Return `F_v` in N before the ladder's gain, from x in m and V in m/s. It is stepped while the sides are coupled; else the last force
     /// stays, and the gain lets it fade.
     #[inline(never)]
     pub(crate) fn request(
         &mut self,
         map: &Mapping<N>,
-        at: &Coupled<'_, N>,
+        (position, velocity): (&Axes<N>, &Axes<N>),
         gain: f64,
         is_coupled: bool,
         peer: &Frame,
@@ -58,19 +58,18 @@ impl<const N: usize> CoupledMaster<N> {
             Some(origin) if epoch == self.peer_epoch => origin,
             _ => {
                 // Each engagement begins without force.
-                self.origin = Some(at.position - of_slave);
+                self.origin = Some(position - of_slave);
                 (self.peer_epoch, self.force) = (epoch, Axes::zeros());
                 return self.force;
             }
         };
         let frame = map.map();
         let to_slave = |of_master: &Axes<N>| frame.to_slave(of_master) * self.position_scale;
-        let velocity: Axes<N> = unpadded(&peer.velocity);
-        let own =
-            Local { position: &to_slave(&(at.position - origin)), velocity: &to_slave(at.velocity), gain };
+        let of_peer: Axes<N> = unpadded(&peer.velocity);
+        let own = Local { position: &to_slave(&(position - origin)), velocity: &to_slave(velocity), gain };
         let peer = Peer {
             position: &to_slave(&of_slave),
-            velocity: &velocity,
+            velocity: &of_peer,
             force: &if sends_motion { Axes::zeros() } else { sent },
         };
         self.force = -map.rendered_force(&self.half.master(&own, &peer));

@@ -4,6 +4,7 @@ mod master;
 mod registry;
 mod slave;
 mod tool;
+mod turn;
 
 use haptether_safety::Axes;
 
@@ -13,6 +14,7 @@ pub(crate) use registry::Half;
 pub(crate) use slave::CoupledSlave;
 pub(crate) use tool::VirtualTool;
 pub use tool::VirtualToolSettings;
+pub(crate) use turn::{CoupledMasterTurn, CoupledSlaveTurn};
 
 use super::{CouplingError, mapping::check};
 
@@ -70,6 +72,8 @@ pub struct MethodSettings {
     pub tool: VirtualToolSettings,
     /// `lambda_p` of the scene.
     pub position_scale: f64,
+    /// The same for the rotation, in N m/rad, N m s/rad, kg m² and N m s/rad; none of a scene that does not turn.
+    pub rotation: Option<(Gains, VirtualToolSettings)>,
 }
 
 /// Motion of a half's own device at this tick, in the slave's frame.
