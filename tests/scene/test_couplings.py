@@ -119,3 +119,21 @@ def test_unknown_couplings_and_numbers_are_refused_by_name() -> None:
         override_scene(pressed("pd-damped", 0.0), ["coupling.damping=-1"])
     with pytest.raises(ValueError, match="must be one of position-force"):
         coupling_facts("spring")
+
+
+@pytest.mark.parametrize("kind", WITH_GAINS)
+def test_a_pose_is_coupled_by_both_its_parts(kind: str) -> None:
+    """The tool follows the turn of the hand, whose torque begins at 0 and stays bounded."""
+    run = simulate("alignment", overrides=[f'coupling.kind="{kind}"', "coupling.rotational_stiffness=2.0"])
+    signals = run.signals
+    first = np.flatnonzero(np.isin(signals.state, [2, 3]))[0]
+    assert np.abs(signals.rendered_torque[: first + 1]).max() == 0.0
+    assert 0.0 < np.abs(signals.rendered_torque).max() < 0.3
+    assert run.metrics.orientation_rmse_rad is not None
+    assert run.metrics.orientation_rmse_rad < 0.1
+
+
+@pytest.mark.parametrize("locked", ["rotation_scale=2.0", "locks_rotation=true"])
+def test_a_spring_between_poses_needs_a_free_rotation_at_scale_1(locked: str) -> None:
+    with pytest.raises(SceneError, match="rotation_scale = 1 and no lock"):
+        simulate("torque_release", overrides=['coupling.kind="pd-damped"', f"coupling.{locked}"])
