@@ -1,5 +1,6 @@
 """Couplings in virtual time against their closed forms, and their engagements."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy.typing as npt
 import pytest
 from tests.scene.two_sides import two_sides
 
-from haptether.bridge import COUPLINGS, Scene, SceneError, coupling_facts, override_scene, simulate
+from haptether.bridge import COUPLINGS, Scene, SceneError, coupling_facts, override_scene, read_recording, simulate
 
 ONE_WAY_S = (0.0, 0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25)
 K_HAND, K, K_WALL, WALL, TARGET = 40.0, 100.0, 2000.0, 0.03, 0.06
@@ -137,3 +138,40 @@ def test_a_pose_is_coupled_by_both_its_parts(kind: str) -> None:
 def test_a_spring_between_poses_needs_a_free_rotation_at_scale_1(locked: str) -> None:
     with pytest.raises(SceneError, match="rotation_scale = 1 and no lock"):
         simulate("torque_release", overrides=['coupling.kind="pd-damped"', f"coupling.{locked}"])
+
+
+@pytest.mark.parametrize("kind", WITH_GAINS)
+def test_no_energy_crosses_while_the_sides_hold(kind: str, tmp_path: Path) -> None:
+    """An outage of 150 ms holds both sides. The sums stand still, and the next engagement begins at zero."""
+    overrides = ['link.forward.outages=[{times={kind="once",at_s=2.0,duration_s=0.15}}]', 'operator.clutch="auto"']
+    scene = override_scene(pressed(kind, 0.01, run={"duration_s": 5.0}), overrides)
+    files = (tmp_path / "master.mcap", tmp_path / "slave.mcap")
+    simulate(scene, record=files)
+    for file in files:
+        signals = read_recording(file).signals
+        sums = np.stack([signals["port_in_j"], signals["port_out_j"]])
+        coupled = np.isin(signals["state"], ["engaged", "stale"])
+        starts = np.flatnonzero(coupled[1:] & ~coupled[:-1]) + 1
+        assert len(starts) == 2, "engaged, held, and engaged again"
+        assert (sums[:, starts] == 0.0).all()
+        assert (sums[:, starts[1] - 1] > 1e-4).all()
+        # The tick that ends the engagement still counts the force that was held until then.
+        idle = ~coupled[1:] & ~coupled[:-1]
+        assert (np.diff(sums, axis=1)[:, idle] == 0.0).all()
+        assert (np.diff(sums, axis=1)[:, coupled[1:] & coupled[:-1]] >= 0.0).all()
+        if "rendered_force" in signals:
+            assert (signals["rendered_force"][starts] == 0.0).all()
+
+
+def test_the_energies_of_both_ports_are_those_of_the_plants(tmp_path: Path) -> None:
+    """`F_v dx` at the master, by the recorded force and way, is the difference of its two sums."""
+    files = (tmp_path / "master.mcap", tmp_path / "slave.mcap")
+    simulate(pressed("pd-damped", 0.02, run={"duration_s": 3.0}), record=files)
+    signals = read_recording(files[0]).signals
+    coupled = np.isin(signals["state"], ["engaged", "stale"])
+    way = np.diff(np.ravel(signals["position"]))
+    work = -np.ravel(signals["device_force"])[:-1] * way * (coupled[1:] & coupled[:-1])
+    expected = np.array([work[work > 0.0].sum(), -work[work < 0.0].sum()])
+    seen = np.array([signals["port_in_j"][-1], signals["port_out_j"][-1]])
+    assert expected.min() > 1e-4
+    assert seen == pytest.approx(expected, rel=1e-9)
