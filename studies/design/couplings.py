@@ -232,8 +232,8 @@ def coupling_advice(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Itera
         return
     yield Finding(
         name="coupling", state="note", text=f"over {delays[1] * 1e3:.0f} ms this pair bears {advised.kind} with K ="
-        f" {advised.stiffness:g} {units.stiffness}, passive for any hand and wall, and"
-        f" {intervals_text(advised.stable, up_to_s)} held or let go: [coupling] kind = \"{advised.kind}\", stiffness ="
+        f" {advised.stiffness:g} {units.stiffness}, passive for any hand and wall; held"
+        f" or let go it is {intervals_text(advised.stable, up_to_s)}: [coupling] kind = \"{advised.kind}\", stiffness ="
         f" {advised.stiffness:g}, damping = {advised.damping:g}",
         value=advised.stiffness, unit=units.stiffness,
     )  # fmt: skip
