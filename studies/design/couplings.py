@@ -84,8 +84,8 @@ def _margin_s(stable: Intervals, up_to_s: float) -> float:
 def coupling_findings(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Iterator[Finding]:
     """Check delay margin, passivity and felt stiffness of a coupling with two halves."""
     if spec["master"]["kind"] == "pose":
-        text = f'{spec["coupling"]["kind"]} couples points and joints; a scene of kind "pose" needs position-force'
-        yield Finding(name="coupling", state="bad", text=text)
+        text = f"{spec['coupling']['kind']} of a pose: only loops of points and joints are judged; simulate the scene"
+        yield Finding(name="coupling", state="not judged", text=text)
         return
     coupling, units, delays = spec["coupling"], Units.of(spec), link_delays_s(spec)
     kind, beyond = coupling["kind"], "; ".join(touched(scene, spec).beyond)
