@@ -6,7 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from haptether.bridge import TelemetryChange, TelemetryEnd, TelemetryHello, load_scene, override_scene, simulate
+from haptether.bridge import (
+    TelemetryChange,
+    TelemetryEnd,
+    TelemetryHello,
+    TelemetrySample,
+    load_scene,
+    override_scene,
+    simulate,
+)
 from haptether.cli.view.trial.record import LONGEST_S, TrialRecord
 from haptether.private_file import write_private
 from haptether.view.trial.hand import Aim, Push
@@ -33,6 +41,10 @@ def hello(side: str, process: int = 0) -> TelemetryHello:
 
 def change(tick: int, signal: str, to: str | bool) -> TelemetryChange:
     return TelemetryChange(time_ns=tick * PERIOD_NS, signal=signal, from_=not to, to=to)
+
+
+def sample(tick: int) -> TelemetrySample:
+    return TelemetrySample(time_ns=tick * PERIOD_NS, ticks=16, dropped=0, unsent_changes=0, signals={})
 
 
 @pytest.fixture
@@ -148,6 +160,26 @@ def test_a_disk_that_never_answers_is_reported(
     record.close()
     assert "the disk does not answer" in capsys.readouterr().err
     answers.set()
+
+
+def test_later_delays_are_repeated_and_other_changes_noted(tmp_path: Path) -> None:
+    record, bridges = begun(tmp_path)
+    for tick, network in (
+        (2000, Network(delay_s=0.2, jitter_s=0.0, loss=0.0)),
+        (2500, Network(delay_s=0.2, jitter_s=0.0, loss=0.0)),
+        (3000, Network(delay_s=0.1, jitter_s=0.0, loss=0.1)),
+    ):
+        record.hear("left", hello("master", 1), sample(tick))
+        record.change(network)
+    record.took(aim(), {"left": 4000})
+    record.close()
+    scene = load_scene(tmp_path / "left.toml")
+    assert scene.link is not None
+    for link in (scene.link.forward, scene.link.backward):
+        assert link is not None
+        assert (link.delay_s, link.loss) == (bridges.network.delay_s, 0.0)
+        assert [(one.at_s, one.delay_s) for one in link.timeline or ()] == [(2.0, 0.2), (3.0, 0.1)]
+    assert "jitter or loss was changed later" in (tmp_path / "left.toml").read_text(encoding="utf-8")
 
 
 def test_a_press_after_the_last_aim_is_repeated(tmp_path: Path) -> None:
