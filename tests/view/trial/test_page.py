@@ -16,6 +16,7 @@ from tests.view.trial.pointer import TRIES, coupled, opened, peak_speeds, point,
 from tests.view.trial.tried import NAMES, Tried, tried, wait_until
 
 from haptether.bridge import simulate
+from haptether.studies.tuning import tune
 from haptether.view.trial.server import Choice
 
 if TYPE_CHECKING:
@@ -124,6 +125,32 @@ def peak_speeds_repeated(record: Path, name: str) -> list[float]:
         float(speed[(time_s > opened_s) & (time_s < opened_s + 1.5)].max())
         for opened_s in rows["time_s"][1:][gripped[:-1] & ~gripped[1:]]
     ]
+
+
+def test_a_run_that_only_holds_is_normal_operation(browser: "Browser", tmp_path: Path) -> None:
+    """`tune` takes a run that STOP ends while the hand holds, and refuses one with a release."""
+    folder, record = tmp_path / "sockets", tmp_path / "record"
+    folder.mkdir(mode=0o700)
+    record.mkdir()
+    with tried(folder, record) as runs:
+        page = opened(browser, runs)
+        coupled(runs, page)
+        press_in(page, 0.02, -0.03, 2.0)
+        assert page.evaluate("() => hand.by === 'pointer'")
+        page.keyboard.press("Escape")
+        wait_until(lambda: all(feed.summary().get("has_ended") for feed in runs.trial.feeds))
+        page.mouse.up()
+        page.click("#restart")
+        said(page, "both bridges are back, disengaged")
+        coupled(runs, page)
+        throw(page, -0.045)
+        page.context.close()
+    tuned = tune([record / "right.mcap"], scene=record / "right.toml", hands=2, releases=1)
+    assert tuned.hours * 3600.0 > 2.0
+    (threshold,) = tuned.thresholds
+    assert threshold.field == "energy_threshold_j"
+    with pytest.raises(ValueError, match="a hand that lets go is no normal operation"):
+        tune([record / "right-2.mcap"])
 
 
 def test_stop_ends_all_four_and_restart_couples_none(browser: "Browser", runs: Tried) -> None:

@@ -17,6 +17,7 @@ from haptether.bridge import (
 )
 from haptether.cli.view.trial.record import LONGEST_S, TrialRecord
 from haptether.private_file import write_private
+from haptether.studies.task import Task
 from haptether.view.trial.hand import Aim, Push
 from haptether.view.trial.server import Choice, Network
 
@@ -76,6 +77,18 @@ def test_a_recorded_release_throws_the_stylus_when_it_was_let_go(recorded: Calla
     time_s, position, speed = (run.signals[name] for name in ("time_s", "position", "velocity"))
     assert position[time_s < 1.9].min() < -0.03
     assert 1.9 < time_s[abs(speed).argmax()] < 2.1
+
+
+def test_hands_of_a_task_hold_along_the_recorded_grips(recorded: Callable[[bool], Path]) -> None:
+    """`evaluate` lets many hands follow the aims, and lets go by itself."""
+    path = recorded(False)
+    task = Task(str(path), 0.1)
+    assert any("along the aims of its grips" in remark for remark in task.replaced())
+    held, repeated = simulate(task.held), simulate(path)
+    assert not [event for event in held.events if event.kind == "release"]
+    assert held.metrics.peak_device_force == pytest.approx(repeated.metrics.peak_device_force, rel=0.2)
+    speeds = [run.metrics.max_ejection_velocity or 0.0 for run in (held, repeated)]
+    assert speeds[0] < 0.3 * speeds[1]
 
 
 def test_a_folder_can_be_moved(recorded: Callable[[bool], Path], tmp_path: Path) -> None:
