@@ -23,6 +23,7 @@ from haptether.bridge import (
     RotationSafetyTable,
     Run,
     Scene,
+    SeriesTable,
     Sweep,
     TremorTable,
     load_population,
@@ -249,6 +250,23 @@ def _leaf_paths(path: tuple[str | int, ...], value: object) -> Iterator[tuple[st
         yield path
 
 
+def along_aims(operator: OperatorTable) -> OperatorTable:
+    """Return a hand that holds along the targets of its aims while they gripped; the same without aims.
+
+    A path counts from the engagement, aims from the start: the first press of the clutch is the engagement.
+    """
+    if operator.aims is None:
+        return operator
+    begun_s = operator.clutch[0][0] if isinstance(operator.clutch, tuple) and operator.clutch else 0.0
+    gripped = [row for row in operator.aims.rows if row.strength_n > 0.0 and row.at_s >= begun_s]
+    if not gripped:
+        return replace(operator, aims=None)
+    points = {0.0: operator.start} | {row.at_s + row.over_s - begun_s: row.target for row in gripped}
+    times_s = sorted(points)
+    path = SeriesTable(time_s=tuple(times_s), values=tuple(points[time_s] for time_s in times_s))
+    return replace(operator, aims=None, recorded=path, start=OperatorTable().start, clutch="auto")
+
+
 class Task:
     """Scene as a task at one round trip.
 
@@ -302,6 +320,8 @@ class Task:
             remarks.append(f"{self.name} is run without what its own link has: {', '.join(dropped)}.")
         if (research := self.base.safety.research) is not None:
             remarks.append(f"{research.controller} watches {self.name} where it is named as a controller.")
+        if self.operator.aims is not None:
+            remarks.append(f"{self.name} is done by hands that hold, along the aims of its grips.")
         if self.base.security is not None:
             remarks.append(f"{self.name} is run without its security.")
         if self.selection is not None:
@@ -314,7 +334,7 @@ class Task:
         """Return the scene with a hand that never releases, without recordings."""
         legs = self._legs()
         operator = replace(
-            self.operator, aims=None, release=None, grip_strength_n=None, tremor=TremorTable(), legs=legs
+            along_aims(self.operator), release=None, grip_strength_n=None, tremor=TremorTable(), legs=legs
         )
         if operator.rotation is not None:
             operator = replace(operator, rotation=replace(operator.rotation, release=None))

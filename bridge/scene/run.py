@@ -108,7 +108,10 @@ class Metrics(Struct, frozen=True, kw_only=True):
     """
 
     max_ejection_velocity: float | None = None
-    """MEV: largest speed in m/s after the release, away from the pressed object."""
+    """MEV: largest speed in m/s after the release, away from the pressed object.
+
+    Of a hand that follows aims: while it is open.
+    """
     peak_device_force: float | None = None
     """Largest |F_device| in N."""
     time_to_trip_s: float | None = None

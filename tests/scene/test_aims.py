@@ -53,6 +53,31 @@ def test_an_open_hand_throws_the_device_as_a_release_does(opens: str) -> None:
     assert peaks[1] == pytest.approx(peaks[0], rel=1e-6)
 
 
+@pytest.mark.parametrize("opens", ["an aim without strength", "silence"])
+def test_each_release_by_an_aim_is_an_event_and_the_first_ends_the_false_trips(opens: str) -> None:
+    # A hand that opens before the sides engage is no release.
+    before = [aim(0.0, 0.02), aim(0.1, 0.02, strength_n=0.0)]
+    pressing = [aim(0.1 * row, max(-0.045, 0.07 - 0.01 * row)) for row in range(5, 20)]
+    last = [aim(2.0, -0.045, strength_n=0.0)] if opens != "silence" else []
+    released_s = 2.0 if last else 1.9 + 0.4
+    again = [*(aim(0.1 * row, 0.03 * (row % 2), over_s=0.02) for row in range(35, 40)), aim(4.0, 0.0, strength_n=0.0)]
+    changes = ["run.duration_s=5", 'safety.controllers=["wsc"]']
+    run = simulate(aimed(*before, *pressing, *last, *again, clutch=[[0.2, 5.0]]), overrides=changes)
+    releases = [event for event in run.events if event.kind == "release"]
+    assert [event.time_s for event in releases] == pytest.approx([released_s, 4.0])
+    time_s, speed = run.signals["time_s"], abs(run.signals["velocity"])
+    is_open = (time_s >= released_s) & (time_s <= 3.5)
+    assert speed[is_open].max() > 0.1
+    assert releases[0].detail == f"peak {speed[is_open].max():.3f} m/s"
+    # The hand draws the device faster than it was thrown.
+    assert speed[(time_s > 3.5) & (time_s < 4.0)].max() > speed[is_open].max()
+    assert run.metrics.max_ejection_velocity == pytest.approx(speed[is_open].max())
+    trips = [event.time_s for event in run.events if event.kind == "trip"]
+    assert trips[0] > released_s
+    assert run.metrics.false_trips == 0
+    assert run.metrics.time_to_trip_s == pytest.approx(trips[0] - released_s)
+
+
 def test_an_aim_changes_neither_clutch_nor_ladder() -> None:
     """The sides engage, hold and stop at the same ticks, whether the hand rests or moves."""
     times = ["run.duration_s=3", "link.forward.outages=[{times={kind=once, at_s=2.0, duration_s=0.15}}]"]

@@ -6,8 +6,9 @@ const DRAW_MS = 60;        // between two drawings of the charts; leaves time fo
 // Those of every figure of the project.
 const COLOURS = JSON.parse($("colours").textContent);
 const rows = [];
-// Set by the page: by name of a chart its series, each with side, signal, label, colour and dashes; and their height.
-const chosen = { charts: {}, height: 170, draw: () => {} };
+// Set by the page: by name of a chart its series, each with side, signal, label, colour and dashes, and the least extent
+// of its values in both directions; and the height of all.
+const chosen = { charts: {}, least: {}, height: 170, draw: () => {} };
 let charts = null, needsDraw = false, drawn = 0;
 
 function add(row) {
@@ -31,12 +32,17 @@ function makeCharts() {
   for (const [name, series] of Object.entries(chosen.charts)) {
     const place = $("chart-" + name);
     charts[name] = new uPlot({
-      width: place.clientWidth || 420, height: chosen.height, scales: { x: { time: false } }, cursor: { show: false },
-      axes: [{ values: (_, ticks) => ticks.map(tick => tick.toFixed(0) + " s") }, { size: 60 }],
+      width: place.clientWidth || 420, height: chosen.height, scales: { x: { time: false }, ...extent(chosen.least[name]) }, cursor: { show: false },
+      axes: [{ values: (_, ticks) => ticks.map(tick => Number(tick.toFixed(1)) + " s") }, { size: 60, space: 24 }],
       series: [{ label: "s" }, ...series.map(([, , label, stroke, dash]) => ({ label, stroke, dash, width: 1.5, spanGaps: true }))],
       legend: { live: false },
     }, [[], ...series.map(() => [])], place);
   }
+}
+
+// Without it, values that are all 0 span 0 to 100.
+function extent(least) {
+  return least ? { y: { range: (_, low, high) => uPlot.rangeNum(Math.min(low, -least), Math.max(high, least), 0.1, true) } } : {};
 }
 
 function draw(now) {

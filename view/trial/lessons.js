@@ -10,24 +10,24 @@ const complete = (row, force) => Object.keys(row.pairs).length === lanes.names.l
   && Object.values(row.pairs).every(one => one.is_complete && one.force_n >= force);
 
 const WALL = [
-  ["Hold Engage until its bar is full: only a person couples the two sides.", engaged],
-  [`Press the button in the field and draw the stylus into the wall, until both arrows read ${PRESSED_N} N or more.`,
+  ["Hold Engage until its bar is full: only a person couples the two sides, at the start and after each HOLD.", engaged],
+  [`Press the mouse button right of the wall, keep it pressed, and draw the blue styluses into the wall, until both arrows read ${PRESSED_N}\u00a0N or more.`,
     seen => hand.by && seen.forces.every(force => force >= PRESSED_N)],
-  ["Let go of the button.", seen => letGoRow(seen, 0.5 * PRESSED_N)],
+  ["Let go of the mouse button.", seen => letGoRow(seen, 0.5 * PRESSED_N)],
 ];
 const LESSONS = [
   { name: "1 Let go at a wall", steps: WALL,
-    learnt: speeds => `The wall threw the stylus: ${speeds}. A controller acts once no hand holds the stylus; before, both felt the same.` },
+    learnt: speeds => `The wall threw the stylus: ${speeds}. A controller acts once no hand holds the stylus; before, both feel the same.` },
   { name: "2 An unexpected push", steps: [
     WALL[0],
-    ["Hold the stylus near the wall, with a light touch.", seen => hand.by],
-    ["Press P: something pushes both remote arms for 2 s.", seen => seen.releases.some(row => row.kind === "push" && row.number > lessons.since)],
-    ["Let go while it still pushes.", seen => letGoRow(seen, 0.5)]],
-    learnt: speeds => `The push reached the stylus through the network and threw it: ${speeds}.` },
+    ["Press the mouse button right of the wall, and keep it pressed: the hand holds both styluses there.", seen => hand.by],
+    ["Press the key P: something pushes both remote arms for 2 s.", seen => seen.releases.some(row => row.kind === "push" && row.number > lessons.since)],
+    ["Let go of the mouse button while it still pushes. If the push is over, press the mouse button and P again.", seen => letGoRow(seen, 0.5)]],
+    learnt: speeds => `The push came through the network, and threw the stylus when the hand let go: ${speeds}.` },
   { name: "3 At 200 ms", steps: [
-    ["Set the delay to 200 ms. Both sides hold, because nothing arrives for so long.", seen => seen.network.delay_s >= 0.195],
+    ["Set the delay of the network to 200 ms, with its slider. Both bridges HOLD, because nothing arrives for so long.", seen => seen.network.delay_s >= 0.195],
     ...WALL],
-    learnt: speeds => `The force of the wall outlasts the contact by the delay: ${speeds}.` },
+    learnt: speeds => `After the hand lets go, the wall pushes for one round trip more, here 0.4 s: ${speeds}. The stylus reaches its stop before that; without a stop it would become faster than in lesson 1.` },
 ];
 
 function beginLesson(at) {
@@ -36,7 +36,7 @@ function beginLesson(at) {
 }
 
 function speeds(row) {
-  const of = one => one.controllers.length ? `with ${one.controllers.map(titled).join(" and ")}` : "without a controller";
+  const of = one => one.controllers.length ? `with ${one.controllers.map(titled).join(" and ")} to catch it` : "without a controller";
   return lanes.names.map(name => `${row.pairs[name].peak_speed.toFixed(2)} m/s ${of(row.pairs[name])}`).join(", ");
 }
 

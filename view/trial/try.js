@@ -120,8 +120,9 @@ function showTrial(now) {
 // ---------------------------------------------------------------------------------------------------- state of a pair
 
 const STOPPED = "Press Restart, then hold Engage.";
-const HOLD = "Hold Engage for a second, then grip.";
-const ADVICE = { disengaged: HOLD, hold: HOLD, stop: STOPPED, fault: STOPPED };
+const ENGAGE = "Hold Engage for a second, then grip.";
+const HOLD = `${ENGAGE} Restart also puts the arm back at the stylus.`;
+const ADVICE = { disengaged: ENGAGE, hold: HOLD, stop: STOPPED, fault: STOPPED };
 
 function showPair(name, sides) {
   if (!shownPairs[name]) {
@@ -141,8 +142,7 @@ function showPair(name, sides) {
     const facts = element("p", "", "facts");
     if (!isOver) {
       facts.append(element("div", `reason: ${master.reason || "none"}`));
-      facts.append(element("div", `clutch: ${master.clutch ? "closed" : "open"}`));
-      facts.append(element("div", `arm: ${slave && !slave.has_ended ? slave.state : "ended"}`));
+      facts.append(element("div", `clutch: ${master.clutch ? "closed" : "open"}, arm: ${slave && !slave.has_ended ? slave.state : "ended"}`));
     }
     facts.append(element("div", linkText(master), "dim"));
     parts.push(facts);
@@ -186,7 +186,7 @@ function showReleases(releases) {
     found.forEach(([name, one], index) => {
       const line = body.insertRow();
       if (!index) line.className = "first";
-      const isBest = one.is_complete && found.length > 1 && one.peak_speed === Math.min(...speeds);
+      const isBest = one.is_complete && found.length > 1 && one.peak_speed === Math.min(...speeds) && one.peak_speed < 0.9 * Math.max(...speeds);
       const who = one.controllers.length ? one.controllers.map(titled).join(" ") : titled("none");
       line.append(element("td", index ? "" : `${row.number}. ${row.kind}`), element("td", index ? "" : `${Math.round(row.network.delay_s * 1e3)} ms`),
         element("td", `${name}: ${who}`), element("td", `${one.force_n.toFixed(1)} N`),
@@ -202,6 +202,7 @@ function chartsOf() {
   return { speed: series("velocity"), force: series("device_force") };
 }
 chosen.height = 150;
+chosen.least = { speed: 0.2, force: 1 };   // m/s and N
 chosen.draw = () => drawPad();
 
 // ---------------------------------------------------------------------------------------------------- sound

@@ -92,6 +92,7 @@ pub struct Outcome {
     /// End of the run.
     pub ending: Ending,
     /// Largest speed in m/s along the rendered force after the release begins; without a release, over the whole run.
+    /// A hand that follows aims may grip again: largest speed while it is open.
     pub max_ejection_velocity: Option<f64>,
     /// Largest `|F_device|` in N.
     pub peak_device_force: Option<f64>,

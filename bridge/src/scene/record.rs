@@ -124,7 +124,7 @@ pub struct SceneEvent {
     /// Kind of event:
     ///
     /// - ladder: `disengaged`, `aligning`, `engaged`, `hold`, `stop`, `fault`;
-    /// - hand: `release`, `regrasp`;
+    /// - hand: `release`, with the largest speed until the next grip in the detail for one by an aim; `regrasp`;
     /// - contact: `contact`, `free`;
     /// - gripper: `grip`, `drop`;
     /// - controllers: `trip`, `recover`, with `trigger` in the detail for those of a trigger with force feedback;

@@ -1,9 +1,11 @@
 //! Observation of both sides of a run at each tick, and the outcome.
 
+mod aimed;
 mod lanes;
 
 use std::ops::ControlFlow;
 
+use aimed::AimedReleases;
 pub(super) use lanes::{MasterLaneTick, WatchedLanes};
 
 use super::{
@@ -57,6 +59,8 @@ pub(super) struct Watched<const N: usize> {
     rotation: Option<RotationMeasures>,
     /// Time in s since engagement at which the hand lets go of the rotation.
     turn_release_s: Option<f64>,
+    /// Releases of a hand that follows aims.
+    aimed: AimedReleases,
     /// Error of an operator command that the coupling refused.
     refused: Option<CouplingError>,
     /// Duration in ns of a fade, out and in. The last fade ends at `fades_until_ns`; until then tracking errors are
@@ -114,6 +118,7 @@ impl<const N: usize> Watched<N> {
             overflowed: 0,
             rotation,
             turn_release_s: turn_release_s(scene),
+            aimed: AimedReleases::of(scene),
             refused: None,
             fade_ns: 2 * (scene.safety.ladder.unwrap_or_default().fade_in_ns + longest_ns),
             fades_until_ns: 0,
@@ -182,6 +187,7 @@ impl<const N: usize> Watched<N> {
     fn engage(&mut self, time_s: f64, start: &Axes<N>) {
         self.engaged_s = Some(time_s);
         self.judged = from_engagement(&self.judged, time_s);
+        self.judged.release_s = self.judged.release_s.or(self.aimed.engage(time_s));
         self.measures = Measures::new(&self.judged, start);
         if let Some(rotation) = &mut self.rotation {
             rotation.engage(time_s + self.turn_release_s.unwrap_or(0.0));
@@ -275,6 +281,7 @@ impl<const N: usize> Watched<N> {
             &record.hand_force,
             (tripped != 0).then_some(true),
         );
+        self.aimed.take(time_s, v);
         self.settled = settled == Some(true) && self.engaged_s.is_some();
         self.ticks += 1;
         self.log.tripped(time_s, Tripped::from_bits(tripped));
@@ -421,6 +428,8 @@ impl<const N: usize> Watched<N> {
             return Err(EndpointError::from(error).into());
         }
         let mut outcome = self.measures.outcome(0, self.ticks, self.ending(), self.diverged);
+        outcome.max_ejection_velocity =
+            outcome.max_ejection_velocity.map(|peak| self.aimed.peak().unwrap_or(peak));
         [outcome.position_rmse_m, outcome.force_rmse_n] = self.tracking.rmse(0);
         if let Some(rotation) = &self.rotation {
             outcome = rotation.complete(outcome, self.judged.metrics);
@@ -456,6 +465,9 @@ impl<const N: usize> Watched<N> {
         // With a clock error, the number of ticks does not give the true time.
         let end_s = self.newest_ns as f64 / 1e9 + scene.run.period_s;
         self.log.schedule(scene, self.engaged_s.unwrap_or(f64::INFINITY), &outcome);
+        if self.engaged_s.is_some() {
+            self.aimed.log(end_s, &mut self.log);
+        }
         if self.engaged_s.is_none() && self.diverged.is_none() {
             let heard = reports.iter().all(|report| report.link.fresh > 0);
             self.log.add(end_s, "never-engaged", self.never_engaged(heard));

@@ -6,9 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from haptether.bridge import TelemetryChange, TelemetryEnd, TelemetryHello, load_scene, override_scene, simulate
+from haptether.bridge import (
+    TelemetryChange,
+    TelemetryEnd,
+    TelemetryHello,
+    TelemetrySample,
+    load_scene,
+    override_scene,
+    simulate,
+)
 from haptether.cli.view.trial.record import LONGEST_S, TrialRecord
 from haptether.private_file import write_private
+from haptether.studies.task import Task
 from haptether.view.trial.hand import Aim, Push
 from haptether.view.trial.server import Choice, Network
 
@@ -33,6 +42,10 @@ def hello(side: str, process: int = 0) -> TelemetryHello:
 
 def change(tick: int, signal: str, to: str | bool) -> TelemetryChange:
     return TelemetryChange(time_ns=tick * PERIOD_NS, signal=signal, from_=not to, to=to)
+
+
+def sample(tick: int) -> TelemetrySample:
+    return TelemetrySample(time_ns=tick * PERIOD_NS, ticks=16, dropped=0, unsent_changes=0, signals={})
 
 
 @pytest.fixture
@@ -64,6 +77,18 @@ def test_a_recorded_release_throws_the_stylus_when_it_was_let_go(recorded: Calla
     time_s, position, speed = (run.signals[name] for name in ("time_s", "position", "velocity"))
     assert position[time_s < 1.9].min() < -0.03
     assert 1.9 < time_s[abs(speed).argmax()] < 2.1
+
+
+def test_hands_of_a_task_hold_along_the_recorded_grips(recorded: Callable[[bool], Path]) -> None:
+    """`evaluate` lets many hands follow the aims, and lets go by itself."""
+    path = recorded(False)
+    task = Task(str(path), 0.1)
+    assert any("along the aims of its grips" in remark for remark in task.replaced())
+    held, repeated = simulate(task.held), simulate(path)
+    assert not [event for event in held.events if event.kind == "release"]
+    assert held.metrics.peak_device_force == pytest.approx(repeated.metrics.peak_device_force, rel=0.2)
+    speeds = [run.metrics.max_ejection_velocity or 0.0 for run in (held, repeated)]
+    assert speeds[0] < 0.3 * speeds[1]
 
 
 def test_a_folder_can_be_moved(recorded: Callable[[bool], Path], tmp_path: Path) -> None:
@@ -148,6 +173,26 @@ def test_a_disk_that_never_answers_is_reported(
     record.close()
     assert "the disk does not answer" in capsys.readouterr().err
     answers.set()
+
+
+def test_later_delays_are_repeated_and_other_changes_noted(tmp_path: Path) -> None:
+    record, bridges = begun(tmp_path)
+    for tick, network in (
+        (2000, Network(delay_s=0.2, jitter_s=0.0, loss=0.0)),
+        (2500, Network(delay_s=0.2, jitter_s=0.0, loss=0.0)),
+        (3000, Network(delay_s=0.1, jitter_s=0.0, loss=0.1)),
+    ):
+        record.hear("left", hello("master", 1), sample(tick))
+        record.change(network)
+    record.took(aim(), {"left": 4000})
+    record.close()
+    scene = load_scene(tmp_path / "left.toml")
+    assert scene.link is not None
+    for link in (scene.link.forward, scene.link.backward):
+        assert link is not None
+        assert (link.delay_s, link.loss) == (bridges.network.delay_s, 0.0)
+        assert [(one.at_s, one.delay_s) for one in link.timeline or ()] == [(2.0, 0.2), (3.0, 0.1)]
+    assert "jitter or loss was changed later" in (tmp_path / "left.toml").read_text(encoding="utf-8")
 
 
 def test_a_press_after_the_last_aim_is_repeated(tmp_path: Path) -> None:

@@ -36,10 +36,10 @@ pub(in crate::scene) struct WatchedLanes<const N: usize, S: Real> {
 }
 
 impl<const N: usize, S: Real> WatchedLanes<N, S> {
-    /// Gather runs before their first tick; surplus lanes repeat the last one. None if they measure different metrics
-    /// or turn.
+    /// Gather runs before their first tick; surplus lanes repeat the last one. None if they measure different metrics,
+    /// turn or follow aims.
     pub(in crate::scene) fn gather(of: &[&Watched<N>]) -> Option<Self> {
-        if of.iter().any(|one| one.rotation.is_some() || one.ticks > 0) {
+        if of.iter().any(|one| one.rotation.is_some() || !one.aimed.is_empty() || one.ticks > 0) {
             return None;
         }
         Some(Self {

@@ -18,10 +18,12 @@ from haptether.bridge import (
     TelemetryEnd,
     TelemetryHello,
     TelemetryMessage,
+    TelemetrySample,
     override_scene,
     save_scene,
 )
 from haptether.cli.view.trial.bridges import run_name
+from haptether.netsim import DelayChange
 from haptether.private_file import write_private
 from haptether.view.trial.hand import EXPIRES_S, OVER_S, Aim, Push
 from haptether.view.trial.server import Choice, Network
@@ -79,7 +81,12 @@ class PairRun:
         """First engagement in s since the slave's loop began."""
         self.pushes: list[tuple[float, Push]] = []
         """Time in s since the slave's loop began."""
+        self.heard_s = 0.0
+        """Time of the newest message of the master."""
+        self.delays: list[DelayChange] = []
+        """Changes of the delay after the first aim."""
         self.has_other_network = False
+        """True if jitter or loss changed after the first aim."""
         self.is_full = False
         """True if an act after `LONGEST_S` was not recorded."""
 
@@ -99,6 +106,17 @@ class PairRun:
         if self.aims and self.aims[-1][1].strength_n > 0.0 and after_s < EXPIRES_S:
             at_s, aim = self.aims[-1]
             self.aims.append((at_s + after_s, replace(aim, strength_n=0.0)))
+
+    def changed(self, network: Network) -> None:
+        """Take a change of the network; before the first aim it is the network of the scene."""
+        if not self.aims:
+            self.network = network
+            return
+        others = network.jitter_s, network.loss
+        self.has_other_network |= others != (self.network.jitter_s, self.network.loss)
+        delay_s = self.delays[-1].delay_s if self.delays else self.network.delay_s
+        if network.delay_s != delay_s and self.heard_s <= LONGEST_S:
+            self.delays.append(DelayChange(at_s=self.heard_s, delay_s=network.delay_s))
 
     def take(self, side: str, change: TelemetryChange) -> None:
         """Take a change of a side."""
@@ -166,6 +184,8 @@ class TrialRecord:
                         self._over.put(run)
             elif run is not None and isinstance(message, TelemetryChange):
                 run.take(hello.side, message)
+            elif run is not None and isinstance(message, TelemetrySample) and hello.side == "master":
+                run.heard_s = message.time_ns * 1e-9
             elif run is not None and isinstance(message, TelemetryEnd) and hello.side == "master":
                 self._over.put(self._runs.pop(pair))
 
@@ -173,8 +193,7 @@ class TrialRecord:
         """Take a change of the network."""
         with self._lock:
             for run in self._runs.values():
-                run.has_other_network |= bool(run.aims)
-                run.network = run.network if run.aims else network
+                run.changed(network)
 
     def close(self) -> None:
         """Write the files of the runs that have not ended; wait for a few seconds at most."""
@@ -203,7 +222,7 @@ class TrialRecord:
         scene = _repeated(override_scene(self._scene, [*run.changes, *_changes(run)]), run, file)
         notes = [f"Acts of a person in `haptether try`, {run.name}"]
         if run.has_other_network:
-            notes.append("the delay, jitter or loss was changed later")
+            notes.append("jitter or loss was changed later")
         if run.is_full:
             notes.append(f"acts after {LONGEST_S:g} s are not recorded")
             _report(f"{run.name}: the scene has the aims of the first {LONGEST_S:g} s: Restart begins another")
@@ -245,18 +264,22 @@ def _changes(run: PairRun) -> list[str]:
 
 
 def _repeated(scene: Scene, run: PairRun, file: str) -> Scene:
-    """Return the scene with the aims of a file beside it, and the pushes, whose times count from the engagement."""
+    """Return the scene with the aims of a file beside it, the later delays, and the pushes."""
     assert scene.operator is not None
     assert scene.environment is not None
+    assert scene.link is not None
+    links = (scene.link.forward, scene.link.backward)
+    forward, backward = (link and replace(link, timeline=tuple(run.delays) or link.timeline) for link in links)
     return replace(
         scene,
+        link=replace(scene.link, forward=forward, backward=backward),
         operator=replace(scene.operator, aims=AimsTable(file=file)),
         environment=replace(scene.environment, pushers=(*scene.environment.pushers, *_pushers(run))),
     )
 
 
 def _pushers(run: PairRun) -> list[PusherTable]:
-    """Return the pushes of a run; each one ends at the next, which replaces it."""
+    """Return the pushes of a run, whose times count from the engagement; each one ends at the next."""
     if run.engaged_s is None:
         return []
     found: list[PusherTable] = []
