@@ -21,6 +21,7 @@ use crate::{
         RotationState, ScaleRange, ScaleRanges,
     },
     ladder::{LAYERS, LadderSettings, LadderState, Observed, ROTATION, TRANSLATION, TRIGGER},
+    port::CouplingMessage,
     wire::{Role, unpadded},
 };
 
@@ -266,6 +267,7 @@ impl<const N: usize> MasterEndpoint<N> {
         self.exchange.outliers = self.hand.guard().outliers() + outliers;
         if let Some(fault) = safety.fault {
             self.exchange.fault_of(now_ns, fault, self.hand.excess().or(excess));
+            (self.exchange.outgoing.message, self.last) = (CouplingMessage::ZERO, None);
             trigger = self.trigger.as_mut().map(|trigger| trigger.fail(fault));
         } else {
             self.report(&safety, rotation.as_ref(), exerted.filter(|_| past == CarriedState::All));
