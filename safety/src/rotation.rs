@@ -268,7 +268,9 @@ impl RotationLayer {
         self.turn_to(orientation)?;
         let in_body = |vector: &Axes<3>| orientation.inverse_transform_vector(vector);
         let (w, torque) = (angular_velocity.map(in_body), in_body(requested_torque));
-        self.layer.checked(&self.turned, w.as_ref(), |_| torque, &mut self.gyroscope).map_err(Fault::of_rotation)
+        self.layer
+            .checked(&self.turned, w.as_ref(), |_| torque, &mut self.gyroscope)
+            .map_err(Fault::of_rotation)
     }
 
     /// Add the increment to this orientation, and turn the stored torques.
