@@ -300,10 +300,10 @@ impl<const N: usize> Arm<N> {
     }
 
     /// Count the work of the environment's wrench on the link since the last tick of this engagement:
-    /// `f·dx + tau·dphi`.
+    /// `f·dx + tau·dphi`. An invalid reading shows no motion.
     #[inline(always)] // as check
     fn count_work(&self, reading: &SlaveReading<N>, outgoing: &mut PortState) {
-        let Some(last) = &self.last else { return };
+        let (Some(last), None) = (&self.last, self.fault) else { return };
         let turned = last.rotation.zip(reading.rotation).map_or(0.0, |(last, now)| {
             last.torque.dot(&(now.orientation * last.orientation.inverse()).scaled_axis())
         });

@@ -22,6 +22,7 @@ use crate::{
         RotationCoupling, RotationLock, RotationState, ScaleRange, ScaleRanges,
     },
     ladder::{LAYERS, LadderSettings, LadderState, Observed, ROTATION, TRANSLATION, TRIGGER},
+    port::CouplingMessage,
     wire::{Role, unpadded},
 };
 
@@ -281,6 +282,7 @@ impl<const N: usize> MasterEndpoint<N> {
         self.exchange.outliers = self.hand.guard().outliers() + outliers;
         if let Some(fault) = safety.fault {
             self.exchange.fault_of(now_ns, fault, self.hand.excess().or(excess));
+            (self.exchange.outgoing.message, self.last) = (CouplingMessage::ZERO, None);
             trigger = self.trigger.as_mut().map(|trigger| trigger.fail(fault));
         } else {
             self.report(&safety, rotation.as_ref(), exerted.filter(|_| past == CarriedState::All));
