@@ -78,12 +78,13 @@ fn run(
     let mut forces = Vec::new();
     let mut ledger = Ledger { lowest_j: 0.0, force: 0.0 };
     let mut energy = 0.0;
-    for now in 0..paths[0].len() {
+    for (now, path) in paths[0].iter().zip(paths[1]).enumerate() {
         let moved = [0, 1].map(|side| plants[side].x - starts[side]);
         sent.push([(moved[0], plants[0].v), (moved[1], plants[1].v)]);
         // Before the first message the other side rests at its start.
-        let heard = |side: usize, from: usize| paths[side][now].map_or((0.0, 0.0), |tick| sent[tick][from]);
-        let ([x_m, v_m], [x_s, v_s]) = (<[f64; 2]>::from(heard(0, 0)), <[f64; 2]>::from(heard(1, 1)));
+        let heard = |path: &Option<usize>, from: usize| path.map_or((0.0, 0.0), |tick| sent[tick][from]);
+        let ([x_m, v_m], [x_s, v_s]) =
+            (<[f64; 2]>::from(heard(path.0, 0)), <[f64; 2]>::from(heard(path.1, 1)));
         let axes = Axes::<1>::new;
         let own = [0, 1].map(|side| (axes(moved[side]), axes(plants[side].v)));
         let of_master = (axes(x_m), axes(v_m));
@@ -92,7 +93,7 @@ fn run(
             &Peer { position: &of_master.0, velocity: &of_master.1, force: &zero },
         )[0];
         forces.push(f_c);
-        let force_back = paths[1][now].map_or(0.0, |tick| forces[tick]);
+        let force_back = path.1.map_or(0.0, |tick| forces[tick]);
         let of_slave = (axes(x_s), axes(v_s), axes(force_back));
         let f_m = halves[0].master(
             &Local { position: &own[0].0, velocity: &own[0].1, gain: 1.0 },
