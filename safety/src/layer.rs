@@ -445,8 +445,9 @@ impl<const N: usize> SafetyLayer<N> {
         let motion = self.estimate(position, velocity);
         let requested = couple(&self.coupled(position, &motion));
         Signal::RenderedForce.check(&requested)?;
-        let perceived = self.perceive(position, velocity, motion, &requested, inertia);
-        perceived.seen.check().map(|()| perceived)
+        let rendering = self.render(&requested);
+        let seen = self.observe(position, velocity, &motion, &rendering.force, inertia);
+        seen.check().map(|()| Perceived { rendering, motion, seen })
     }
 
     /// Carry the controllers over a missed tick: the device kept its force, and `position` lies between two
@@ -585,25 +586,19 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         requested_force: &Axes<N, S>,
         authority: S,
     ) -> Advance<N, S> {
+        let rendering = self.render(requested_force);
         let motion = self.estimate(position, velocity);
-        let perceived = self.perceive(position, velocity, motion, requested_force, &mut PointMass);
+        let seen = self.observe(position, velocity, &motion, &rendering.force, &mut PointMass);
+        let perceived = Perceived { rendering, motion, seen };
         self.decide(&perceived, authority)
     }
 
+    /// Return `F_v`, limited to what the device can render.
     #[inline(always)]
-    fn perceive(
-        &mut self,
-        position: &Axes<N, S>,
-        velocity: Option<&Axes<N, S>>,
-        motion: Motion<N, S>,
-        requested_force: &Axes<N, S>,
-        inertia: &mut impl Inertia<N, S>,
-    ) -> Perceived<N, S> {
+    fn render(&mut self, requested_force: &Axes<N, S>) -> SaturatedForce<N, S> {
         // The observers compare F_v with the force of the hand. A force that the device cannot render yet would look
         // like one that nobody holds, so F_v is limited first. The power bound is idle at V = 0.
-        let rendering = self.rendering.limit(requested_force, &Axes::zeros());
-        let seen = self.observe(position, velocity, &motion, &rendering.force, inertia);
-        Perceived { rendering, motion, seen }
+        self.rendering.limit(requested_force, &Axes::zeros())
     }
 
     #[inline(always)]

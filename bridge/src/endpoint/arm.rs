@@ -69,8 +69,10 @@ pub(crate) struct Arm<const N: usize> {
     translation: SlaveTranslation<N>,
     /// Half of the coupling; none of measured position-force, which commands the master's own motion.
     coupled: Option<Box<CoupledSlave<N>>>,
-    /// Last checked reading of this engagement, from which the work of the next tick counts.
-    last: Option<SlaveReading<N>>,
+    /// Position in m and `F_e` in N at the last tick of this engagement, from which the work of the next tick counts.
+    last: Option<[Axes<N>; 2]>,
+    /// The same for the rotation.
+    last_rotation: Option<RotationState>,
     /// Rotation; none for a point.
     rotation: Option<Box<SlaveRotation>>,
     fault: Option<Fault>,
@@ -90,6 +92,7 @@ impl<const N: usize> Arm<N> {
             translation: SlaveTranslation::new(settings)?,
             coupled: None,
             last: None,
+            last_rotation: None,
             rotation: None,
             fault: None,
             excess: None,
@@ -294,7 +297,11 @@ impl<const N: usize> Arm<N> {
             self.translation.stay_at(position);
             angular_velocity = step.angular_velocity;
         }
-        self.last = (self.coupled.is_none() && state.is_coupled()).then_some(*reading);
+        let counts = self.coupled.is_none() && state.is_coupled();
+        self.last = counts.then_some([reading.position, reading.environment_force]);
+        if reading.rotation.is_some() {
+            self.last_rotation = reading.rotation;
+        }
         self.report(reading, turns, outgoing);
         ArmTick { command_velocity, angular_velocity, limited }
     }
@@ -303,11 +310,11 @@ impl<const N: usize> Arm<N> {
     /// `f·dx + tau·dphi`. An invalid reading shows no motion.
     #[inline(always)] // as check
     fn count_work(&self, reading: &SlaveReading<N>, outgoing: &mut PortState) {
-        let (Some(last), None) = (&self.last, self.fault) else { return };
-        let turned = last.rotation.zip(reading.rotation).map_or(0.0, |(last, now)| {
+        let (Some([position, force]), None) = (&self.last, self.fault) else { return };
+        let turned = self.last_rotation.zip(reading.rotation).map_or(0.0, |(last, now)| {
             last.torque.dot(&(now.orientation * last.orientation.inverse()).scaled_axis())
         });
-        outgoing.energy.add(last.environment_force.dot(&(reading.position - last.position)) + turned);
+        outgoing.energy.add(force.dot(&(reading.position - position)) + turned);
     }
 
     /// Fill the next frame's report of the arm.

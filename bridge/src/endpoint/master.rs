@@ -1,11 +1,12 @@
 //! Endpoint of the master: one tick of the side of the hand.
 
 use haptether_safety::{
-    Axes, Coupled, CoupledTurn, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyTick, Sample,
-    SampleBounds, Turned,
+    Axes, Coupled, CoupledTurn, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyTick, SampleBounds,
+    Turned,
     controller::{ResearchController, SafetySettings},
     estimator::EstimatorKind,
 };
+use nalgebra::UnitQuaternion;
 
 use super::{
     EndpointError, Exchange, MasterReading, MasterRotationSettings, TriggerSettings, check_period,
@@ -73,8 +74,10 @@ pub struct MasterEndpoint<const N: usize> {
     coupled: Option<Box<CoupledMaster<N>>>,
     /// Half of the coupling for the rotation, likewise.
     turning: Option<Box<CoupledMasterTurn>>,
-    /// Sample in use at the last tick of this engagement, from which the work of the next tick counts.
-    last: Option<Sample<N>>,
+    /// Position in m at the last tick of this engagement, from which the work of the next tick counts.
+    last: Option<Axes<N>>,
+    /// The same for the orientation.
+    last_orientation: Option<UnitQuaternion<f64>>,
     /// Coupling of the rotation; none if the hand does not turn.
     rotation: Option<RotationCoupling>,
     /// Force feedback of the trigger; none without it.
@@ -203,6 +206,7 @@ impl<const N: usize> MasterEndpoint<N> {
             coupled: None,
             turning: None,
             last: None,
+            last_orientation: None,
             rotation: None,
             trigger: None,
             exchange,
@@ -353,10 +357,11 @@ impl<const N: usize> MasterEndpoint<N> {
         let position = taken.position;
         let outgoing = &mut self.exchange.outgoing;
         if let (Some((force, torque)), Some(last)) = (exerted, &self.last) {
-            let turned = last.rotation.zip(taken.rotation).map_or(0.0, |(last, now)| {
-                torque.dot(&(now.orientation * last.orientation.inverse()).scaled_axis())
-            });
-            outgoing.energy.add(-(force.dot(&(position - last.position)) + turned));
+            let turned = self
+                .last_orientation
+                .zip(taken.rotation)
+                .map_or(0.0, |(last, now)| torque.dot(&(now.orientation * last.inverse()).scaled_axis()));
+            outgoing.energy.add(-(force.dot(&(position - last)) + turned));
         }
         let rotation = taken.rotation.zip(rotation).map(|(Turned { orientation, .. }, tick)| RotationState {
             orientation,
@@ -364,7 +369,10 @@ impl<const N: usize> MasterEndpoint<N> {
             torque: tick.device_force,
         });
         let epoch = self.exchange.epoch();
-        self.last = (epoch != 0).then_some(*taken);
+        self.last = (epoch != 0).then_some(position);
+        if taken.rotation.is_some() {
+            self.last_orientation = taken.rotation.map(|turned| turned.orientation);
+        }
         let outgoing = &mut self.exchange.outgoing;
         outgoing.message.epoch = epoch;
         if let Some(coupled) = &self.coupled {
