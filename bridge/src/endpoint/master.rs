@@ -259,27 +259,10 @@ impl<const N: usize> MasterEndpoint<N> {
             HandInput { received_force, received_torque, gain, missed, past, fault, ..HandInput::idle() };
         let mut input = if is_heard { self.requested(&input) } else { input };
         let exerted = self.last.is_some().then(|| self.hand.exerted());
-        let newest = self.exchange.link().newest();
-        let (safety, rotation) = match (&mut self.coupled, newest) {
-            (Some(coupled), Some(newest)) => {
-                let (mapping, is_coupled) = (&self.mapping, state.is_coupled());
-                let (mut force, mut torque) = (Axes::zeros(), Axes::zeros());
-                let request = |at: &Coupled<'_, N>| {
-                    force = coupled.request(mapping, (at.position, at.velocity), gain, is_coupled, newest);
-                    force
-                };
-                let request_torque = |at: &CoupledTurn<'_>| {
-                    if let (Some(turning), Some(map)) = (&mut self.turning, &self.rotation) {
-                        let motion = (at.orientation, &at.angular_velocity);
-                        torque = turning.request(map, motion, gain, is_coupled, newest);
-                    }
-                    torque
-                };
-                let ticks = self.hand.tick_coupled(reading, &input, request, request_torque);
-                (input.requested_force, input.requested_torque) = (force, torque);
-                ticks
-            }
-            _ => self.hand.tick(reading, &input),
+        let (safety, rotation) = if self.coupled.is_some() && is_heard {
+            self.tick_coupled(reading, &mut input)
+        } else {
+            self.hand.tick(reading, &input)
         };
         let of_trigger = self.trigger.as_ref().map(|trigger| (trigger.outliers(), trigger.excess()));
         let (outliers, excess) = of_trigger.unwrap_or_default();
@@ -309,6 +292,36 @@ impl<const N: usize> MasterEndpoint<N> {
             observed
         });
         MasterTick { input, safety, rotation, trigger, state: self.exchange.ladder.state(), age_ns }
+    }
+
+    /// Tick the hand with the requests of a coupling with two halves, and add them to `input`. Not inline, so that a tick of
+    /// position-force stays short.
+    #[inline(never)]
+    fn tick_coupled(
+        &mut self,
+        reading: &MasterReading<N>,
+        input: &mut HandInput<N>,
+    ) -> (SafetyTick<N>, Option<SafetyTick<3>>) {
+        let (Some(coupled), Some(newest)) = (&mut self.coupled, self.exchange.link.newest()) else {
+            return self.hand.tick(reading, input);
+        };
+        let (mapping, gain) = (&self.mapping, input.gain);
+        let is_coupled = self.exchange.ladder.state().is_coupled();
+        let (mut force, mut torque) = (Axes::zeros(), Axes::zeros());
+        let request = |at: &Coupled<'_, N>| {
+            force = coupled.request(mapping, (at.position, at.velocity), gain, is_coupled, newest);
+            force
+        };
+        let request_torque = |at: &CoupledTurn<'_>| {
+            if let (Some(turning), Some(map)) = (&mut self.turning, &self.rotation) {
+                let motion = (at.orientation, &at.angular_velocity);
+                torque = turning.request(map, motion, gain, is_coupled, newest);
+            }
+            torque
+        };
+        let ticks = self.hand.tick_coupled(reading, input, request, request_torque);
+        (input.requested_force, input.requested_torque) = (force, torque);
+        ticks
     }
 
     /// Add the coupling's requested force and torque to `input`. Each call advances the coupling's fades by
