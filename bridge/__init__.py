@@ -1,6 +1,7 @@
 """Bridge: couple both sides in virtual time and over UDP, from a scene."""
 
 from haptether._core import (
+    COUPLINGS,
     LinkStatistics,
     LiveMaster,
     LiveSlave,
@@ -14,6 +15,7 @@ from haptether._core import (
     Sinusoid,
     SlaveLoop,
     SlaveTrace,
+    coupling_facts,
     ladder_reason,
     ladder_state_name,
     run_local,
@@ -142,6 +144,7 @@ from haptether.bridge.telemetry import (
 )
 
 __all__ = [
+    "COUPLINGS",
     "GRIPPERS",
     "LADDER_STATES",
     "MASTERS",
@@ -256,6 +259,7 @@ __all__ = [
     "TriggerTable",
     "controller_names",
     "controller_time",
+    "coupling_facts",
     "device_names",
     "drive_master",
     "drive_slave",

@@ -33,8 +33,11 @@ REPLAYED: dict[str, frozenset[str]] = {
     "master": frozenset(
         {"kind", "axes", "position", "velocity", "stops", "buttons", "gripper", "device", "driver", "options"}
     ),
-    "coupling": frozenset({"kind", "position_scale", "rotation_scale", "command_speed", "command_reach",
-                           "command_angular_speed", "command_turn", "alignment", "reference_point"}),
+    "coupling": frozenset({
+        "kind", "stiffness", "damping", "rotational_stiffness", "rotational_damping", "tool_mass_kg", "tool_damping",
+        "tool_lead_s", "position_scale", "rotation_scale", "command_speed", "command_reach", "command_angular_speed",
+        "command_turn", "alignment", "reference_point",
+    }),
 }  # fmt: skip
 """Tables whose keys affect the force on the hand, except the listed keys."""
 Level = Literal["as measured", "hand modelled"]
@@ -189,7 +192,14 @@ def _settings(recording: Recording, overrides: tuple[str, ...]) -> tuple[dict[st
         raw = overridden(raw, override)
     changed = json.decode(checked(raw, Path()).json)
     kept = {table: changed[table] for table in REPLAYED}
-    return spec | kept, kept["coupling"] != spec["coupling"]
+    recouples = kept["coupling"] != spec["coupling"]
+    if recouples and spec["coupling"]["kind"] != "position-force":
+        message = (
+            f"[coupling]: a replay recomputes the force of the coupling position-force only, not of "
+            f"{spec['coupling']['kind']}; the recorded force replays with other settings of [safety] and [master]"
+        )
+        raise SceneError(message)
+    return spec | kept, recouples
 
 
 def _refuse_unreplayed(path: KeyPath, override: str) -> None:

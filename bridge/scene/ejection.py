@@ -2,6 +2,7 @@
 
 from math import hypot, inf
 
+from haptether._core import coupling_facts
 from haptether.bridge.scene.checks import checked_spec
 from haptether.bridge.scene.resolve import Spec
 from haptether.bridge.scene.tables.session import Scene
@@ -52,6 +53,7 @@ def settings_of(scene: Scene) -> EjectionSettings:
         free_s=_free_s(spec),
         fades=spec["slave"] is not None,
         ramp_in_s=limiter["ramp_in_s"],
+        push_may_grow=spec["slave"] is not None and coupling_facts(spec["coupling"]["kind"])[3],
         turns=scene.master.kind == "pose",
         outside=_outside(spec),
     )

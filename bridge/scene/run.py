@@ -17,6 +17,7 @@ from haptether._core import LoopReport
 from haptether.bridge.scene.errors import SceneError
 from haptether.bridge.scene.load import Checked, checked_scene, loaded
 from haptether.bridge.scene.research import research_of
+from haptether.bridge.scene.swing import contact_swing_n
 from haptether.bridge.scene.tables.session import Scene
 from haptether.private_file import private_file, refuse_link
 
@@ -165,6 +166,12 @@ class Run(Struct, frozen=True, kw_only=True):
     def settings(self) -> dict[str, Any]:
         """Return the settings by table, with defaults and presets filled in; empty for a recording without a scene."""
         return dict(json.decode(self.specification)) if self.specification else {}
+
+    @property
+    def contact_swing_n(self) -> float | None:
+        """Swing of the device force in N that does not settle before the release or the end; None if it does."""
+        releases = [event.time_s for event in self.events if event.kind == "release"]
+        return contact_swing_n(self.signals, releases)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write every signal as an array of a NumPy `.npz` file with mode 0600.

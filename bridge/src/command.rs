@@ -4,7 +4,7 @@ use haptether_master::Aim;
 use haptether_slave::Push;
 
 use crate::{
-    coupling::{CouplingError, FrameMap, PositionForce, RotationCoupling, ScaleRanges},
+    coupling::{CouplingError, FrameMap, Mapping, RotationCoupling, ScaleRanges},
     port::MAX_AXES,
     wire::Role,
 };
@@ -54,8 +54,8 @@ impl OperatorCommand {
             | Self::Acknowledge
             | Self::Aim(_)
             | Self::Push(_) => Ok(()),
-            Self::PositionScale(scale) => PositionForce::<N>::new(*scale, 1.0).map(|_| ()),
-            Self::ForceScale(scale) => PositionForce::<N>::new(1.0, *scale).map(|_| ()),
+            Self::PositionScale(scale) => Mapping::<N>::new(*scale, 1.0).map(|_| ()),
+            Self::ForceScale(scale) => Mapping::<N>::new(1.0, *scale).map(|_| ()),
             Self::RotationScale(scale) => RotationCoupling::new(*scale, 1.0).map(|_| ()),
             Self::TorqueScale(scale) => RotationCoupling::new(1.0, *scale).map(|_| ()),
             Self::Frame { quat_wxyz, locked } => FrameMap::<N>::rotated(*quat_wxyz, locked).map(|_| ()),

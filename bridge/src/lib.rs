@@ -54,7 +54,7 @@ pub use path::{PathReport, PeerPath};
 pub use plant::{
     DrivenMaster, MasterPlant, ModelArm, ModelPlant, RotationTruth, SlavePlant, Truth, TurningMaster,
 };
-pub use port::{MAX_ENERGY_J, PortEnergy, PortState};
+pub use port::{CouplingMessage, MAX_ENERGY_J, PortEnergy, PortState};
 pub use record::{
     Column, FingerTick, MasterRecord, MasterRotation, MasterTurn, SlaveRecord, SlaveRotation, SlaveTurn,
     Trace, WithTriggerFeedback,

@@ -371,8 +371,8 @@ impl FrameLink {
         frame: &mut Frame,
     ) {
         let sent_ns = time.by_ns;
-        let FrameLayout { kind, has_gripper, has_buttons, .. } = self.layout;
-        (frame.role, frame.kind, frame.axes) = (self.role, kind, axes);
+        let FrameLayout { kind, has_gripper, has_buttons, coupling, .. } = self.layout;
+        (frame.role, frame.kind, frame.coupling, frame.axes) = (self.role, kind, coupling, axes);
         let Status { state, hears_peer, clutch, ending, reason, fault, text } = status;
         (frame.state, frame.hears_peer, frame.clutch, frame.ending) = (state, hears_peer, clutch, ending);
         (frame.reason, frame.fault, frame.text) = (reason, fault, text);

@@ -2,7 +2,7 @@
 
 use haptether_safety::Axes;
 
-use crate::coupling::{GripperState, RotationState};
+use crate::coupling::{CouplingKind, GripperState, RotationState};
 
 /// Largest number of axes of a device or an arm.
 pub const MAX_AXES: usize = 7;
@@ -27,10 +27,12 @@ pub fn unpadded<const N: usize>(values: &Padded) -> Axes<N> {
 /// Largest sum in J that a frame carries; a port of 1 kW reaches it after eleven days.
 pub const MAX_ENERGY_J: f64 = 1e9;
 
-/// Cumulative energies at a port, for the couplings that balance them.
+/// Energies that a port has exchanged since the engagement.
 ///
-/// `E_in += max(P, 0) dT`, `E_out += max(-P, 0) dT`. P is the power from the plant into the link: `-F_v·V` at
-/// the master, `F_e·V` with the commanded velocity at the slave.
+/// `E_in += max(W, 0)`, `E_out += max(-W, 0)` a tick. W is the work of the plant on the link, exactly: the force that was
+/// held since the last tick times the way that was made. It is `-F·dx` at the master, with the force of the coupling
+/// that the device exerted: after ladder and limiter, without the damping of the controllers. At the slave it is
+/// `-F_c·dx` of the tool for a coupling with `F_c`, and `F_e·dx` for position-force.
 ///
 /// Two sums that only rise survive loss: the newest frame contains everything that lost frames contained. A
 /// difference of powers in each frame would not.
@@ -46,9 +48,8 @@ pub struct PortEnergy {
 }
 
 impl PortEnergy {
-    /// Add a power in W, from the plant into the link, over a time in s. NaN and infinity add nothing.
-    pub fn add(&mut self, power_w: f64, over_s: f64) {
-        let energy_j = power_w * over_s;
+    /// Add the work in J of the plant on the link. NaN and infinity add nothing.
+    pub fn add(&mut self, energy_j: f64) {
         if !energy_j.is_finite() {
             return;
         }
@@ -59,6 +60,45 @@ impl PortEnergy {
     /// Return whether both sums are within their range.
     pub fn is_possible(&self) -> bool {
         [self.in_j, self.out_j].iter().all(|sum| (0.0..=MAX_ENERGY_J).contains(sum))
+    }
+}
+
+/// Numbers of a coupling in a frame. All are zero while the sender is not engaged.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CouplingMessage {
+    /// Count of the sender's engagements, from 1; 0 while its half of the coupling is not engaged.
+    pub epoch: u16,
+    /// One number per axis: a motion in m since the engagement, or `F_c` in N of a slave, see
+    /// [`SlaveSends`](crate::coupling::SlaveSends).
+    pub vector: Padded,
+    /// The same for the rotation, in rad or N m; only of kind `pose`.
+    pub turned: Axes<3>,
+    /// Energies in J that only rise, of translation and rotation, for couplings that balance them.
+    pub sums: [f64; 2],
+}
+
+impl Default for CouplingMessage {
+    fn default() -> Self {
+        Self::ZERO
+    }
+}
+
+impl CouplingMessage {
+    pub(crate) const ZERO: Self = Self {
+        epoch: 0,
+        vector: Padded::from_array_storage(nalgebra::ArrayStorage([[0.0; MAX_AXES]])),
+        turned: Axes::<3>::new(0.0, 0.0, 0.0),
+        sums: [0.0; 2],
+    };
+
+    /// Copy the numbers of a coupling; those of position-force are always zero.
+    #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
+    pub(crate) fn replace(&mut self, other: &Self, coupling: CouplingKind) {
+        if coupling == CouplingKind::PositionForce {
+            self.epoch = other.epoch;
+        } else {
+            *self = *other;
+        }
     }
 }
 
@@ -73,6 +113,8 @@ pub struct PortState {
     pub force: Padded,
     /// Energy into and out of the link.
     pub energy: PortEnergy,
+    /// Numbers of the coupling.
+    pub message: CouplingMessage,
     /// Orientation, angular velocity and torque; only for kind `pose`.
     pub rotation: Option<RotationState>,
     /// Gripper or trigger, if the session has a gripper.
@@ -107,8 +149,8 @@ impl PortState {
 impl Default for PortState {
     fn default() -> Self {
         let [position, velocity, force] = [Padded::zeros(); 3];
-        let energy = PortEnergy::default();
-        Self { position, velocity, force, energy, rotation: None, gripper: None, buttons: None }
+        let (energy, message) = (PortEnergy::default(), CouplingMessage::default());
+        Self { position, velocity, force, energy, message, rotation: None, gripper: None, buttons: None }
     }
 }
 
@@ -123,7 +165,7 @@ mod tests {
         for tick in 0..ticks {
             // Midpoint rule: the relative error is below (pi dT)^2 / 6.
             let time_s = (f64::from(tick) + 0.5) * 1e-4;
-            energy.add((std::f64::consts::TAU * time_s).sin(), 1e-4);
+            energy.add((std::f64::consts::TAU * time_s).sin() * 1e-4);
         }
         let exact = 10.0 / std::f64::consts::PI;
         for sum in [energy.in_j, energy.out_j] {
@@ -135,11 +177,11 @@ mod tests {
     fn nan_adds_nothing_and_sums_saturate() {
         let mut energy = PortEnergy { in_j: 1.0, out_j: 2.0 };
         for power_w in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 0.0, -0.0] {
-            energy.add(power_w, 1.0);
+            energy.add(power_w);
             assert_eq!(energy, PortEnergy { in_j: 1.0, out_j: 2.0 });
         }
-        energy.add(1e300, 1.0);
-        energy.add(-1e300, 1.0);
+        energy.add(1e300);
+        energy.add(-1e300);
         assert_eq!(energy, PortEnergy { in_j: MAX_ENERGY_J, out_j: MAX_ENERGY_J });
         assert!(energy.is_possible());
         for bad in [-1e-300, f64::NAN, f64::INFINITY, 1.1e9] {

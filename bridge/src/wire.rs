@@ -1,16 +1,16 @@
 //! Frame that master and slave exchange, byte for byte.
 //!
-//! All numbers are little-endian. A frame of N axes has `HEADER + 24 N + 36` bytes, plus 80 of kind `pose`,
+//! All numbers are little-endian. A frame of N axes has `HEADER + 32 N + 54` bytes, plus 104 of kind `pose`,
 //! 24 with a gripper and 4 with buttons. All frames of a session have the same length:
 //!
 //! | offset | type | field |
 //! |---|---|---|
 //! | 0 | `[u8; 2]` | magic, `HT` |
-//! | 2 | `u8` | version, 6 |
+//! | 2 | `u8` | version, 7 |
 //! | 3 | `u8` | role of the sender: 1 master, 2 slave |
 //! | 4 | `u8` | axes N, and 16 times the kind: 1 linear, 2 joints, 3 pose |
 //! | 5 | `u8` | state of the sender's ladder |
-//! | 6 | `u16` | flags: bit 0, the echo is valid; bit 1, the sender hears the peer; bit 2, its clutch is closed; bit 3, it ends; bit 4, the state of its gripper or trigger is known; bit 5, its gripper holds something; bit 6, of a slave only, its gripper follows the trigger |
+//! | 6 | `u16` | flags: bit 0, the echo is valid; bit 1, the sender hears the peer; bit 2, its clutch is closed; bit 3, it ends; bit 4, the state of its gripper or trigger is known; bit 5, its gripper holds something; bit 6, of a slave only, its gripper follows the trigger; bits 8 to 11, the coupling, [`CouplingKind::code`] |
 //! | 8 | `u64` | run id: drawn by the sender when it starts |
 //! | 16 | `u64` | sequence, from 0, one more with each frame |
 //! | 24 | `u64` | echo: newest sequence received from the peer |
@@ -24,19 +24,24 @@
 //! | 64 + 24 N | `[f64; 4]` | only of kind `pose`; the following fields are then 80 bytes later: orientation, unit quaternion w, x, y, z |
 //! | 96 + 24 N | `[f64; 3]` | angular velocity in rad/s |
 //! | 120 + 24 N | `[f64; 3]` | torque in N m: master, of the device; slave, of the environment |
-//! | 64 + 24 N | `f64` | energy in J that this side's plant has put into the link since its start; it never falls |
-//! | 72 + 24 N | `f64` | energy in J that this side's plant has drawn from the link; it never falls |
-//! | 80 + 24 N | `[f64; 3]` | only with a gripper; the following fields are then 24 bytes later: position of gripper or trigger, 0 open to 1 closed; velocity in 1/s; force in N |
-//! | 80 + 24 N | `u32` | only with buttons; the following fields are then 4 bytes later: bit n, button n of the master is pressed; 0 of a slave |
-//! | 80 + 24 N | `u8` | reason of the sender's state, [`crate::Reason::code`]; 0 in the initial state |
-//! | 81 + 24 N | `u8` | its fault, [`haptether_safety::Fault::code`]; 0 without |
-//! | 82 + 24 N | `u8` | number of its fault's text, 1 to 255; 0 without |
-//! | 83 + 24 N | `u8` | which piece of that text follows, 0 to 19 |
-//! | 84 + 24 N | `[u8; 12]` | that piece, UTF-8; zeros after the end of the text |
-//! | 96 + 24 N | `u32` | CRC-32 (IEEE) of all bytes before |
+//! | 64 + 24 N | `f64` | energy in J that this side's plant has put into the link since its engagement; it never falls during one |
+//! | 72 + 24 N | `f64` | energy in J that this side's plant has had out of the link, likewise |
+//! | 80 + 24 N | `[f64; N]` | vector of the coupling, [`CouplingMessage::vector`]; zeros of position-force |
+//! | 80 + 32 N | `[f64; 3]` | only of kind `pose`; the following fields are then 24 bytes later: the same for the rotation |
+//! | 80 + 32 N | `[f64; 2]` | energies of the coupling in J, of translation and rotation; zeros of couplings without them |
+//! | 96 + 32 N | `[f64; 3]` | only with a gripper; the following fields are then 24 bytes later: position of gripper or trigger, 0 open to 1 closed; velocity in 1/s; force in N |
+//! | 96 + 32 N | `u32` | only with buttons; the following fields are then 4 bytes later: bit n, button n of the master is pressed; 0 of a slave |
+//! | 96 + 32 N | `u16` | count of the sender's engagements, from 1; 0 while its half of the coupling is not engaged |
+//! | 98 + 32 N | `u8` | reason of the sender's state, [`crate::Reason::code`]; 0 in the initial state |
+//! | 99 + 32 N | `u8` | its fault, [`haptether_safety::Fault::code`]; 0 without |
+//! | 100 + 32 N | `u8` | number of its fault's text, 1 to 255; 0 without |
+//! | 101 + 32 N | `u8` | which piece of that text follows, 0 to 19 |
+//! | 102 + 32 N | `[u8; 12]` | that piece, UTF-8; zeros after the end of the text |
+//! | 114 + 32 N | `u32` | CRC-32 (IEEE) of all bytes before |
 //!
 //! A frame has exactly one encoding. Flags without a meaning are zero. The fields of an invalid echo, an
-//! unknown gripper and a missing text are zero, and so are the bytes after the end of a text. The quaternion
+//! unknown gripper, a missing text and a coupling that is not engaged are zero, and so are the bytes after the end of a
+//! text. The quaternion
 //! is the one of q and -q that [`crate::coupling::canonical`] returns, of norm 1 to 1e-9.
 //!
 //! Codes of reasons and faults control nothing: an unknown code is passed on and shown as a number.
@@ -55,9 +60,9 @@ use zerocopy::{
 
 use crate::{
     SideKind,
-    coupling::{GripperState, RotationState, canonical, checked, is_canonical},
+    coupling::{CouplingKind, GripperState, RotationState, SlaveSends, canonical, checked, is_canonical},
     fault_text::{PIECE, TextPiece},
-    port::{MAX_ENERGY_J, PortEnergy, PortState},
+    port::{CouplingMessage, MAX_ENERGY_J, PortEnergy, PortState},
 };
 
 pub use crate::port::{MAX_AXES, Padded, padded, unpadded};
@@ -65,7 +70,7 @@ pub use crate::port::{MAX_AXES, Padded, padded, unpadded};
 /// Magic bytes at the start of a frame.
 pub const MAGIC: [u8; 2] = *b"HT";
 /// Version of the frame.
-pub const VERSION: u8 = 6;
+pub const VERSION: u8 = 7;
 /// Bytes before the first axis.
 pub const HEADER: usize = 64;
 const ENERGIES: usize = 16;
@@ -73,12 +78,17 @@ const ENERGIES: usize = 16;
 const ROTATION: usize = 10;
 const GRIPPER: usize = 24;
 const BUTTONS: usize = 4;
+/// Numbers of a coupling beside those per axis, and those of a rotation.
+const SUMS: usize = 2;
+const TURNED: usize = 3;
+const EPOCH: usize = 2;
 /// Bytes of reason, fault and fault text.
 const CAUSE: usize = 4 + PIECE;
 const CHECKSUM: usize = 4;
 /// Bytes of the longest frame: seven joints need more than three axes with an orientation.
 pub const MAX_FRAME: usize =
-    FrameLayout { axes: MAX_AXES, kind: SideKind::Joints, has_gripper: true, has_buttons: true }.length();
+    FrameLayout { kind: SideKind::Joints, has_gripper: true, has_buttons: true, ..FrameLayout::of(MAX_AXES) }
+        .length();
 
 /// Parts of every frame of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -91,33 +101,43 @@ pub struct FrameLayout {
     pub has_gripper: bool,
     /// True with buttons at the master.
     pub has_buttons: bool,
+    /// Coupling of the two sides.
+    pub coupling: CouplingKind,
 }
 
 impl FrameLayout {
     /// Layout of points along `axes` axes, without gripper and buttons.
     pub const fn of(axes: usize) -> Self {
         debug_assert!(axes <= MAX_AXES);
-        Self { axes, kind: SideKind::Linear, has_gripper: false, has_buttons: false }
+        Self {
+            axes,
+            kind: SideKind::Linear,
+            has_gripper: false,
+            has_buttons: false,
+            coupling: CouplingKind::PositionForce,
+        }
     }
 
     /// Length of a frame in bytes.
     pub const fn length(self) -> usize {
-        let rotation = if matches!(self.kind, SideKind::Pose) { 8 * ROTATION } else { 0 };
+        let rotation = if matches!(self.kind, SideKind::Pose) { 8 * (ROTATION + TURNED) } else { 0 };
+        let coupling = 8 * (self.axes + SUMS) + EPOCH;
         let gripper = if self.has_gripper { GRIPPER } else { 0 };
         let buttons = if self.has_buttons { BUTTONS } else { 0 };
-        HEADER + 24 * self.axes + rotation + ENERGIES + gripper + buttons + CAUSE + CHECKSUM
+        HEADER + 24 * self.axes + rotation + ENERGIES + coupling + gripper + buttons + CAUSE + CHECKSUM
     }
 
     /// Form of the frames, which both sides exchange in the handshake.
     #[allow(clippy::cast_possible_truncation)] // at most 7 axes
     pub const fn form(self) -> FrameForm {
-        let parts = (self.has_gripper as u16) << 6 | (self.has_buttons as u16) << 7;
+        let parts =
+            (self.has_gripper as u16) << 6 | (self.has_buttons as u16) << 7 | self.coupling.code() << 8;
         FrameForm((VERSION as u16) << 12 | parts | (self.kind.code() as u16) << 3 | self.axes as u16)
     }
 }
 
-/// Form of a side's frames in the handshake: bits 0 to 2 axes, 3 to 5 kind, 6 gripper, 7 buttons, 12 to 15
-/// version.
+/// Form of a side's frames in the handshake: bits 0 to 2 axes, 3 to 5 kind, 6 gripper, 7 buttons, 8 to 11 the
+/// coupling, 12 to 15 version.
 ///
 /// Before version 5 the number was the length in bytes; such a side therefore shows version 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -138,9 +158,10 @@ impl std::fmt::Display for FrameForm {
         let kind = kinds.into_iter().find(|kind| u16::from(kind.code()) == form >> 3 & 7);
         let with = |bit: u16, what: &'static str| if form >> bit & 1 == 1 { what } else { "" };
         let (gripper, buttons) = (with(6, ", with a gripper"), with(7, ", with buttons"));
+        let coupling = CouplingKind::from_code(form >> 8 & 15).map_or("unknown", CouplingKind::name);
         write!(
             f,
-            "of kind {} and {} axes{gripper}{buttons}",
+            "of kind {}, {} axes and coupling {coupling}{gripper}{buttons}",
             kind.map_or("unknown", SideKind::name),
             form & 7
         )
@@ -216,6 +237,8 @@ pub struct Frame {
     pub reason: u8,
     /// Fault of the sender, [`haptether_safety::Fault::code`]; 0 without one.
     pub fault: u8,
+    /// Coupling of the session.
+    pub coupling: CouplingKind,
     /// Number of axes.
     pub axes: usize,
     /// Run id, drawn by the sender at its start.
@@ -240,6 +263,8 @@ pub struct Frame {
     pub velocity: Padded,
     /// Force in N.
     pub force: Padded,
+    /// Numbers of the coupling.
+    pub message: CouplingMessage,
     /// Orientation, angular velocity and torque; only of kind `pose`.
     pub rotation: Option<RotationState>,
 }
@@ -285,6 +310,24 @@ pub enum WireError {
         seen: u8,
         /// Kind of this endpoint.
         allowed: SideKind,
+    },
+    /// Other coupling.
+    #[error("frame of coupling {seen}: must be {}, {}", .allowed.code(), .allowed.name())]
+    Coupling {
+        /// Code of the coupling in the frame.
+        seen: u16,
+        /// Coupling of this endpoint.
+        allowed: CouplingKind,
+    },
+    /// Numbers of the coupling out of range, or not zero although it is not engaged or does not use them.
+    #[error("frame {sequence}: {message:?}: must be in range, and zero where coupling {} does not use it", .coupling.name())]
+    Message {
+        /// Sequence of the frame.
+        sequence: u64,
+        /// Coupling of the session.
+        coupling: CouplingKind,
+        /// Received value.
+        message: CouplingMessage,
     },
     /// Flags without a meaning, or an echo although its flag is not set.
     #[error(
@@ -375,7 +418,8 @@ struct Header {
 
 impl Header {
     /// Return an error unless the header is of the peer and of this session's kind and axes.
-    fn check(&self, from: Role, kind: SideKind, axes: usize) -> Result<(), WireError> {
+    fn check(&self, from: Role, layout: FrameLayout) -> Result<(), WireError> {
+        let FrameLayout { axes, kind, coupling, .. } = layout;
         if self.magic != MAGIC {
             return Err(WireError::Magic(self.magic));
         }
@@ -391,6 +435,10 @@ impl Header {
         if self.axes >> 4 != kind.code() {
             return Err(WireError::Kind { seen: self.axes >> 4, allowed: kind });
         }
+        let seen = self.flags.get() >> COUPLING_BIT & 15;
+        if seen != coupling.code() {
+            return Err(WireError::Coupling { seen, allowed: coupling });
+        }
         Ok(())
     }
 }
@@ -402,6 +450,8 @@ const ENDING: u16 = 8;
 const GRIPPER_KNOWN: u16 = 16;
 const HOLDS_OBJECT: u16 = 32;
 const FOLLOWS: u16 = 64;
+/// First bit of the coupling's code in the flags.
+const COUPLING_BIT: u16 = 8;
 
 /// Return whether the sender of an encoded frame hears its peer; the frame must have been decoded before.
 pub(crate) fn hears_peer(frame: &[u8]) -> bool {
@@ -415,10 +465,11 @@ const NO_ECHO: Echo = Echo { run_id: 0, sequence: 0, sent_ns: 0, held_ns: 0 };
 impl Frame {
     /// Layout of this frame.
     pub const fn layout(&self) -> FrameLayout {
-        let Self { axes, kind, gripper, buttons, .. } = self;
+        let Self { axes, kind, coupling, gripper, buttons, .. } = self;
         FrameLayout {
             axes: *axes,
             kind: *kind,
+            coupling: *coupling,
             has_gripper: gripper.is_some(),
             has_buttons: buttons.is_some(),
         }
@@ -433,6 +484,12 @@ impl Frame {
             | if gripper.position.is_some() { GRIPPER_KNOWN } else { 0 }
             | if gripper.holds_object { HOLDS_OBJECT } else { 0 }
             | if gripper.follows { FOLLOWS } else { 0 }
+            | self.coupling.code() << COUPLING_BIT
+    }
+
+    /// Return whether the vector of this frame of a slave is a motion.
+    pub(crate) fn sends_motion(&self) -> bool {
+        self.coupling.slave_sends() == Some(SlaveSends::Motion)
     }
 
     /// Quaternion, angular velocity and torque as encoded; only of kind `pose`.
@@ -487,6 +544,11 @@ impl Frame {
             put(&numbers);
         }
         put(&energies);
+        put(&self.message.vector.as_slice()[..axes]);
+        if self.kind == SideKind::Pose {
+            put(self.message.turned.as_slice());
+        }
+        put(&self.message.sums);
         if let Some(jaws) = self.gripper_numbers() {
             put(&jaws);
         }
@@ -495,8 +557,10 @@ impl Frame {
         let cause = &mut buffer[end - CAUSE..end];
         cause[..4].copy_from_slice(&[self.reason, self.fault, number, index]);
         cause[4..].copy_from_slice(&bytes);
+        let end_of_buttons = end - CAUSE - EPOCH;
+        buffer[end_of_buttons..end - CAUSE].copy_from_slice(&self.message.epoch.to_le_bytes());
         if let Some(buttons) = self.buttons {
-            buffer[end - CAUSE - BUTTONS..end - CAUSE].copy_from_slice(&buttons.to_le_bytes());
+            buffer[end_of_buttons - BUTTONS..end_of_buttons].copy_from_slice(&buttons.to_le_bytes());
         }
         let checksum = crc32fast::hash(&buffer[..end]);
         buffer[end..length].copy_from_slice(&checksum.to_le_bytes());
@@ -505,13 +569,13 @@ impl Frame {
 
     /// Decode a frame from the peer of role `from`; cheap checks come first.
     pub fn decode(bytes: &[u8], from: Role, layout: FrameLayout) -> Result<Self, WireError> {
-        let FrameLayout { axes, kind, has_gripper, has_buttons } = layout;
+        let FrameLayout { axes, kind, has_gripper, has_buttons, coupling } = layout;
         let length = || WireError::Length { seen: bytes.len(), allowed: layout.length() };
         if bytes.len() != layout.length() {
             return Err(length());
         }
         let (header, _) = Header::read_from_prefix(bytes).map_err(|_| length())?;
-        header.check(from, kind, axes)?;
+        header.check(from, layout)?;
         let (body, tail) = bytes.split_at(bytes.len() - CHECKSUM);
         let computed = crc32fast::hash(body);
         let seen = tail.iter().rev().fold(0, |sum, byte| sum << 8 | u32::from(*byte));
@@ -530,6 +594,9 @@ impl Frame {
             return Err(WireError::Flags(flags));
         }
         let (numbers, cause) = body.split_at(body.len() - CAUSE);
+        let (numbers, epoch) = numbers.split_at(numbers.len() - EPOCH);
+        let epoch = epoch.first_chunk().map_or(0, |bytes| u16::from_le_bytes(*bytes));
+        let word = numbers.last_chunk().map_or(0, |bytes| u32::from_le_bytes(*bytes));
         let numbers = |first: usize| {
             numbers[HEADER + 8 * first..].chunks_exact(8).map(|bytes| {
                 let mut value = [0; 8];
@@ -546,16 +613,23 @@ impl Frame {
         let mut rest = numbers(3 * axes + if is_pose { ROTATION } else { 0 });
         let energy =
             PortEnergy { in_j: rest.next().unwrap_or(f64::NAN), out_j: rest.next().unwrap_or(f64::NAN) };
+        let mut message = CouplingMessage { epoch, ..CouplingMessage::default() };
+        let turned = if is_pose { TURNED } else { 0 };
+        let of_message = message.vector.as_mut_slice()[..axes].iter_mut();
+        let of_message =
+            of_message.chain(&mut message.turned.as_mut_slice()[..turned]).chain(&mut message.sums);
+        of_message.for_each(|slot| *slot = rest.next().unwrap_or(f64::NAN));
         let gripper = has_gripper.then(|| std::array::from_fn(|_| rest.next().unwrap_or(f64::NAN)));
         let mut turn = numbers(3 * axes);
         let rotation = is_pose.then(|| std::array::from_fn(|_| turn.next().unwrap_or(f64::NAN)));
-        let word = body[..body.len() - CAUSE].last_chunk().map_or(0, |bytes| u32::from_le_bytes(*bytes));
         let mut text = TextPiece { number: cause[2], index: cause[3], bytes: [0; PIECE] };
         text.bytes.copy_from_slice(&cause[4..]);
         Self {
             role: from,
             axes,
             kind,
+            coupling,
+            message,
             state: header.state,
             hears_peer: flags & HEARS_PEER != 0,
             clutch: flags & CLUTCH != 0,
@@ -587,6 +661,8 @@ impl Frame {
             role,
             axes,
             kind,
+            coupling,
+            message,
             state,
             hears_peer,
             clutch,
@@ -606,7 +682,8 @@ impl Frame {
             fault,
             text,
         } = other;
-        (self.role, self.axes, self.kind) = (*role, *axes, *kind);
+        (self.role, self.axes, self.kind, self.coupling) = (*role, *axes, *kind, *coupling);
+        self.message.replace(message, *coupling);
         (self.state, self.hears_peer) = (*state, *hears_peer);
         (self.clutch, self.ending, self.reason, self.fault) = (*clutch, *ending, *reason, *fault);
         (self.run_id, self.sequence, self.sent_ns, self.echo) = (*run_id, *sequence, *sent_ns, *echo);
@@ -632,6 +709,7 @@ impl Frame {
         ending: false,
         reason: 0,
         fault: 0,
+        coupling: CouplingKind::PositionForce,
         axes: 0,
         run_id: 0,
         sequence: 0,
@@ -640,6 +718,7 @@ impl Frame {
         text: TextPiece { number: 0, index: 0, bytes: [0; PIECE] },
         buttons: None,
         energy: PortEnergy { in_j: 0.0, out_j: 0.0 },
+        message: CouplingMessage::ZERO,
         gripper: None,
         position: Padded::from_array_storage(NO_NUMBERS),
         velocity: Padded::from_array_storage(NO_NUMBERS),
@@ -654,6 +733,7 @@ impl Frame {
         copy_axes(&mut self.velocity, &port.velocity, axes);
         copy_axes(&mut self.force, &port.force, axes);
         self.energy = port.energy;
+        self.message.replace(&port.message, self.coupling);
     }
 
     /// Return whether the frame has neither gripper nor rotation; decoding then leaves it
@@ -668,6 +748,9 @@ impl Frame {
     #[inline(always)] // takes a frame: docs/decisions/060-ticks-in-a-row.md
     pub(crate) fn check_plain(&self, axes: usize) -> Result<(), WireError> {
         self.check_energy()?;
+        if self.coupling != CouplingKind::PositionForce {
+            self.check_message()?;
+        }
         self.check_body(axes)
     }
 
@@ -687,6 +770,9 @@ impl Frame {
         }
         if own.kind != layout.kind {
             return Err(WireError::Kind { seen: own.kind.code(), allowed: layout.kind });
+        }
+        if own.coupling != layout.coupling {
+            return Err(WireError::Coupling { seen: own.coupling.code(), allowed: layout.coupling });
         }
         if own != layout {
             // Same length but other parts: decode the bytes with the other layout.
@@ -711,6 +797,7 @@ impl Frame {
         self.gripper = gripper.map(|numbers| decoded_gripper(sequence, flags, numbers)).transpose()?;
         self.rotation =
             rotation.map(|numbers| decoded_rotation(sequence, from, numbers.into_iter())).transpose()?;
+        self.check_message()?;
         self.check_body(MAX_AXES)?;
         Ok(self)
     }
@@ -723,7 +810,7 @@ impl Frame {
             (true, Role::Master) => GRIPPER_KNOWN | HOLDS_OBJECT,
             (false, _) => 0,
         };
-        if flags & !(ECHO_VALID | HEARS_PEER | CLUTCH | ENDING | of_gripper) != 0 {
+        if flags & !(ECHO_VALID | HEARS_PEER | CLUTCH | ENDING | of_gripper | 15 << COUPLING_BIT) != 0 {
             return Err(WireError::Flags(flags));
         }
         self.check_energy()
@@ -733,6 +820,28 @@ impl Frame {
     fn check_energy(&self) -> Result<(), WireError> {
         let Self { sequence, energy, .. } = *self;
         if energy.is_possible() { Ok(()) } else { Err(WireError::Energy { sequence, energy }) }
+    }
+
+    /// Check the numbers of the coupling: in range, and zero where it does not use them.
+    #[inline(never)]
+    fn check_message(&self) -> Result<(), WireError> {
+        let Self { sequence, role, coupling, message, .. } = self;
+        let CouplingMessage { epoch, vector, turned, sums } = message;
+        let (bound, turn_bound) = match (coupling.slave_sends(), role, *epoch) {
+            (None, _, _) | (_, _, 0) => (0.0, 0.0),
+            (Some(SlaveSends::Force), Role::Slave, _) => {
+                (Signal::EnvironmentForce.bound(), Signal::EnvironmentTorque.bound())
+            }
+            (Some(_), _, _) => (Signal::Position.bound(), std::f64::consts::PI),
+        };
+        let within = |values: &[f64], bound: f64| {
+            let zero = |value: &f64| value.to_bits() == 0;
+            values.iter().all(|value| if bound == 0.0 { zero(value) } else { value.abs() <= bound })
+        };
+        if within(vector.as_slice(), bound) && within(turned.as_slice(), turn_bound) && within(sums, 0.0) {
+            return Ok(());
+        }
+        Err(WireError::Message { sequence: *sequence, coupling: *coupling, message: *message })
     }
 
     /// Check the remaining fields.

@@ -15,7 +15,7 @@ use haptether_bridge::{
     recorder::SecurityMark,
     session::{Incoming, MAX_DATAGRAM, PreSharedKey, Received, SessionEnd, SessionSettings, SystemEntropy},
     telemetry::{Telemetry, TelemetrySettings},
-    wire::{MAX_FRAME, Role},
+    wire::{FrameLayout, MAX_FRAME, Role},
 };
 use haptether_bridge::{
     path::{MAX_DRIFT_PPB, PacketAge, PathMeter, PeerClock, TimestampExchange},
@@ -99,7 +99,7 @@ fn a_tick_of_both_sides_allocates_nothing() {
             let _ = slave.receive(LinkTime::at(now_ns), master.send(LinkTime::at(now_ns), &mut buffer));
             holds |= slave.tick(TickTime::at(now_ns)).holds_object;
             let _ = master.receive(LinkTime::at(now_ns), slave.send(LinkTime::at(now_ns), &mut buffer));
-            let _ = master.receive(LinkTime::at(now_ns), &[0; 124]);
+            let _ = master.receive(LinkTime::at(now_ns), &[0; FrameLayout::of(1).length()]);
         }
         let allocated = allocations() - before;
 

@@ -23,6 +23,7 @@ from haptether.safety import ControllerName
 __all__ = [
     "CANCELLING",
     "CONTROLLERS",
+    "COUPLINGS",
     "ESTIMATORS",
     "LADDER_STATES",
     "METRICS",
@@ -82,6 +83,7 @@ __all__ = [
     "WindowedSafetyObserver",
     "__version__",
     "check_link",
+    "coupling_facts",
     "fault_message",
     "judge_packets",
     "ladder_reason",
@@ -113,6 +115,8 @@ ROUND_TRIP_S: float
 """Part of `PRESS_S` that a press takes over the slowest link, besides a turn: 500 ms each way."""
 CONTROLLERS: tuple[tuple[str, str, str], ...]
 """Name, title and source of each safety controller, in the order of the bits of `tripped`."""
+COUPLINGS: tuple[tuple[str, str, str], ...]
+"""Name, title and source of each coupling, in the order of its code in frames."""
 TRIP_BITS: tuple[tuple[str, int], ...]
 """Controllers by name, and "held", with their bits in `tripped`."""
 CANCELLING: tuple[str, ...]
@@ -2812,6 +2816,32 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
     @property
     def gripper_command(self) -> tuple[float, float, float] | None:
         """Position, 0 (open) to 1 (closed), speed in 1/s and force in N after the last tick; None keeps the grip."""
+
+def coupling_facts(
+    name: str,
+    *,
+    stiffness: float | None = None,
+    damping: float | None = None,
+    round_trip_s: float = 0.0,
+    period_s: float = 1e-3,
+) -> tuple[tuple[float, float] | None, tuple[list[float], list[float]] | None, float | None, bool]:
+    """Facts of a coupling, by its own halves.
+
+    Args:
+        name: Name in `COUPLINGS`.
+        stiffness: K in N/m; by default that of the coupling.
+        damping: B in N s/m; by default that of the coupling.
+        round_trip_s: Round trip T1 + T2 in s, for the least damping.
+        period_s: Tick in s, for the same.
+
+    Returns:
+        K and B; the coefficients of F_m in x_m, v_m, x_s', v_s', F_c' and of F_c in x_s, v_s, x_m', v_m' (N/m, N s/m,
+        and 1 for a force); the least B in N s/m with which it is passive; and whether the push on a released stylus may
+        grow. None where it has none: position-force has neither K, B nor coefficients.
+
+    Raises:
+        ValueError: Unknown name, or a number out of range.
+    """
 
 def ladder_reason(code: int) -> str:
     """Return the reason of the ladder's state, for the codes of `MasterTrace.reason` from 1; 0 means no step yet.

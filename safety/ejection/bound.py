@@ -99,6 +99,8 @@ class EjectionSettings(Struct, frozen=True, kw_only=True):
     """J in s, at most 0.02: extra time for which a late tick holds a force; at most one such tick per window."""
     mass_error: float = 0.0
     """Largest relative error of `mass_kg`, at least 0 and below 1."""
+    push_may_grow: bool = False
+    """True if the coupling may push harder after the release, against A8: HSC then has no bound."""
     turns: bool = False
     """True if the device also turns; rotation has no bound."""
     outside: str | None = None
@@ -331,7 +333,7 @@ def _assumptions(settings: EjectionSettings) -> tuple[str, ...]:
         "no mechanical stop is met",
         *(["of the point: rotation has no bound"] if settings.turns else []),
         *measured,
-        *([steady] if "hsc" in settings.controllers else []),
+        *([steady] if "hsc" in settings.controllers and not settings.push_may_grow else []),
         *([line] if line_counts else []),
     )
 
@@ -667,6 +669,9 @@ class _Model:
     def of_hsc(self) -> ControllerBound:
         """Return the bound of HSC, Eq. 12 to 14."""
         settings = self.settings
+        if settings.push_may_grow:
+            reason = "with this coupling the push may grow after a release, and hsc then has no bound"
+            return ControllerBound(controller="hsc", speed=None, reason=reason)
         if settings.travel_m is None:
             reason = "hsc does not see a push of less than F_t, and without mechanical stops nothing ends it"
             return ControllerBound(controller="hsc", speed=None, reason=reason)

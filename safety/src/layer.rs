@@ -227,39 +227,72 @@ impl<const N: usize> SafetyLayer<N> {
         requested_force: &Axes<N>,
         authority: f64,
     ) -> SafetyTick<N> {
-        let entered = self.check(position, velocity, requested_force).and_then(|()| {
-            let judged = self.judge(missed, Parts { position, velocity, rotation: None })?;
-            match judged {
-                Judged::Held(at) => return Ok(Err(at)),
-                Judged::Settled => self.catch_up(),
-                _ => {}
+        self.tick_coupled(missed, position, velocity, |_| *requested_force, authority)
+    }
+
+    /// Compute a tick as [`tick_after`](Self::tick_after), with `F_v` from `couple`.
+    ///
+    /// The layer first estimates the motion, then calls `couple` once, then observes and decides. So `couple` gets the
+    /// x and V of this tick. `F_h` of this tick is not known yet: the layer computes it after `F_v`. A fault of the
+    /// sample ends the tick before the call.
+    #[inline(always)]
+    pub fn tick_coupled(
+        &mut self,
+        missed: u64,
+        position: &Axes<N>,
+        velocity: Option<&Axes<N>>,
+        couple: impl FnOnce(&Coupled<'_, N>) -> Axes<N>,
+        authority: f64,
+    ) -> SafetyTick<N> {
+        let judged = self
+            .check(position, velocity)
+            .and_then(|()| self.judge(missed, Parts { position, velocity, rotation: None }));
+        let perceived = match judged {
+            Ok(Judged::Held(at)) => return self.hold_coupled(at, couple, authority),
+            Err(fault) => return self.stop(fault),
+            Ok(judged) => {
+                if matches!(judged, Judged::Settled) {
+                    self.catch_up();
+                }
+                self.perceived(position, velocity, couple, &mut PointMass)
             }
-            self.perceived(position, velocity, requested_force, &mut PointMass).map(Ok)
-        });
-        match entered {
-            Ok(Ok(perceived)) => {
+        };
+        match perceived {
+            Ok(perceived) => {
                 let advance = self.decide(&perceived, authority);
                 self.keep(&advance, authority)
             }
-            Ok(Err(at)) => self.hold(at, requested_force, authority),
             Err(fault) => self.stop(fault),
         }
     }
 
+    /// Compute a tick whose sample is held, on its prediction: the coupling gets the last V.
+    #[inline(always)]
+    pub(crate) fn hold_coupled(
+        &mut self,
+        at: f64,
+        couple: impl FnOnce(&Coupled<'_, N>) -> Axes<N>,
+        authority: f64,
+    ) -> SafetyTick<N> {
+        let requested = couple(&self.coupled(&self.sample_in_use().position, &self.entry.last.motion));
+        match Signal::RenderedForce.check(&requested) {
+            Ok(()) => self.hold(at, &requested, authority),
+            Err(fault) => self.stop(fault),
+        }
+    }
+
+    fn coupled<'a>(&'a self, position: &'a Axes<N>, motion: &'a Motion<N>) -> Coupled<'a, N> {
+        Coupled { position, velocity: &motion.velocity, limiter: &self.rendering }
+    }
+
     /// Return the stored fault, or a fault for a value that is not finite or out of range.
     #[inline(always)]
-    pub(crate) fn check(
-        &self,
-        position: &Axes<N>,
-        velocity: Option<&Axes<N>>,
-        requested_force: &Axes<N>,
-    ) -> Result<(), Fault> {
+    pub(crate) fn check(&self, position: &Axes<N>, velocity: Option<&Axes<N>>) -> Result<(), Fault> {
         if let Some(fault) = self.fault {
             return Err(fault);
         }
         Signal::Position.check(position)?;
-        velocity.map_or(Ok(()), |v| Signal::Velocity.check(v))?;
-        Signal::RenderedForce.check(requested_force)
+        velocity.map_or(Ok(()), |v| Signal::Velocity.check(v))
     }
 
     /// Judge a sample against its path; return a fault if the device cannot move so fast.
@@ -361,6 +394,17 @@ impl<const N: usize> SafetyLayer<N> {
         }
     }
 
+    /// Return the force in N of the coupling that the device has exerted since the last tick: `F_device` without the
+    /// controllers' damping, which is not power of the coupling.
+    #[inline]
+    pub fn exerted(&self) -> Axes<N> {
+        if self.fault.is_some() {
+            return Axes::zeros();
+        }
+        let g = 1.0 - self.controller.let_through();
+        self.device_force - self.entry.last.intervention.safety_force - self.last_rendered * g
+    }
+
     /// Return the accepted sample, or the prediction while the newest sample is held.
     #[inline]
     pub fn sample_in_use(&self) -> &Sample<N> {
@@ -383,11 +427,11 @@ impl<const N: usize> SafetyLayer<N> {
         &mut self,
         position: &Axes<N>,
         velocity: Option<&Axes<N>>,
-        requested_force: &Axes<N>,
+        couple: impl FnOnce(&Coupled<'_, N>) -> Axes<N>,
         inertia: &mut impl Inertia<N>,
     ) -> Result<Perceived<N, f64>, Fault> {
-        self.check(position, velocity, requested_force)?;
-        self.perceived(position, velocity, requested_force, inertia)
+        self.check(position, velocity)?;
+        self.perceived(position, velocity, couple, inertia)
     }
 
     #[inline(always)]
@@ -395,11 +439,15 @@ impl<const N: usize> SafetyLayer<N> {
         &mut self,
         position: &Axes<N>,
         velocity: Option<&Axes<N>>,
-        requested_force: &Axes<N>,
+        couple: impl FnOnce(&Coupled<'_, N>) -> Axes<N>,
         inertia: &mut impl Inertia<N>,
     ) -> Result<Perceived<N, f64>, Fault> {
-        let perceived = self.perceive(position, velocity, requested_force, inertia);
-        perceived.seen.check().map(|()| perceived)
+        let motion = self.estimate(position, velocity);
+        let requested = couple(&self.coupled(position, &motion));
+        Signal::RenderedForce.check(&requested)?;
+        let rendering = self.render(&requested);
+        let seen = self.observe(position, velocity, &motion, &rendering.force, inertia);
+        seen.check().map(|()| Perceived { rendering, motion, seen })
     }
 
     /// Carry the controllers over a missed tick: the device kept its force, and `position` lies between two
@@ -419,7 +467,8 @@ impl<const N: usize> SafetyLayer<N> {
     ) -> Option<Observation<N>> {
         let recalled = self.entry.recalled.take().map(|held| self.entry.held[held].rendered_force);
         let rendered_force = recalled.unwrap_or(self.last_rendered);
-        let (_, seen) = self.observe(position, velocity, &rendered_force, inertia);
+        let motion = self.estimate(position, velocity);
+        let seen = self.observe(position, velocity, &motion, &rendered_force, inertia);
         seen.check().ok().map(|()| seen)
     }
 
@@ -537,23 +586,19 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         requested_force: &Axes<N, S>,
         authority: S,
     ) -> Advance<N, S> {
-        let perceived = self.perceive(position, velocity, requested_force, &mut PointMass);
+        let rendering = self.render(requested_force);
+        let motion = self.estimate(position, velocity);
+        let seen = self.observe(position, velocity, &motion, &rendering.force, &mut PointMass);
+        let perceived = Perceived { rendering, motion, seen };
         self.decide(&perceived, authority)
     }
 
+    /// Return `F_v`, limited to what the device can render.
     #[inline(always)]
-    fn perceive(
-        &mut self,
-        position: &Axes<N, S>,
-        velocity: Option<&Axes<N, S>>,
-        requested_force: &Axes<N, S>,
-        inertia: &mut impl Inertia<N, S>,
-    ) -> Perceived<N, S> {
+    fn render(&mut self, requested_force: &Axes<N, S>) -> SaturatedForce<N, S> {
         // The observers compare F_v with the force of the hand. A force that the device cannot render yet would look
         // like one that nobody holds, so F_v is limited first. The power bound is idle at V = 0.
-        let rendering = self.rendering.limit(requested_force, &Axes::zeros());
-        let (motion, seen) = self.observe(position, velocity, &rendering.force, inertia);
-        Perceived { rendering, motion, seen }
+        self.rendering.limit(requested_force, &Axes::zeros())
     }
 
     #[inline(always)]
@@ -614,39 +659,44 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         };
     }
 
-    /// Estimate V and A, and compute the observation.
+    /// Estimate V and A.
+    #[inline(always)]
+    fn estimate(&mut self, position: &Axes<N, S>, velocity: Option<&Axes<N, S>>) -> Motion<N, S> {
+        match velocity {
+            Some(velocity) => self.measured.step(velocity),
+            None => self.estimator.step(position),
+        }
+    }
+
+    /// Compute the observation from V and A.
     #[inline(always)]
     fn observe(
         &mut self,
         position: &Axes<N, S>,
         velocity: Option<&Axes<N, S>>,
+        motion: &Motion<N, S>,
         rendered_force: &Axes<N, S>,
         inertia: &mut impl Inertia<N, S>,
-    ) -> (Motion<N, S>, Observation<N, S>) {
-        let motion = match velocity {
-            Some(velocity) => self.measured.step(velocity),
-            None => self.estimator.step(position),
-        };
+    ) -> Observation<N, S> {
         let grasp_force = if self.controller.needs_grasp_force() || self.research.is_some() {
             let held = &self.device_force;
             let aligned = if velocity.is_some() {
-                inertia.align(&motion, held, true, |force| self.measured.align(force))
+                inertia.align(motion, held, true, |force| self.measured.align(force))
             } else {
                 let is_late = Estimator::<N, S>::has_late_velocity(&self.estimator);
-                inertia.align(&motion, held, is_late, |force| self.estimator.align(force))
+                inertia.align(motion, held, is_late, |force| self.estimator.align(force))
             };
-            self.device.grasp_force(&motion, &aligned)
+            self.device.grasp_force(motion, &aligned)
         } else {
             Axes::zeros()
         };
         let aligned_rendered_force = self.align_asked(position, velocity, rendered_force);
-        let seen = Observation {
+        Observation {
             velocity: motion.velocity,
             rendered_force: *rendered_force,
             grasp_force,
             aligned_rendered_force,
-        };
-        (motion, seen)
+        }
     }
 
     /// Return the force asked of the device in the past ticks, filtered by the kernel of A. Without a controller
@@ -685,6 +735,24 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         self.rendering.reset();
         self.limiter.reset();
         self.device_force = Axes::zeros();
+    }
+}
+
+/// State of a tick that a coupling computes `F_v` from, between estimate and observation.
+#[derive(Clone, Copy, Debug)]
+pub struct Coupled<'a, const N: usize> {
+    /// x in m: the sample, or its prediction while the sample is held.
+    pub position: &'a Axes<N>,
+    /// V in m/s.
+    pub velocity: &'a Axes<N>,
+    limiter: &'a Limiter<N>,
+}
+
+impl<const N: usize> Coupled<'_, N> {
+    /// Return the share `gain` of a requested force, at most of the largest force of the device.
+    #[inline(always)]
+    pub fn faded(&self, requested_force: &Axes<N>, gain: f64) -> Axes<N> {
+        self.limiter.faded(requested_force, gain)
     }
 }
 

@@ -24,13 +24,13 @@ mod wrench;
 pub use fault::{Fault, Signal};
 pub use grasp::DeviceModel;
 pub use haptether_numeric::{Axes, Real, is_within, norm};
-pub use layer::{Advance, LayerSettings, SafetyLayer, SafetyTick};
+pub use layer::{Advance, Coupled, LayerSettings, SafetyLayer, SafetyTick};
 pub use limiter::{ActiveLimits, Limited, Limiter, LimiterSettings, SaturatedForce};
 pub use observer::Observation;
 pub use parameter::ParameterError;
 pub use plausible::{Excess, Guard, Sample, SampleBounds, Track, Turned};
 pub use renewal::{MIN_RENEWAL, Renewal, Stamped};
-pub use rotation::{RotationLayer, RotationModel, RotationSettings};
+pub use rotation::{CoupledTurn, RotationLayer, RotationModel, RotationSettings};
 pub use wrench::{PoseSample, WrenchLayer, WrenchSettings, WrenchTick};
 
 /// Name, title and source of an observer, a controller or an estimator.

@@ -3,8 +3,8 @@
 use nalgebra::UnitQuaternion;
 
 use crate::{
-    Axes, DeviceModel, Fault, LayerSettings, LimiterSettings, Observation, ParameterError, SafetyLayer,
-    SafetyTick, Signal,
+    Axes, Coupled, DeviceModel, Fault, LayerSettings, LimiterSettings, Observation, ParameterError,
+    SafetyLayer, SafetyTick, Signal,
     controller::SafetySettings,
     estimator::{EstimatorKind, Motion},
     layer::{DEFAULT_LEVER_M, Inertia, Perceived},
@@ -125,6 +125,36 @@ fn guarded(layer: SafetyLayer<3>, bounds: SampleBounds, period_s: f64) -> Safety
     layer.guarded(SampleBounds::UNBOUNDED, bounds, period_s)
 }
 
+/// State of a tick that a coupling computes its torque from, in the base frame, as [`Coupled`].
+#[derive(Clone, Copy, Debug)]
+pub struct CoupledTurn<'a> {
+    /// R: the sample, or the last accepted one while the sample is held.
+    pub orientation: &'a UnitQuaternion<f64>,
+    /// w in rad/s.
+    pub angular_velocity: Axes<3>,
+    coupled: &'a Coupled<'a, 3>,
+}
+
+impl CoupledTurn<'_> {
+    /// Scale a torque by `gain`, see [`Coupled::faded`].
+    #[inline(always)]
+    pub fn faded(&self, requested_torque: &Axes<3>, gain: f64) -> Axes<3> {
+        self.coupled.faded(requested_torque, gain)
+    }
+
+    /// Return `couple` for a layer whose vectors are in the body frame.
+    fn in_body(
+        orientation: &UnitQuaternion<f64>,
+        couple: impl FnOnce(&CoupledTurn<'_>) -> Axes<3>,
+    ) -> impl FnOnce(&Coupled<'_, 3>) -> Axes<3> {
+        move |at| {
+            let angular_velocity = orientation * at.velocity;
+            let torque = couple(&CoupledTurn { orientation, angular_velocity, coupled: at });
+            orientation.inverse_transform_vector(&torque)
+        }
+    }
+}
+
 impl RotationLayer {
     /// Create a layer for a device at rest, without torque.
     pub fn new(settings: &RotationSettings) -> Result<Self, ParameterError> {
@@ -184,30 +214,36 @@ impl RotationLayer {
         requested_torque: &Axes<3>,
         authority: f64,
     ) -> SafetyTick<3> {
-        let entered = self.check(orientation, angular_velocity, requested_torque).and_then(|()| {
+        let couple = |_: &CoupledTurn<'_>| *requested_torque;
+        let entered = self.check(orientation, angular_velocity).and_then(|()| {
             match self.layer.judge(missed, sample_of(orientation, angular_velocity).parts())? {
                 Judged::Held(at) => return Ok(Err(at)),
                 Judged::Settled => self.catch_up(),
                 _ => {}
             }
-            self.checked(orientation, angular_velocity, requested_torque).map(Ok)
+            self.checked(orientation, angular_velocity, couple).map(Ok)
         });
         match entered {
             Ok(Ok(perceived)) => {
                 let advance = self.layer.decide(&perceived, authority);
                 in_base(orientation, &self.layer.keep(&advance, authority))
             }
-            Ok(Err(at)) => self.hold(at, requested_torque, authority),
+            Ok(Err(at)) => self.hold_coupled(at, couple, authority),
             Err(fault) => self.stop(fault),
         }
     }
 
-    /// Compute a tick whose sample is held, as [`SafetyLayer::hold`], with the last accepted orientation. `at`: ticks
-    /// since that sample.
-    pub(crate) fn hold(&mut self, at: f64, requested_torque: &Axes<3>, authority: f64) -> SafetyTick<3> {
+    /// Compute a tick whose sample is held, as [`SafetyLayer::hold_coupled`], with the last accepted orientation. `at`:
+    /// ticks since that sample.
+    pub(crate) fn hold_coupled(
+        &mut self,
+        at: f64,
+        couple: impl FnOnce(&CoupledTurn<'_>) -> Axes<3>,
+        authority: f64,
+    ) -> SafetyTick<3> {
         let orientation = self.orientation.unwrap_or_default();
-        let torque = orientation.inverse_transform_vector(requested_torque);
-        in_base(&orientation, &self.layer.hold(at, &torque, authority))
+        let tick = self.layer.hold_coupled(at, CoupledTurn::in_body(&orientation, couple), authority);
+        in_base(&orientation, &tick)
     }
 
     fn catch_up(&mut self) {
@@ -246,15 +282,13 @@ impl RotationLayer {
         &self,
         orientation: &UnitQuaternion<f64>,
         angular_velocity: Option<&Axes<3>>,
-        requested_torque: &Axes<3>,
     ) -> Result<(), Fault> {
         if let Some(fault) = self.layer.fault() {
             return Err(fault);
         }
         // Check before the state changes, and in the base frame: a vector with a NaN has no direction.
         check(orientation)?;
-        angular_velocity.map_or(Ok(()), |w| Signal::AngularVelocity.check(w))?;
-        Signal::RenderedTorque.check(requested_torque)
+        angular_velocity.map_or(Ok(()), |w| Signal::AngularVelocity.check(w))
     }
 
     /// Check the values and observe one tick in the body frame; the sample must be on its path.
@@ -262,13 +296,13 @@ impl RotationLayer {
         &mut self,
         orientation: &UnitQuaternion<f64>,
         angular_velocity: Option<&Axes<3>>,
-        requested_torque: &Axes<3>,
+        couple: impl FnOnce(&CoupledTurn<'_>) -> Axes<3>,
     ) -> Result<Perceived<3, f64>, Fault> {
-        self.check(orientation, angular_velocity, requested_torque)?;
+        self.check(orientation, angular_velocity)?;
         self.turn_to(orientation)?;
-        let in_body = |vector: &Axes<3>| orientation.inverse_transform_vector(vector);
-        let (w, torque) = (angular_velocity.map(in_body), in_body(requested_torque));
-        self.layer.checked(&self.turned, w.as_ref(), &torque, &mut self.gyroscope).map_err(Fault::of_rotation)
+        let w = angular_velocity.map(|w| orientation.inverse_transform_vector(w));
+        let couple = CoupledTurn::in_body(orientation, couple);
+        self.layer.checked(&self.turned, w.as_ref(), couple, &mut self.gyroscope).map_err(Fault::of_rotation)
     }
 
     /// Add the increment to this orientation, and turn the stored torques.
@@ -326,8 +360,9 @@ impl RotationLayer {
         self.layer.stop(fault)
     }
 
-    pub(crate) fn faded(&self, requested_torque: &Axes<3>, gain: f64) -> Axes<3> {
-        self.layer.faded(requested_torque, gain)
+    /// Return the torque in N m of the coupling that the device has exerted since the last tick, in the base frame.
+    pub(crate) fn exerted(&self) -> Axes<3> {
+        self.orientation.unwrap_or_default() * self.layer.exerted()
     }
 
     pub(crate) fn layer(&mut self) -> &mut SafetyLayer<3> {

@@ -3,11 +3,11 @@
 use nalgebra::UnitQuaternion;
 
 use crate::{
-    Axes, Excess, Fault, Guard, LayerSettings, ParameterError, SafetyLayer, SafetyTick, Sample,
+    Axes, Coupled, Excess, Fault, Guard, LayerSettings, ParameterError, SafetyLayer, SafetyTick, Sample,
     controller::{Judged, NOT_FELT, UNDECIDED},
     layer::DEFAULT_LEVER_M,
     plausible::{self, SampleBounds, Turned},
-    rotation::{RotationLayer, RotationSettings, check, in_base},
+    rotation::{CoupledTurn, RotationLayer, RotationSettings, check, in_base},
 };
 
 #[cfg(test)]
@@ -116,24 +116,42 @@ impl<const N: usize> WrenchLayer<N> {
         torque: &Axes<3>,
         authority: f64,
     ) -> WrenchTick<N> {
+        self.tick_coupled(missed, sample, |_| *force, |_| *torque, authority)
+    }
+
+    /// Compute a tick as [`tick_after`](Self::tick_after), with `F_v` from `couple` and the torque from `couple_torque`,
+    /// see [`SafetyLayer::tick_coupled`].
+    #[inline(always)]
+    pub fn tick_coupled(
+        &mut self,
+        missed: u64,
+        sample: &PoseSample<N>,
+        couple: impl FnOnce(&Coupled<'_, N>) -> Axes<N>,
+        couple_torque: impl FnOnce(&CoupledTurn<'_>) -> Axes<3>,
+        authority: f64,
+    ) -> WrenchTick<N> {
         let PoseSample { position, orientation, velocity, angular_velocity } = sample;
         let checked = self
             .translation
-            .check(position, velocity.as_ref(), force)
-            .and_then(|()| self.rotation.check(orientation, angular_velocity.as_ref(), torque))
+            .check(position, velocity.as_ref())
+            .and_then(|()| self.rotation.check(orientation, angular_velocity.as_ref()))
             .and_then(|()| self.translation.judge(missed, Sample::from(sample).parts()));
         match checked {
             Err(fault) => return self.stop(fault),
             Ok(plausible::Judged::Held(at)) => {
-                let translation = self.translation.hold(at, force, authority);
-                return WrenchTick { translation, rotation: self.rotation.hold(at, torque, authority) };
+                let translation = self.translation.hold_coupled(at, couple, authority);
+                let rotation = self.rotation.hold_coupled(at, couple_torque, authority);
+                return match translation.fault.or(rotation.fault) {
+                    Some(fault) => self.stop(fault),
+                    None => WrenchTick { translation, rotation },
+                };
             }
             Ok(plausible::Judged::Settled) => self.catch_up(),
             Ok(_) => {}
         }
         let moves =
-            self.translation.checked(position, velocity.as_ref(), force, &mut crate::layer::PointMass);
-        let turns = self.rotation.checked(orientation, angular_velocity.as_ref(), torque);
+            self.translation.checked(position, velocity.as_ref(), couple, &mut crate::layer::PointMass);
+        let turns = self.rotation.checked(orientation, angular_velocity.as_ref(), couple_torque);
         let (moves, turns) = match (moves, turns) {
             (Ok(moves), Ok(turns)) => (moves, turns),
             (Err(fault), _) | (_, Err(fault)) => return self.stop(fault),
@@ -186,10 +204,10 @@ impl<const N: usize> WrenchLayer<N> {
         self.rotation.layer().recall(tick);
     }
 
-    /// Scale a force and a torque by `gain`. If `gain` < 1, first clip each norm to the largest one
-    /// of the device.
-    pub fn faded(&self, force: &Axes<N>, torque: &Axes<3>, gain: f64) -> (Axes<N>, Axes<3>) {
-        (self.translation.faded(force, gain), self.rotation.faded(torque, gain))
+    /// Return force and torque of the coupling that the device has exerted since the last tick, see
+    /// [`SafetyLayer::exerted`].
+    pub fn exerted(&self) -> (Axes<N>, Axes<3>) {
+        (self.translation.exerted(), self.rotation.exerted())
     }
 
     /// Return the accepted sample, or the prediction while the newest sample is held.

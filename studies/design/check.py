@@ -8,9 +8,19 @@ from haptether.bridge import Scene
 from haptether.bridge.scene.research import research_of
 from haptether.safety import THROWN_SPEED, EjectionBound, ejection_bound
 from haptether.studies.design.contact import rendered, scene_numbers, touched
+from haptether.studies.design.couplings import coupling_advice, coupling_findings, has_halves
 from haptether.studies.design.delay import largest_delay_s, stable_together
 from haptether.studies.design.drivers import with_drivers
-from haptether.studies.design.finding import MARGIN, DesignCheck, Finding, State, Units, link_delays_s
+from haptether.studies.design.finding import (
+    MARGIN,
+    DesignCheck,
+    Finding,
+    State,
+    Units,
+    intervals_text,
+    link_delays_s,
+    shown_delay_s,
+)
 from haptether.studies.design.idle import (
     MAX_ONCE_S,
     MAX_RUN_S,
@@ -25,8 +35,6 @@ from haptether.studies.design.loops import scene_loops
 from haptether.studies.design.remedy import OWN_CONTROLLER, with_remedies
 from haptether.studies.design.wall import largest_wall_stiffness
 
-SHOWN_DELAY_S = 0.5
-"""Largest delay in s that is examined, unless twice the link's delay is larger."""
 MAX_HOLDS_PER_H = 1.0
 MOST_NAMED = 3
 """Largest number of single events of a link, and of their times of hold, that are named."""
@@ -66,7 +74,18 @@ def check_scene(scene: Scene, *, speed: float | None = None, remedies: bool = Tr
     findings = judge(scene, link=True)
     if remedies:
         findings = with_remedies(scene, findings, judge, limit)
+        findings = (*findings, *_advice(scene, findings))
     return DesignCheck(findings=(*drivers, *findings))
+
+
+def _advice(scene: Scene, findings: tuple[Finding, ...]) -> Iterator[Finding]:
+    """Report a coupling that the link bears, unless that is position-force with margin."""
+    spec = scene_numbers(scene)
+    if spec["slave"] is None:
+        return
+    lacks_margin = any(one.name == "delay margin" and one.state in {"bad", "warning"} for one in findings)
+    if has_halves(spec) or lacks_margin:
+        yield from coupling_advice(scene, spec, shown_delay_s(spec))
 
 
 def check_at_once(scene: Scene, bound: EjectionBound | None = None) -> tuple[Finding, ...]:
@@ -115,6 +134,9 @@ def _round_trip(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
     """Check the delay margin of contact, and stable intervals beyond it."""
     if spec["slave"] is None:
         return
+    if has_halves(spec):
+        yield from coupling_findings(scene, spec, shown_delay_s(spec))
+        return
     units, beyond = Units.of(spec), "; ".join(touched(scene, spec).beyond)
     loops = scene_loops(scene)
     if not loops or loops[0].environment_stiffness == 0.0:
@@ -125,11 +147,10 @@ def _round_trip(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
         yield Finding(name="delay margin", state="note", text="the scene touches nothing, so that nothing oscillates")
         return
     worst = min(loops, key=largest_delay_s)
-    delays = link_delays_s(spec)
-    up_to_s = SHOWN_DELAY_S if delays is None else max(SHOWN_DELAY_S, 2.0 * delays[1])
+    delays, up_to_s = link_delays_s(spec), shown_delay_s(spec)
     stable = stable_together(loops, up_to_s)
     who = "held" if worst.hand_stiffness > 0.0 else "nobody holds"
-    said = f"contact with {worst.environment_stiffness:g} {units.stiffness}, {who}: {_intervals(stable, up_to_s)}"
+    said = f"contact with {worst.environment_stiffness:g} {units.stiffness}, {who}: {intervals_text(stable, up_to_s)}"
     if delays is None:
         yield Finding(name="delay margin", state="note", text=f"{said}; the link's delays are a recording", unit="s")
     else:
@@ -155,20 +176,6 @@ def _round_trip(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
                 name="let go", state="note", text=f"a device that nobody holds bounces on that contact {how}: what the"
                 " controllers are for", value=least_s, unit="s",
             )  # fmt: skip
-
-
-def _intervals(stable: tuple[tuple[float, float], ...], up_to_s: float) -> str:
-    if not stable:
-        return f"stable at no round trip up to {up_to_s * 1e3:.0f} ms"
-    parts = []
-    for low, high in stable:
-        to = "beyond" if high >= up_to_s else f"{high * 1e3:.1f} ms"
-        parts.append(f"to {to}" if low == 0.0 else f"from {low * 1e3:.1f} ms to {to}")
-    last = stable[-1][1]
-    if stable == ((0.0, up_to_s),):
-        return f"stable at every round trip up to {up_to_s * 1e3:.0f} ms"
-    rest = "" if last >= up_to_s else ", unstable beyond"
-    return f"stable {', again '.join(parts)}{rest}"
 
 
 def _wall(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:

@@ -11,6 +11,8 @@ from haptether.bridge import Scene, scene_json
 DEFAULT_FORCE_N = 7.9
 """Force limit in N of a scene without one: that of a PHANTOM Desktop."""
 
+Spring = tuple[float, float]
+"""K in N/m and B in N s/m."""
 Rendered = Literal["force", "torque", "trigger"]
 
 
@@ -34,17 +36,33 @@ def scene_numbers(scene: Scene) -> dict[str, Any]:
 def touched(scene: Scene, spec: dict[str, Any]) -> Touched:
     """Return K and B of a scene's objects, holes and handles, and the contacts beyond a spring.
 
+    Args:
+        scene: Scene of any kind.
+        spec: Result of `scene_numbers`.
+    """
+    springs, walls = contacts(spec)
+    stiffest = max([(0.0, 0.0), *walls])
+    return Touched(
+        stiffness=sum(k for k, _ in springs) + stiffest[0],
+        damping=sum(b for _, b in springs) + stiffest[1],
+        beyond=tuple(_beyond(scene, spec["environment"] or {})) if spec["slave"] is not None else (),
+    )
+
+
+def contacts(spec: dict[str, Any]) -> tuple[list[Spring], list[Spring]]:
+    """Return K and B of each permanent spring of a scene, and of each contact.
+
     A nonlinear law counts with its slope at the largest rendered force, `dF/dd = n F / d` of `F = K d^n`.
 
     Args:
-        scene: Scene of any kind.
         spec: Result of `scene_numbers`.
 
     Source: Hunt and Crossley 1975.
     """
     environment, slave = spec["environment"] or {}, spec["slave"]
-    force_n = _largest_force_n(spec)
-    springs, contacts = [(0.0, 0.0)], [(0.0, 0.0)]
+    force_n = largest_force_n(spec)
+    springs: list[Spring] = []
+    walls: list[Spring] = []
     for part in (*environment.get("objects", ()), *environment.get("holes", ())):
         contact = part["contact"]
         stiffness, damping = contact["stiffness"], contact["damping"]
@@ -53,21 +71,16 @@ def touched(scene: Scene, spec: dict[str, Any]) -> Touched:
             stiffness = exponent * force_n / (force_n / stiffness) ** (1.0 / exponent)
             damping *= force_n
         is_spring = "shape" in part and part["shape"]["kind"] == "spring"
-        (springs if is_spring else contacts).append((stiffness, damping))
+        (springs if is_spring else walls).append((stiffness, damping))
     # A held handle yields along its circle only; critically damped with the tool's mass (slave/src/tool/handle.rs).
-    contacts += [
+    walls += [
         (part["hold_stiffness"], 2.0 * sqrt(part["hold_stiffness"] * slave["mass_kg"]))
         for part in environment.get("handles", ())
     ]
-    stiffest = max(contacts)
-    return Touched(
-        stiffness=sum(k for k, _ in springs) + stiffest[0],
-        damping=sum(b for _, b in springs) + stiffest[1],
-        beyond=tuple(_beyond(scene, environment)) if slave is not None else (),
-    )
+    return springs, walls
 
 
-def _largest_force_n(spec: dict[str, Any]) -> float:
+def largest_force_n(spec: dict[str, Any]) -> float:
     """Return the largest contact force in N that the limiter allows to be rendered."""
     limiter, device_n = spec["safety"]["limiter"], spec["master"]["max_force_n"]
     force_n: float = (device_n or DEFAULT_FORCE_N) if limiter is None else limiter["max_force_n"]

@@ -1,6 +1,7 @@
 """Findings of a design check, and their units."""
 
-from math import sqrt
+from collections.abc import Callable
+from math import ceil, floor, log10, sqrt
 from typing import Any, Literal
 
 from msgspec import Struct
@@ -10,6 +11,10 @@ Z99 = 2.326
 MARGIN = 1.25
 """Ratio of delay or stiffness margin below which it counts as small."""
 
+SHOWN_DELAY_S = 0.5
+"""Largest delay in s that is examined, unless twice the link's delay is larger."""
+Intervals = tuple[tuple[float, float], ...]
+"""Intervals of a delay in s."""
 State = Literal["bad", "warning", "not judged", "good", "note"]
 
 
@@ -72,3 +77,40 @@ def link_delays_s(spec: dict[str, Any]) -> tuple[float, float] | None:
         delay_s += direction["delay_s"] or 0.0
         variance += (direction["jitter_s"] or 0.0) ** 2
     return delay_s, delay_s + Z99 * sqrt(variance)
+
+
+def shown_delay_s(spec: dict[str, Any]) -> float:
+    """Return the largest delay in s that is examined."""
+    delays = link_delays_s(spec)
+    return SHOWN_DELAY_S if delays is None else max(SHOWN_DELAY_S, 2.0 * delays[1])
+
+
+def intervals_text(stable: Intervals, up_to_s: float) -> str:
+    """Return the stable intervals of a delay in s as text, in ms."""
+    if not stable:
+        return f"stable at no round trip up to {up_to_s * 1e3:.0f} ms"
+    parts = []
+    for low, high in stable:
+        to = "beyond" if high >= up_to_s else f"{high * 1e3:.1f} ms"
+        parts.append(f"to {to}" if low == 0.0 else f"from {low * 1e3:.1f} ms to {to}")
+    last = stable[-1][1]
+    if stable == ((0.0, up_to_s),):
+        return f"stable at every round trip up to {up_to_s * 1e3:.0f} ms"
+    rest = "" if last >= up_to_s else ", unstable beyond"
+    return f"stable {', again '.join(parts)}{rest}"
+
+
+def rounded_down(value: float) -> float:
+    """Round down to two digits, so that the printed value is not above the found one."""
+    return _rounded(value, floor)
+
+
+def rounded_up(value: float) -> float:
+    """Round up to two digits, so that the printed value is not below the found one."""
+    return _rounded(value, ceil)
+
+
+def _rounded(value: float, whole: Callable[[float], int]) -> float:
+    digits = 1 - floor(log10(value))
+    # Avoids a step down for values like 0.3 that are stored as 0.29999999999999999.
+    return float(f"{whole(round(value * 10.0**digits, 9)) / 10.0**digits:.12g}")

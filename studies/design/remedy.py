@@ -1,7 +1,7 @@
 """Remedies of findings: field changes that were applied and checked again."""
 
-from collections.abc import Callable, Iterator
-from math import ceil, floor, inf, isfinite, log10, sqrt
+from collections.abc import Iterator
+from math import inf, isfinite, sqrt
 from typing import Any, Literal, Protocol
 
 from msgspec.structs import replace
@@ -10,8 +10,17 @@ from haptether.bridge import Scene, SceneError, override_scene
 from haptether.bridge.scene.resolve import DEFAULT_DAMPING, max_damping, side_kind
 from haptether.safety import ejection_bound
 from haptether.studies.design.contact import scene_numbers
+from haptether.studies.design.couplings import has_halves, other_gains
 from haptether.studies.design.delay import ContactLoop, largest_delay_s
-from haptether.studies.design.finding import MARGIN, Finding, State, link_delays_s
+from haptether.studies.design.finding import (
+    MARGIN,
+    Finding,
+    State,
+    link_delays_s,
+    rounded_down,
+    rounded_up,
+    shown_delay_s,
+)
 from haptether.studies.design.idle import MAX_ONCE_S, EventKind, single_events
 from haptether.studies.design.loops import scene_loops
 
@@ -30,6 +39,7 @@ LEAST_SHARE_OF_CAP = 0.5
 
 ADVICE = {
     "delay margin": "a softer contact, more damping, less delay",
+    "passivity": "less delay and jitter, or a lower coupling.stiffness",
     "wall": "a softer wall, a shorter run.period_s, less delay or more damping",
     "ejection": "a device that measures V",
     "ejection of the handle": "a controller that watches",
@@ -179,22 +189,6 @@ def _shown(value: float) -> str:
     return f"{value:.3g}"
 
 
-def rounded_down(value: float) -> float:
-    """Round down to two digits, so that the printed value is not above the found one."""
-    return _rounded(value, floor)
-
-
-def rounded_up(value: float) -> float:
-    """Round up to two digits, so that the printed value is not below the found one."""
-    return _rounded(value, ceil)
-
-
-def _rounded(value: float, whole: Callable[[float], int]) -> float:
-    digits = 1 - floor(log10(value))
-    # Avoids a step down for values like 0.3 that are stored as 0.29999999999999999.
-    return float(f"{whole(round(value * 10.0**digits, 9)) / 10.0**digits:.12g}")
-
-
 # ------------------------------------------------------------------------------------- candidates, the mildest first
 
 
@@ -202,6 +196,8 @@ def _candidates(scene: Scene, finding: Finding, limit: float | None) -> Iterator
     spec = scene_numbers(scene)
     safety = spec["safety"]
     match finding.name:
+        case "delay margin" | "passivity" if has_halves(spec):
+            yield from other_gains(scene, spec, shown_delay_s(spec))
         case "delay margin":
             yield from _softer(scene, spec)
         case "wall":

@@ -64,7 +64,7 @@ class _Discrete:
 
     def __init__(self, mass_kg: float, damping: float, stiffness: float, period_s: float) -> None:
         motion = np.array([[0.0, 1.0, 0.0], [-stiffness / mass_kg, -damping / mass_kg, 1.0 / mass_kg], [0.0] * 3])
-        whole = _exponential(motion * period_s)
+        whole = exponential(motion * period_s)
         self.step, self.push = whole[:2, :2], whole[:2, 2]
 
     def response(self, z: Complex) -> Complex:
@@ -75,7 +75,7 @@ class _Discrete:
         return found
 
 
-def _exponential(matrix: "npt.NDArray[np.float64]") -> "npt.NDArray[np.float64]":
+def exponential(matrix: "npt.NDArray[np.float64]") -> "npt.NDArray[np.float64]":
     """Matrix exponential by its series, with scaling and squaring (Moler and Van Loan 2003, method 3)."""
     squarings = max(0, int(np.ceil(np.log2(max(np.abs(matrix).sum(axis=1).max(), 1e-300)))) + 4)
     small = matrix / 2.0**squarings

@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 HEADER = struct.Struct("<2sBBIQQ")
 """Magic, version, kind, epoch, session, counter: docs/protocol.md."""
 VERSION = 2
-SEALED_BYTES, HELLO_BYTES = 164, 120
+SEALED_BYTES, HELLO_BYTES = 190, 120
 """Sizes of a sealed frame of one axis, and of the first message of a handshake."""
 BATCH = 100
 """Datagrams per system call."""

@@ -49,6 +49,8 @@ def push(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("scene", "overrides"),
     [
         ("remote_push", [ALL, "run.duration_s=3.2", *BAD_NETWORK]),
+        ("remote_push", ['coupling.kind="pd-damped"', "coupling.damping=12", "run.duration_s=3.2", *BAD_NETWORK]),
+        ("remote_push", ['coupling.kind="position-force-computed"', ALL, "run.duration_s=3.2"]),
         ("remote_push", ["safety.limiter.max_force_n=2", "master.measures_velocity=true", "run.duration_s=3.2"]),
         ("remote_push", [ALL, "link.master_clock.step_s=0.3", "link.master_clock.step_at_s=1.5", "run.duration_s=3"]),
         ("three_axis_box", [ALL]),
@@ -297,3 +299,10 @@ def test_a_recording_that_is_not_reproduced_fails(
 
 def test_it_is_a_public_name() -> None:
     assert haptether.replay is replay
+
+
+def test_a_coupling_with_springs_is_not_recomputed(tmp_path: Path) -> None:
+    path = recorded(tmp_path, "remote_push", 'coupling.kind="pd-damped"', "run.duration_s=1")
+    replay(path, overrides=["safety.window=50"])
+    with pytest.raises(SceneError, match="of the coupling position-force only, not of pd-damped"):
+        replay(path, overrides=["coupling.force_scale=0.5"])

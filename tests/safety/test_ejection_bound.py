@@ -769,7 +769,7 @@ def test_settings_outside_their_range_are_refused(name: str) -> None:
 
 
 def test_every_number_of_the_settings_has_a_range() -> None:
-    named = {"controllers", "friction", "estimator", "vfc_form", "fades", "turns", "outside"}
+    named = {"controllers", "friction", "estimator", "vfc_form", "fades", "push_may_grow", "turns", "outside"}
     assert set(RANGES) | named == set(EjectionSettings.__struct_fields__)
 
 

@@ -110,6 +110,8 @@ def _times(state: SideState) -> list[dict[str, Any]]:
             found.append({"label": f"{label} [ms]", "values": [value * 1e3], "digits": 2, "peak": worst * 1e3})
     if (loss := state.loss()) is not None:
         found.append({"label": "frames lost [%]", "values": [loss * 100.0], "digits": 1, "peak": None})
+    if (put := state.last("port_in_j")) is not None and (drawn := state.last("port_out_j")) is not None:
+        found.append({"label": "energy in, out [J]", "values": [put, drawn], "digits": 3, "peak": None})
     if outliers := state.last("outliers"):
         found.append({"label": "samples replaced", "values": [outliers], "digits": 0, "peak": None})
     if (renewal := state.last("renewal")) is not None:

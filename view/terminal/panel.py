@@ -137,6 +137,8 @@ def _values(state: SideState) -> Table:
             continue
         unit = "N" if name.endswith("force") and _is_linear(state) else "N m"
         table.add_row(Text(f"{label} [{unit}]"), _vector(state, name, 2), "" if peak is None else f"1 s: {peak:.2f}")
+    if (put := state.last("port_in_j")) is not None and (drawn := state.last("port_out_j")) is not None:
+        table.add_row(Text("energy in, out [J]"), f"{put:.3f}, {drawn:.3f}", "")
     if outliers := state.last("outliers"):
         table.add_row(Text("samples replaced"), f"{outliers}", "")
     if (renewal := state.last("renewal")) is not None:

@@ -1,9 +1,10 @@
 """Scene and its tables `[run]`, `[link]`, `[coupling]`, `[safety]` and `[record]`."""
 
-from typing import Annotated, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from msgspec import Meta, Struct, json
 
+from haptether._core import COUPLINGS
 from haptether.bridge.scene.tables.master import MasterTable, OperatorTable
 from haptether.bridge.scene.tables.ranges import (
     LARGEST,
@@ -33,6 +34,12 @@ from haptether.bridge.scene.tables.ranges import (
 from haptether.bridge.scene.tables.slave import EnvironmentTable, SlaveTable
 from haptether.netsim import LinkSettings
 from haptether.safety import ControllerName, EjectionSettings
+
+if TYPE_CHECKING:
+    CouplingName: TypeAlias = str
+else:
+    # The registry of the extension is the only list of the couplings.
+    CouplingName = Literal[tuple(name for name, _, _ in COUPLINGS)]
 
 
 class RunTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -120,13 +127,28 @@ class AlignmentTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[coupling]`: coupling of master and slave.
+    """`[coupling]`: coupling of master and slave; `haptether list` has the kinds with their sources."""
 
-    Source: Hannaford 1989; Lawrence 1993 (position-force coupling).
+    kind: CouplingName = "position-force"
+    """Coupling; by default position forth, measured force back."""
+    stiffness: Positive | None = None
+    """K in N/m (N m/rad for joints) of a coupling with a spring; by default that of the coupling."""
+    damping: NonNegative | None = None
+    """B in N s/m (N m s/rad) of the same; by default that of the coupling."""
+    rotational_stiffness: Positive | None = None
+    """K in N m/rad of the rotation for kind "pose"; by default K at `safety.rotation.lever_m`."""
+    rotational_damping: NonNegative | None = None
+    """B in N m s/rad of the same."""
+    tool_mass_kg: Positive | None = None
+    """M_v of the virtual tool, which turns the coupling's force into a motion of the arm:
+    `M_v a = F_c + F_e - B_v v`. By default `K_max / (0.4 w)^2`, with the stiffest wall of the scene and w of the arm.
     """
-
-    kind: Literal["position-force"] = "position-force"
-    """Position forward, measured force backward."""
+    tool_damping: NonNegative | None = None
+    """B_v in N s/m; by default 10 M_v per second."""
+    tool_lead_s: NonNegative | None = None
+    """tau in s by which the command leads the tool, the lag of the arm behind its command. By default 2/w of position
+    control, 1/w of velocity control, and 0 of `pd`, which follows the velocity too.
+    """
     position_scale: Positive = 1.0
     """lambda_p: slave motion per master motion."""
     force_scale: Positive = 1.0

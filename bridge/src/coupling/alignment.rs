@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 use std::f64::consts::PI;
 
-use super::{CouplingError, RotationBounds, RotationLock, frame_map::normalised, position_force::check};
+use super::{CouplingError, RotationBounds, RotationLock, frame_map::normalised, mapping::check};
 
 /// `[coupling.alignment]`: the slave's turn to the master before the two engage.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]

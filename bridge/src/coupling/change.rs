@@ -166,6 +166,11 @@ impl<M: Copy + PartialEq, S: Real> Changing<M, S> {
         self.arrive();
     }
 
+    /// Scale of the motion at this tick, without the fade of a changing map.
+    pub(super) fn unfaded_motion(&self) -> S {
+        self.ramps[0].now
+    }
+
     /// Step one tick of all changes; return whether the map was exchanged.
     pub(super) fn step(&mut self) -> bool {
         self.ramps.iter_mut().for_each(Ramp::step);

@@ -15,6 +15,16 @@ pub enum CouplingError {
         /// Given value.
         seen: f64,
     },
+    /// Damping or time below 0.
+    #[error("{name} ({symbol}) = {seen}: must be finite and at least 0")]
+    Negative {
+        /// Name of the parameter.
+        name: &'static str,
+        /// Symbol of the parameter.
+        symbol: &'static str,
+        /// Given value.
+        seen: f64,
+    },
     /// Scale out of its range during the run.
     #[error(
         "{name} ({symbol}) = {seen:?}: must be between {} and {}, with an open clutch between {} and {}; {}",

@@ -8,8 +8,9 @@ pub(crate) mod drawn;
 mod error;
 mod frame_map;
 mod gripper;
+mod mapping;
+mod method;
 mod orientation;
-mod position_force;
 mod reference_point;
 mod rotation;
 mod rotational_spring;
@@ -24,8 +25,13 @@ pub(crate) use command::{bounded, decayed, turned_within};
 pub use error::CouplingError;
 pub use frame_map::FrameMap;
 pub use gripper::{GripperFollower, GripperState};
+pub use mapping::Mapping;
+pub(crate) use method::{CoupledMaster, CoupledMasterTurn, CoupledSlave, CoupledSlaveTurn};
+pub use method::{
+    CouplingAbout, CouplingKind, CouplingMatrix, Gains, MethodSettings, SlaveSends, VirtualToolSettings,
+    coupling_matrix,
+};
 pub use orientation::{MAX_NORM_ERROR, RotationState, canonical, checked, is_canonical, measured, quat_wxyz};
-pub use position_force::PositionForce;
 pub use reference_point::{ReferencePoint, ReferencePointError};
 pub use rotation::{ANCHOR_REACH_RAD, RotationCoupling, RotationLock};
 pub use rotational_spring::{FULL_SPRING_RAD, RotationalSpring};

@@ -7,7 +7,7 @@ use super::{
     CouplingError, canonical,
     change::Changing,
     frame_map::{UNIT, normalised},
-    position_force::check,
+    mapping::check,
 };
 
 /// Angle in rad from the anchor beyond which a scaled rotation sets a new anchor.
@@ -204,6 +204,11 @@ impl RotationCoupling {
     pub fn set_lock(&mut self, lock: RotationLock) {
         self.lock = lock;
         self.anchor = None;
+    }
+
+    /// C.
+    pub(super) fn frame(&self) -> UnitQuaternion<f64> {
+        self.change.map
     }
 
     /// Master half: `tau_m` in N m from the newest `tau_s` in N m, in base frames about the tool point.

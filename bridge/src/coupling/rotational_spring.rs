@@ -3,7 +3,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use std::f64::consts::PI;
 
-use super::{CouplingError, position_force::check};
+use super::{CouplingError, mapping::check};
 
 /// Angle in rad up to which the spring is linear; beyond it the torque decreases, to zero at pi.
 pub const FULL_SPRING_RAD: f64 = 5.0 * PI / 6.0;
@@ -32,6 +32,16 @@ pub struct RotationalSpring {
     stiffness: f64,
 }
 
+/// Return `tau / k` for phi: phi up to [`FULL_SPRING_RAD`], and shorter beyond, down to 0 at pi.
+pub(super) fn faded_phi(phi: &Vector3<f64>) -> Vector3<f64> {
+    let angle = phi.norm();
+    if angle <= FULL_SPRING_RAD {
+        return *phi;
+    }
+    let left = (PI - angle).max(0.0) / (PI - FULL_SPRING_RAD);
+    phi * (FULL_SPRING_RAD * left / angle)
+}
+
 impl RotationalSpring {
     /// Build a spring of stiffness k in N m/rad (> 0).
     pub fn new(stiffness: f64) -> Result<Self, CouplingError> {
@@ -40,13 +50,7 @@ impl RotationalSpring {
 
     /// Torque on the master, in N m in the base frame.
     pub fn torque(&self, master: &UnitQuaternion<f64>, slave: &UnitQuaternion<f64>) -> Vector3<f64> {
-        let phi = (slave * master.inverse()).scaled_axis();
-        let angle = phi.norm();
-        if angle <= FULL_SPRING_RAD {
-            return phi * self.stiffness;
-        }
-        let left = (PI - angle).max(0.0) / (PI - FULL_SPRING_RAD);
-        phi * (self.stiffness * FULL_SPRING_RAD * left / angle)
+        faded_phi(&(slave * master.inverse()).scaled_axis()) * self.stiffness
     }
 
     /// Potential U in J.

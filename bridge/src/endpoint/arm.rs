@@ -10,10 +10,12 @@ use super::{
 };
 use crate::{
     command::OperatorCommand,
-    coupling::{AlignmentStep, CouplingError, Limited, RotationState},
+    coupling::{
+        AlignmentStep, CoupledSlave, CoupledSlaveTurn, CouplingError, Limited, MethodSettings, RotationState,
+    },
     ladder::{AlignmentState, LadderState},
-    port::PortState,
-    wire::Padded,
+    port::{CouplingMessage, PortState},
+    wire::{Padded, padded},
 };
 
 /// State of the master in the newest frame.
@@ -24,6 +26,8 @@ pub(crate) struct MasterState<'a, const N: usize> {
     /// V in m/s.
     pub(crate) velocity: Axes<N>,
     pub(crate) rotation: Option<&'a RotationState>,
+    /// Numbers of its half of the coupling.
+    pub(crate) message: &'a CouplingMessage,
 }
 
 /// Inputs of a tick beside the measurements of the arm.
@@ -63,6 +67,12 @@ pub(crate) const TOOL_LEVER_M: f64 = 0.1;
 #[derive(Clone, Debug)]
 pub(crate) struct Arm<const N: usize> {
     translation: SlaveTranslation<N>,
+    /// Half of the coupling; none of measured position-force, which commands the master's own motion.
+    coupled: Option<Box<CoupledSlave<N>>>,
+    /// Position in m and `F_e` in N at the last tick of this engagement, from which the work of the next tick counts.
+    last: Option<[Axes<N>; 2]>,
+    /// The same for the rotation.
+    last_rotation: Option<RotationState>,
     /// Rotation; none for a point.
     rotation: Option<Box<SlaveRotation>>,
     fault: Option<Fault>,
@@ -80,6 +90,9 @@ impl<const N: usize> Arm<N> {
     pub(crate) fn new(settings: &SlaveSettings) -> Result<Self, EndpointError> {
         Ok(Self {
             translation: SlaveTranslation::new(settings)?,
+            coupled: None,
+            last: None,
+            last_rotation: None,
             rotation: None,
             fault: None,
             excess: None,
@@ -91,6 +104,14 @@ impl<const N: usize> Arm<N> {
             wrench: (Axes::zeros(), Axes::zeros()),
             max_step_s: 2.0 * period_s(settings.period_ns),
         })
+    }
+
+    /// Set the coupling; the default is position-force.
+    pub(super) fn set_coupling(&mut self, settings: &MethodSettings) {
+        self.coupled = CoupledSlave::new(settings).map(Box::new);
+        if let Some(rotation) = &mut self.rotation {
+            rotation.coupled = CoupledSlaveTurn::new(settings).map(Box::new);
+        }
     }
 
     /// Add `rotation` (three axes). A press waits for at most `align_s`.
@@ -241,51 +262,78 @@ impl<const N: usize> Arm<N> {
         }
         let of_master = newest.as_ref().map(|master| [&master.position, &master.velocity]);
         let input = TranslationInput { state, stale_ns, newest: of_master };
-        if let Some(led) = self.translation.follow(now_ns, position, &input) {
+        let led = if let Some(coupled) = &mut self.coupled {
+            let message = newest.as_ref().map_or(&CouplingMessage::ZERO, |master| master.message);
+            let pushed =
+                self.translation.push(now_ns, [position, environment_force], &input, coupled, message);
+            pushed.map(|(led, work_j)| {
+                outgoing.energy.add(-work_j);
+                led
+            })
+        } else {
+            self.count_work(reading, outgoing);
+            self.translation.follow(now_ns, position, &input)
+        };
+        if let Some(led) = led {
             let [speed, reach] = led.limited;
             limited = Limited { speed, reach, ..limited };
             command_velocity = led.velocity;
-            if let (Some(rotation), Some(master), Some(measured)) =
-                (&mut self.rotation, newest.and_then(|master| master.rotation), &reading.rotation)
+            if let (Some(rotation), Some(master), Some(measured), Some(newest)) =
+                (&mut self.rotation, newest.and_then(|master| master.rotation), &reading.rotation, &newest)
             {
-                angular_velocity =
-                    rotation.follow(master, measured, elapsed_s, led.extrapolated, &mut limited);
+                let times = (elapsed_s, 0.5 * self.max_step_s);
+                let pushed = rotation.push(master, newest.message, measured, times, &mut limited);
+                angular_velocity = if let Some((velocity, work_j)) = pushed {
+                    outgoing.energy.add(-work_j);
+                    velocity
+                } else {
+                    rotation.follow(master, measured, elapsed_s, led.extrapolated, &mut limited)
+                };
             }
         } else if let Some(rotation) = &mut self.rotation {
-            rotation.coupling.disengage();
+            rotation.disengage();
         }
-        let power_w = environment_force.dot(&command_velocity);
-        let mut turning = angular_velocity;
         if let (true, Some(step)) = (turns, step) {
             self.translation.stay_at(position);
-            // The energy of this motion stays at the slave: the link does not carry it.
-            (angular_velocity, turning) = (step.angular_velocity, Axes::zeros());
+            angular_velocity = step.angular_velocity;
         }
-        self.report(reading, power_w, &turning, elapsed_s, turns, outgoing);
+        let counts = self.coupled.is_none() && state.is_coupled();
+        self.last = counts.then_some([reading.position, reading.environment_force]);
+        if reading.rotation.is_some() {
+            self.last_rotation = reading.rotation;
+        }
+        self.report(reading, turns, outgoing);
         ArmTick { command_velocity, angular_velocity, limited }
     }
 
-    /// Fill the next frame's report of the arm. The energy is that of the whole wrench, `f·v + tau·w`.
+    /// Count the work of the environment's wrench on the link since the last tick of this engagement:
+    /// `f·dx + tau·dphi`. An invalid reading shows no motion.
+    #[inline(always)] // as check
+    fn count_work(&self, reading: &SlaveReading<N>, outgoing: &mut PortState) {
+        let (Some([position, force]), None) = (&self.last, self.fault) else { return };
+        let turned = self.last_rotation.zip(reading.rotation).map_or(0.0, |(last, now)| {
+            last.torque.dot(&(now.orientation * last.orientation.inverse()).scaled_axis())
+        });
+        outgoing.energy.add(force.dot(&(reading.position - position)) + turned);
+    }
+
+    /// Fill the next frame's report of the arm.
     ///
     /// While the arm rotates to the master's orientation (`turns`) the wrench is zero. A force that still
     /// fades on the hand must not contain forces of that motion.
     #[inline(always)] // as check
-    fn report(
-        &self,
-        reading: &SlaveReading<N>,
-        power_w: f64,
-        angular_velocity: &Axes<3>,
-        elapsed_s: f64,
-        turns: bool,
-        outgoing: &mut PortState,
-    ) {
+    fn report(&self, reading: &SlaveReading<N>, turns: bool, outgoing: &mut PortState) {
         if self.fault.is_some() {
             without_wrench(outgoing);
+            outgoing.message = CouplingMessage::ZERO;
             return;
         }
+        if let Some(coupled) = &self.coupled {
+            outgoing.message.vector = coupled.sent().map_or(Padded::zeros(), padded);
+            let turning = self.rotation.as_ref().and_then(|rotation| rotation.coupled.as_ref());
+            outgoing.message.turned = turning.and_then(|one| one.sent()).copied().unwrap_or_default();
+        }
         let SlaveReading { position, velocity, environment_force: force, rotation } = *reading;
-        let turning = rotation.map_or(0.0, |measured| measured.torque.dot(angular_velocity));
-        outgoing.energy.add(power_w + turning, elapsed_s);
         outgoing.report(&position, &velocity, &force, rotation);
         if turns {
             without_wrench(outgoing);
@@ -295,8 +343,12 @@ impl<const N: usize> Arm<N> {
     /// End the coupling: the next engagement starts from the positions at that time.
     pub(crate) fn disengage(&mut self) {
         self.translation.disengage();
+        self.last = None;
+        if let Some(coupled) = &mut self.coupled {
+            coupled.disengage();
+        }
         if let Some(rotation) = &mut self.rotation {
-            rotation.coupling.disengage();
+            rotation.disengage();
         }
     }
 
@@ -413,6 +465,7 @@ mod tests {
                 position: master.position,
                 velocity: Axes::zeros(),
                 rotation: master.rotation.as_ref(),
+                message: &CouplingMessage::ZERO,
             });
             let input = ArmInput { state, turns: false, stale_ns: 0, newest };
             self.arm.tick(now_ns, &taken, None, &input, &mut PortState::default());

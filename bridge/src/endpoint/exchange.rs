@@ -6,7 +6,7 @@ use haptether_safety::{Axes, Excess, Fault, controller::SafetySettings};
 
 use crate::{
     SideKind,
-    coupling::GripperState,
+    coupling::{CouplingKind, GripperState},
     fault_text::{FaultText, ReceivedText, SentText},
     ladder::{
         AlignmentState, Diagnosis, FlightEntry, FlightRecorder, FlightValues, LAYERS, Ladder, LadderError,
@@ -14,7 +14,7 @@ use crate::{
         thresholds,
     },
     link::{FrameHead, FrameLink, LinkStatistics, LinkTime, RejectReason, Status},
-    port::PortState,
+    port::{PortEnergy, PortState},
     wire::{Frame, FrameLayout, MAX_FRAME, Role},
 };
 
@@ -76,6 +76,8 @@ pub struct Exchange {
     /// Share of the ticks with a new sample of the device; none before it is measured, and of a simulated device.
     pub(crate) renewal: Option<f64>,
     pub(super) events: TickEvents,
+    /// Count of the engagements.
+    epoch: u16,
     /// Code of this side's fault (0 without one), and the driver's text on it.
     fault: u8,
     sent_text: SentText,
@@ -122,6 +124,7 @@ impl Exchange {
             outliers: 0,
             renewal: None,
             events: TickEvents::default(),
+            epoch: 0,
             fault: 0,
             sent_text: SentText::default(),
             failing: None,
@@ -156,6 +159,23 @@ impl Exchange {
     /// Set the kind of coordinates of both sides. Every frame of a pose has a rotation.
     pub(crate) fn set_kind(&mut self, kind: SideKind) {
         self.link.set_layout(FrameLayout { kind, ..self.link.layout() });
+    }
+
+    /// Set the coupling of both sides.
+    pub(super) fn set_coupling(&mut self, coupling: CouplingKind) {
+        self.link.set_layout(FrameLayout { coupling, ..self.link.layout() });
+    }
+
+    /// Energies through the port of this side since its engagement.
+    #[inline]
+    pub(crate) fn energy(&self) -> PortEnergy {
+        self.outgoing.energy
+    }
+
+    /// Count of the engagements of this side, from 1; 0 while it is not coupled.
+    #[inline]
+    pub(super) fn epoch(&self) -> u16 {
+        if self.ladder.state().is_coupled() { self.epoch } else { 0 }
     }
 
     /// Set the state of gripper or trigger for the next frame.
@@ -250,6 +270,8 @@ impl Exchange {
         }
         if state.is_coupled() && !before.is_coupled() {
             self.link.path.anchor();
+            self.epoch = self.epoch.checked_add(1).unwrap_or(1);
+            self.outgoing.energy = PortEnergy::default();
         }
         (state, age_ns)
     }

@@ -1,8 +1,8 @@
 //! Decision over the force on a hand. Live runs, virtual time and the replay of a recording all use it.
 
 use haptether_safety::{
-    Advance, Axes, Excess, Fault, Guard, Real, SafetyLayer, SafetyTick, Sample, SampleBounds, Signal, Track,
-    controller::ResearchController, is_within,
+    Advance, Axes, Coupled, CoupledTurn, Excess, Fault, Guard, Real, SafetyLayer, SafetyTick, Sample,
+    SampleBounds, Signal, Track, controller::ResearchController, is_within,
 };
 
 use super::layer::{Layer, MasterReading};
@@ -108,11 +108,29 @@ impl<const N: usize> Hand<N> {
         Some(self)
     }
 
+    /// Force in N and torque in N m of the coupling that the device has exerted since the last tick.
+    pub(super) fn exerted(&self) -> (Axes<N>, Axes<3>) {
+        self.layer.exerted()
+    }
+
+    /// Step one tick with the requests of `input`.
     #[inline(always)] // its result is large and mostly empty
     pub(crate) fn tick(
         &mut self,
         reading: &MasterReading<N>,
         input: &HandInput<N>,
+    ) -> (SafetyTick<N>, Option<SafetyTick<3>>) {
+        self.tick_coupled(reading, input, |_| input.requested_force, |_| input.requested_torque)
+    }
+
+    /// Step one tick with the force of `couple` and the torque of `couple_torque`, which get the motion of this tick.
+    #[inline(always)] // its result is large and mostly empty
+    pub(super) fn tick_coupled(
+        &mut self,
+        reading: &MasterReading<N>,
+        input: &HandInput<N>,
+        couple: impl FnOnce(&Coupled<'_, N>) -> Axes<N>,
+        couple_torque: impl FnOnce(&CoupledTurn<'_>) -> Axes<3>,
     ) -> (SafetyTick<N>, Option<SafetyTick<3>>) {
         // The state before a gap does not apply after it. If the position is still invalid, the layer stays
         // in fault, and the tick below reports it again.
@@ -132,8 +150,7 @@ impl<const N: usize> Hand<N> {
             self.layer.fail(fault);
         }
         self.is_new = false;
-        let HandInput { requested_force, requested_torque, gain, .. } = input;
-        self.layer.tick(missed, reading, requested_force, requested_torque, *gain)
+        self.layer.tick(missed, reading, couple, couple_torque, input.gain)
     }
 }
 

@@ -2,8 +2,9 @@
 
 use haptether_master::RotationSample;
 use haptether_safety::{
-    Axes, Excess, Fault, Guard, LayerSettings, LimiterSettings, ParameterError, PoseSample, RotationModel,
-    RotationSettings, SafetyLayer, SafetyTick, Sample, SampleBounds, WrenchLayer, WrenchSettings, WrenchTick,
+    Axes, Coupled, CoupledTurn, Excess, Fault, Guard, LayerSettings, LimiterSettings, ParameterError,
+    PoseSample, RotationModel, RotationSettings, SafetyLayer, SafetyTick, Sample, SampleBounds, WrenchLayer,
+    WrenchSettings, WrenchTick,
     controller::{ResearchController, SafetySettings},
     estimator::EstimatorKind,
 };
@@ -138,29 +139,37 @@ impl<const N: usize> Layer<N> {
         }
     }
 
-    /// Step one tick after `missed` missed ticks; `force` in N and `torque` in N m are the remote side's
-    /// requests.
+    /// Step one tick after `missed` missed ticks; `couple` returns the request of the remote side in N, and
+    /// `couple_torque` that in N m.
     #[inline(always)] // its result is large and mostly empty
     pub(super) fn tick(
         &mut self,
         missed: u64,
         reading: &MasterReading<N>,
-        force: &Axes<N>,
-        torque: &Axes<3>,
+        couple: impl FnOnce(&Coupled<'_, N>) -> Axes<N>,
+        couple_torque: impl FnOnce(&CoupledTurn<'_>) -> Axes<3>,
         gain: f64,
     ) -> (SafetyTick<N>, Option<SafetyTick<3>>) {
+        let couple = |at: &Coupled<'_, N>| at.faded(&couple(at), gain);
         match self {
             Self::Force(layer) => {
                 let MasterReading { position, velocity, .. } = reading;
-                let force = layer.faded(force, gain);
-                (layer.tick_after(missed, position, velocity.as_ref(), &force, gain), None)
+                (layer.tick_coupled(missed, position, velocity.as_ref(), couple, gain), None)
             }
             Self::Wrench(layer) => {
-                let (force, torque) = layer.faded(force, torque, gain);
+                let couple_torque = |at: &CoupledTurn<'_>| at.faded(&couple_torque(at), gain);
                 let WrenchTick { translation, rotation } =
-                    layer.tick_after(missed, &reading.pose(), &force, &torque, gain);
+                    layer.tick_coupled(missed, &reading.pose(), couple, couple_torque, gain);
                 (translation, Some(rotation))
             }
+        }
+    }
+
+    /// Force in N and torque in N m of the coupling that the device has exerted since the last tick.
+    pub(super) fn exerted(&self) -> (Axes<N>, Axes<3>) {
+        match self {
+            Self::Force(layer) => (layer.exerted(), Axes::zeros()),
+            Self::Wrench(layer) => layer.exerted(),
         }
     }
 

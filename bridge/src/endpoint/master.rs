@@ -1,10 +1,12 @@
 //! Endpoint of the master: one tick of the side of the hand.
 
 use haptether_safety::{
-    Axes, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyTick, SampleBounds, Turned,
+    Axes, Coupled, CoupledTurn, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyTick, SampleBounds,
+    Turned,
     controller::{ResearchController, SafetySettings},
     estimator::EstimatorKind,
 };
+use nalgebra::UnitQuaternion;
 
 use super::{
     EndpointError, Exchange, MasterReading, MasterRotationSettings, TriggerSettings, check_period,
@@ -17,10 +19,11 @@ use crate::{
     SideKind,
     command::OperatorCommand,
     coupling::{
-        CHANGE_FACTOR, CouplingError, PositionForce, RotationCoupling, RotationLock, RotationState,
-        ScaleRange, ScaleRanges,
+        CHANGE_FACTOR, CoupledMaster, CoupledMasterTurn, CouplingError, Mapping, MethodSettings,
+        RotationCoupling, RotationLock, RotationState, ScaleRange, ScaleRanges,
     },
     ladder::{LAYERS, LadderSettings, LadderState, Observed, ROTATION, TRANSLATION, TRIGGER},
+    port::CouplingMessage,
     wire::{Role, unpadded},
 };
 
@@ -66,7 +69,15 @@ pub struct MasterTick<const N: usize> {
 #[derive(Clone, Debug)]
 pub struct MasterEndpoint<const N: usize> {
     hand: Hand<N>,
-    coupling: PositionForce<N>,
+    mapping: Mapping<N>,
+    /// Half of the coupling; none of measured position-force, whose force follows from the newest frame alone.
+    coupled: Option<Box<CoupledMaster<N>>>,
+    /// Half of the coupling for the rotation, likewise.
+    turning: Option<Box<CoupledMasterTurn>>,
+    /// Position in m at the last tick of this engagement, from which the work of the next tick counts.
+    last: Option<Axes<N>>,
+    /// The same for the orientation.
+    last_orientation: Option<UnitQuaternion<f64>>,
     /// Coupling of the rotation; none if the hand does not turn.
     rotation: Option<RotationCoupling>,
     /// Force feedback of the trigger; none without it.
@@ -110,6 +121,15 @@ impl<const N: usize> MasterEndpoint<N> {
     /// Bounds of the scales during the run.
     pub fn ranges(&self) -> &ScaleRanges {
         &self.ranges
+    }
+
+    /// Set the coupling; the default is position-force.
+    #[must_use]
+    pub fn with_coupling(mut self, settings: &MethodSettings) -> Self {
+        self.exchange.set_coupling(settings.kind);
+        self.coupled = CoupledMaster::new(settings).map(Box::new);
+        self.turning = CoupledMasterTurn::new(settings).map(Box::new);
+        self
     }
 
     /// Add a trigger with force feedback.
@@ -182,7 +202,11 @@ impl<const N: usize> MasterEndpoint<N> {
         }
         Ok(Self {
             hand,
-            coupling: PositionForce::new(1.0, settings.force_scale)?,
+            mapping: Mapping::new(1.0, settings.force_scale)?,
+            coupled: None,
+            turning: None,
+            last: None,
+            last_orientation: None,
             rotation: None,
             trigger: None,
             exchange,
@@ -233,16 +257,22 @@ impl<const N: usize> MasterEndpoint<N> {
         let fault = device_failed.then_some(Fault::Device).or(trigger.and_then(|tick| tick.fault));
         let input =
             HandInput { received_force, received_torque, gain, missed, past, fault, ..HandInput::idle() };
-        let input = if is_heard { self.requested(&input) } else { input };
-        let (safety, rotation) = self.hand.tick(reading, &input);
+        let mut input = if is_heard { self.requested(&input) } else { input };
+        let exerted = self.last.is_some().then(|| self.hand.exerted());
+        let (safety, rotation) = if self.coupled.is_some() && is_heard {
+            self.tick_coupled(reading, &mut input)
+        } else {
+            self.hand.tick(reading, &input)
+        };
         let of_trigger = self.trigger.as_ref().map(|trigger| (trigger.outliers(), trigger.excess()));
         let (outliers, excess) = of_trigger.unwrap_or_default();
         self.exchange.outliers = self.hand.guard().outliers() + outliers;
         if let Some(fault) = safety.fault {
             self.exchange.fault_of(now_ns, fault, self.hand.excess().or(excess));
+            (self.exchange.outgoing.message, self.last) = (CouplingMessage::ZERO, None);
             trigger = self.trigger.as_mut().map(|trigger| trigger.fail(fault));
         } else {
-            self.report(&safety, rotation.as_ref(), missed);
+            self.report(&safety, rotation.as_ref(), exerted.filter(|_| past == CarriedState::All));
             let turned = rotation.as_ref().map(|tick| tick.intervention);
             if safety.intervention.withheld || turned.is_some_and(|one| one.withheld) {
                 let yields = safety.intervention.yields || turned.is_some_and(|one| one.yields);
@@ -264,14 +294,53 @@ impl<const N: usize> MasterEndpoint<N> {
         MasterTick { input, safety, rotation, trigger, state: self.exchange.ladder.state(), age_ns }
     }
 
+    /// Tick the hand with the requests of a coupling with two halves, and add them to `input`. Not inline, so that a tick of
+    /// position-force stays short.
+    #[inline(never)]
+    fn tick_coupled(
+        &mut self,
+        reading: &MasterReading<N>,
+        input: &mut HandInput<N>,
+    ) -> (SafetyTick<N>, Option<SafetyTick<3>>) {
+        let (Some(coupled), Some(newest)) = (&mut self.coupled, self.exchange.link.newest()) else {
+            return self.hand.tick(reading, input);
+        };
+        let (mapping, gain) = (&self.mapping, input.gain);
+        let is_coupled = self.exchange.ladder.state().is_coupled();
+        let (mut force, mut torque) = (Axes::zeros(), Axes::zeros());
+        let request = |at: &Coupled<'_, N>| {
+            force = coupled.request(mapping, (at.position, at.velocity), gain, is_coupled, newest);
+            force
+        };
+        let request_torque = |at: &CoupledTurn<'_>| {
+            if let (Some(turning), Some(map)) = (&mut self.turning, &self.rotation) {
+                let motion = (at.orientation, &at.angular_velocity);
+                torque = turning.request(map, motion, gain, is_coupled, newest);
+            }
+            torque
+        };
+        let ticks = self.hand.tick_coupled(reading, input, request, request_torque);
+        (input.requested_force, input.requested_torque) = (force, torque);
+        ticks
+    }
+
     /// Add the coupling's requested force and torque to `input`. Each call advances the coupling's fades by
     /// one tick.
     #[inline(always)] // argument and result are large
     pub(crate) fn requested(&mut self, input: &HandInput<N>) -> HandInput<N> {
-        let requested_force = self.coupling.rendered_force(&input.received_force);
-        self.coupling.advance();
+        let is_measured = self.coupled.is_none();
+        let requested_force = if is_measured {
+            self.mapping.rendered_force(&input.received_force)
+        } else {
+            input.requested_force
+        };
+        self.mapping.advance();
         let requested_torque = self.rotation.as_mut().map_or(Axes::zeros(), |coupling| {
-            let torque = coupling.rendered_torque(&input.received_torque);
+            let torque = if is_measured {
+                coupling.rendered_torque(&input.received_torque)
+            } else {
+                input.requested_torque
+            };
             coupling.advance();
             torque
         });
@@ -287,21 +356,47 @@ impl<const N: usize> MasterEndpoint<N> {
         self.hand.tick(reading, input)
     }
 
-    /// Fill the next frame's report of the device. The rendered wrench takes `f·v + tau·w` out of the link,
-    /// so the reported energy counts this power as negative.
-    fn report(&mut self, safety: &SafetyTick<N>, rotation: Option<&SafetyTick<3>>, missed: u64) {
+    /// Fill the next frame's report of the device. `exerted` is the wrench of the coupling since the last tick; its
+    /// work `f·dx + tau·dphi` comes out of the link.
+    #[inline(always)] // once per tick
+    fn report(
+        &mut self,
+        safety: &SafetyTick<N>,
+        rotation: Option<&SafetyTick<3>>,
+        exerted: Option<(Axes<N>, Axes<3>)>,
+    ) {
         let velocity = safety.motion.velocity;
-        let turning = rotation.map_or(0.0, |tick| tick.rendered_force.dot(&tick.motion.velocity));
-        let power_w = safety.rendered_force.dot(&velocity) + turning;
         let taken = self.hand.sample_in_use();
+        let position = taken.position;
+        let outgoing = &mut self.exchange.outgoing;
+        if let (Some((force, torque)), Some(last)) = (exerted, &self.last) {
+            let turned = self
+                .last_orientation
+                .zip(taken.rotation)
+                .map_or(0.0, |(last, now)| torque.dot(&(now.orientation * last.inverse()).scaled_axis()));
+            outgoing.energy.add(-(force.dot(&(position - last)) + turned));
+        }
         let rotation = taken.rotation.zip(rotation).map(|(Turned { orientation, .. }, tick)| RotationState {
             orientation,
             angular_velocity: tick.motion.velocity,
             torque: tick.device_force,
         });
+        let epoch = self.exchange.epoch();
+        self.last = (epoch != 0).then_some(position);
+        if taken.rotation.is_some() {
+            self.last_orientation = taken.rotation.map(|turned| turned.orientation);
+        }
         let outgoing = &mut self.exchange.outgoing;
-        outgoing.energy.add(-power_w, self.period_s * (missed + 1) as f64);
-        outgoing.report(&taken.position, &velocity, &safety.device_force, rotation);
+        outgoing.message.epoch = epoch;
+        if let Some(coupled) = &self.coupled {
+            outgoing.message = coupled.message(epoch, &position);
+            if let (Some(turning), Some(turned)) = (&self.turning, &taken.rotation)
+                && outgoing.message.epoch != 0
+            {
+                outgoing.message.turned = turning.turned(&turned.orientation).unwrap_or_default();
+            }
+        }
+        outgoing.report(&position, &velocity, &safety.device_force, rotation);
     }
 
     /// Carry out an operator command; return whether it is an acknowledgement or concerns this side's
@@ -328,6 +423,6 @@ impl<const N: usize> MasterEndpoint<N> {
             }
             _ => {}
         }
-        self.coupling.command_at_master(command, ticks)
+        self.mapping.command_at_master(command, ticks)
     }
 }

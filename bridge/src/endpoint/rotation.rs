@@ -5,10 +5,11 @@ use nalgebra::UnitQuaternion;
 
 use crate::{
     coupling::{
-        ALIGNED_RAD, Alignment, AlignmentSettings, AlignmentStep, CouplingError, Limited, RotationBounds,
-        RotationCoupling, RotationLock, RotationState, SETTLED_S, turned_within,
+        ALIGNED_RAD, Alignment, AlignmentSettings, AlignmentStep, CoupledSlaveTurn, CouplingError, Limited,
+        RotationBounds, RotationCoupling, RotationLock, RotationState, SETTLED_S, turned_within,
     },
     ladder::AlignmentState,
+    port::CouplingMessage,
 };
 
 /// Largest lag in rad of a command behind the master; beyond pi, the shorter way has the opposite direction.
@@ -35,6 +36,8 @@ pub struct SlaveRotationSettings {
 #[derive(Clone, Debug)]
 pub(super) struct SlaveRotation {
     pub(super) coupling: RotationCoupling,
+    /// Half of the coupling; none of measured position-force.
+    pub(super) coupled: Option<Box<CoupledSlaveTurn>>,
     pub(super) alignment: Option<Alignment>,
     /// Time in s that the turning arm has been within [`ALIGNED_RAD`] of the master.
     near_s: f64,
@@ -63,6 +66,7 @@ impl SlaveRotation {
         };
         Ok(Self {
             coupling,
+            coupled: None,
             alignment,
             near_s: 0.0,
             bounds: *bounds,
@@ -135,6 +139,14 @@ impl SlaveRotation {
         Signal::EnvironmentTorque.check(torque)
     }
 
+    /// End the coupling: the next engagement starts from the orientations at that time.
+    pub(super) fn disengage(&mut self) {
+        self.coupling.disengage();
+        if let Some(coupled) = &mut self.coupled {
+            coupled.disengage();
+        }
+    }
+
     /// Store the orientation of the first confirmed sample as home.
     pub(super) fn begin(&mut self, measured: &RotationState) {
         self.home.get_or_insert(measured.orientation);
@@ -183,6 +195,32 @@ impl SlaveRotation {
             velocity = if elapsed_s > 0.0 { way / elapsed_s } else { Axes::zeros() };
         }
         velocity * share
+    }
+
+    /// Step the tool of a coupling with torque; return the angular velocity in rad/s of the command, and the work in J
+    /// of the torque on the tool.
+    pub(super) fn push(
+        &mut self,
+        master: &RotationState,
+        message: &CouplingMessage,
+        measured: &RotationState,
+        (elapsed_s, dt): (f64, f64),
+        limited: &mut Limited,
+    ) -> Option<(Axes<3>, f64)> {
+        let coupled = self.coupled.as_mut()?;
+        let home = self.home.unwrap_or(measured.orientation);
+        let from = self.command.unwrap_or(measured.orientation);
+        let peer = (message, &master.angular_velocity);
+        let wanted = coupled.step(&mut self.coupling, &from, &measured.torque, peer, dt);
+        let mut acted = Limited::default();
+        let command = turned_within(&self.left, elapsed_s, [&home, &from, &wanted], &mut acted);
+        self.command = Some(command);
+        if acted.any() {
+            (limited.turn, limited.angular_speed) =
+                (limited.turn | acted.turn, limited.angular_speed | acted.angular_speed);
+            coupled.limit(&command, &((command * from.inverse()).scaled_axis() / dt));
+        }
+        Some((*coupled.velocity(), coupled.work_j()))
     }
 
     /// Angular velocity in rad/s of the command, within the bound on its speed.

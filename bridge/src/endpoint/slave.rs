@@ -8,7 +8,8 @@ use crate::{
     SideKind,
     command::OperatorCommand,
     coupling::{
-        CHANGE_FACTOR, CommandBounds, CouplingError, Limited, RotationState, ScaleRange, ScaleRanges,
+        CHANGE_FACTOR, CommandBounds, CouplingError, Limited, MethodSettings, RotationState, ScaleRange,
+        ScaleRanges,
     },
     ladder::{LAYERS, LadderSettings, LadderState, Observed},
     wire::{Role, unpadded},
@@ -107,6 +108,14 @@ impl<const N: usize> SlaveEndpoint<N> {
         Ok(Self { arm, ranges, exchange })
     }
 
+    /// Set the coupling; the default is position-force.
+    #[must_use]
+    pub fn with_coupling(mut self, settings: &MethodSettings) -> Self {
+        self.exchange.set_coupling(settings.kind);
+        self.arm.set_coupling(settings);
+        self
+    }
+
     /// Replace the bounds of the scales during the run; the default bounds use [`CHANGE_FACTOR`].
     #[must_use]
     pub fn with_ranges(self, ranges: ScaleRanges) -> Self {
@@ -164,10 +173,13 @@ impl<const N: usize> SlaveEndpoint<N> {
             position: unpadded(&frame.position),
             velocity: unpadded(&frame.velocity),
             rotation: frame.rotation.as_ref(),
+            message: &frame.message,
         });
         let turns = exchange.ladder.turns();
         let input = ArmInput { state, turns, stale_ns: exchange.ladder.stale_ns(), newest };
+        let epoch = exchange.epoch();
         let outgoing = &mut exchange.outgoing;
+        outgoing.message.epoch = epoch;
         let tick = arm.tick(now_ns, reading, step.as_ref(), &input, outgoing);
         exchange.limited_ticks += u64::from(tick.limited.any());
         let command = arm.last_command().unwrap_or(reading.position);

@@ -7,8 +7,9 @@ use nalgebra::SimdBool as _;
 
 use super::{Arm, EndpointError, SlaveSettings, check_period, period_s};
 use crate::{
-    coupling::{PositionForce, bounded, decayed},
+    coupling::{CoupledSlave, Mapping, bounded, decayed},
     ladder::LadderState,
+    port::CouplingMessage,
 };
 
 /// Number of successive accepted samples that confirm the newest: more than the guard counts as outliers.
@@ -39,7 +40,7 @@ pub(crate) struct CommandMotion<const N: usize, S: Real = f64> {
 /// Position coupling of an arm and its bounds, with the state after the last tick.
 #[derive(Clone, Debug)]
 pub(crate) struct SlaveTranslation<const N: usize, S = f64> {
-    coupling: PositionForce<N, S>,
+    coupling: Mapping<N, S>,
     /// Bounds on the command: speed in m/s, and distance in m from home.
     bounds: [S; 2],
     /// Speed in m/s that the arm's own braking adds to the command's; the speed bound includes it.
@@ -66,7 +67,7 @@ impl<const N: usize> SlaveTranslation<N> {
         check_period(settings.period_ns)?;
         settings.bounds.check()?;
         Ok(Self {
-            coupling: PositionForce::new(settings.position_scale, 1.0)?,
+            coupling: Mapping::new(settings.position_scale, 1.0)?,
             bounds: [settings.bounds.speed, settings.bounds.reach],
             braking: 0.0,
             decay_ns: settings.ladder.extrapolate_ns,
@@ -83,6 +84,42 @@ impl<const N: usize> SlaveTranslation<N> {
     /// Set the `speed` in m/s of the arm's own braking. Commands get the rest of the speed bound.
     pub(super) fn set_braking(&mut self, speed: f64) {
         self.braking = speed;
+    }
+}
+
+impl<const N: usize> SlaveTranslation<N> {
+    /// Step one tick of an arm at `position` in m, which the environment pushes with `environment_force` in N, by a
+    /// coupling whose force acts on a virtual tool.
+    ///
+    /// Also returns the work in J of that force on the tool. Returns `None` unless coupled, like
+    /// [`follow`](Self::follow). A late command is not extrapolated: the spring holds the newest position.
+    pub(super) fn push(
+        &mut self,
+        now_ns: u64,
+        [position, environment_force]: [&Axes<N>; 2],
+        input: &TranslationInput<'_, N>,
+        coupled: &mut CoupledSlave<N>,
+        message: &CouplingMessage,
+    ) -> Option<(CommandMotion<N>, f64)> {
+        let (elapsed_s, home) = self.begin(now_ns, position);
+        let TranslationInput { state, newest, .. } = *input;
+        let (LadderState::Engaged | LadderState::Stale, Some([_, velocity])) = (state, newest) else {
+            self.coupling.disengage();
+            coupled.disengage();
+            return None;
+        };
+        let from = self.command.unwrap_or(*position);
+        // A late loop must not make the spring unstable: the tool then moves for one period.
+        let dt = self.period_s;
+        let wanted = coupled.step(&mut self.coupling, &from, environment_force, (message, velocity), dt);
+        let bounds = self.bounds();
+        let (command, [hurries, leaves]) = bounded(bounds, elapsed_s, &home, &from, &wanted);
+        if hurries || leaves {
+            coupled.tool().limit(&command, &((command - from) / dt));
+        }
+        self.command = Some(command);
+        let (velocity, limited) = (*coupled.tool().velocity(), [hurries, leaves]);
+        Some((CommandMotion { velocity, limited, extrapolated: (0.0, 1.0) }, coupled.work_j()))
     }
 }
 
@@ -103,7 +140,7 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
             return None;
         }
         Some(Self {
-            coupling: PositionForce::gather(&of.iter().map(|one| &one.coupling).collect::<Vec<_>>())?,
+            coupling: Mapping::gather(&of.iter().map(|one| &one.coupling).collect::<Vec<_>>())?,
             bounds: [pack(of, |one| one.bounds[0])?, pack(of, |one| one.bounds[1])?],
             braking,
             decay_ns,
@@ -170,6 +207,25 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
         self.home = None;
     }
 
+    /// Begin a tick of an arm at `position` in m; return the time in s since the last command, and home.
+    #[inline(always)] // once per tick
+    fn begin(&mut self, now_ns: u64, position: &Axes<N, S>) -> (f64, Axes<N, S>) {
+        let elapsed_s = self.elapsed_s(now_ns);
+        self.commanded_ns = now_ns;
+        if self.home.is_none() && self.is_confirmed() {
+            self.home = Some(*position);
+        }
+        // No live side engages before its start is confirmed; a run in virtual time may.
+        (elapsed_s, self.home.unwrap_or(*position))
+    }
+
+    /// Bounds on the command: speed in m/s that the arm's braking leaves, and distance in m from home.
+    #[inline(always)] // once per tick
+    fn bounds(&self) -> [S; 2] {
+        let [speed, reach] = self.bounds;
+        [(speed - S::splat(self.braking)).larger(S::zero()), reach]
+    }
+
     /// Step one tick of an arm at `position` in m.
     ///
     /// Returns `None` unless coupled: the arm then holds the last command, and the next engagement starts
@@ -181,14 +237,8 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
         position: &Axes<N, S>,
         input: &TranslationInput<'_, N, S>,
     ) -> Option<CommandMotion<N, S>> {
-        let elapsed_s = self.elapsed_s(now_ns);
-        self.commanded_ns = now_ns;
-        if self.home.is_none() && self.is_confirmed() {
-            self.home = Some(*position);
-        }
+        let (elapsed_s, home) = self.begin(now_ns, position);
         let TranslationInput { state, stale_ns, newest } = *input;
-        // No live side engages before its start is confirmed; a run in virtual time may.
-        let home = self.home.unwrap_or(*position);
         let (LadderState::Engaged | LadderState::Stale, Some([master, velocity])) = (state, newest) else {
             self.coupling.disengage();
             return None;
@@ -201,9 +251,8 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
         // here. So its first command equals the last one.
         let ahead = velocity * S::splat(ahead_s);
         let wanted = self.coupling.commanded_position(master, &(from - ahead)) + ahead;
-        let [speed, reach] = self.bounds;
-        let max_speed = (speed - S::splat(self.braking)).larger(S::zero());
-        let (command, [mut hurries, leaves]) = bounded([max_speed, reach], elapsed_s, &home, &from, &wanted);
+        let bounds @ [max_speed, _] = self.bounds();
+        let (command, [mut hurries, leaves]) = bounded(bounds, elapsed_s, &home, &from, &wanted);
         let mut velocity = velocity * S::splat(share);
         let speed = norm(&velocity);
         let is_fast = speed.simd_gt(max_speed);
@@ -227,7 +276,7 @@ impl<const N: usize, S: Real> SlaveTranslation<N, S> {
         self.command = self.command.and(rest);
     }
 
-    pub(crate) fn coupling(&mut self) -> &mut PositionForce<N, S> {
+    pub(crate) fn coupling(&mut self) -> &mut Mapping<N, S> {
         &mut self.coupling
     }
 

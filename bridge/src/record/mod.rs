@@ -17,6 +17,7 @@ use crate::{
     ladder::LadderState,
     pace::TickTime,
     plant::Truth,
+    port::PortEnergy,
 };
 
 /// Ladder fields of both sides' records.
@@ -28,6 +29,7 @@ pub(crate) struct LadderSnapshot {
     round_trip_ns: u64,
     outliers: u64,
     renewal: f32,
+    port: PortEnergy,
 }
 
 /// Codes of a peer that has not been heard.
@@ -45,7 +47,8 @@ impl LadderSnapshot {
         let outliers = exchange.outliers;
         #[allow(clippy::cast_possible_truncation)] // it is shown, and nothing is computed from it
         let renewal = exchange.renewal.map_or(f32::NAN, |share| share as f32);
-        Self { reason, peer, clutch: exchange.clutch(), round_trip_ns, outliers, renewal }
+        let port = exchange.energy();
+        Self { reason, peer, clutch: exchange.clutch(), round_trip_ns, outliers, renewal, port }
     }
 }
 
@@ -110,6 +113,8 @@ pub struct MasterRecord<const N: usize, R = ()> {
     pub outliers: u64,
     /// Share of the ticks with a new sample of the device; NaN before it is measured, and of a simulated device.
     pub renewal: f32,
+    /// Energies through the port since the engagement.
+    pub port: PortEnergy,
     /// Fault code, 0 without.
     pub fault: u8,
     /// Rotation; empty for a point.
@@ -150,6 +155,7 @@ impl<const N: usize, R: MasterTurn> Default for MasterRecord<N, R> {
             overshoot_ns: 0,
             outliers: 0,
             renewal: f32::NAN,
+            port: PortEnergy::default(),
             fault: 0,
             rotation: R::empty(),
         }
@@ -203,6 +209,7 @@ impl<const N: usize, R: MasterTurn> MasterRecord<N, R> {
             overshoot_ns: time.overshoot_ns,
             outliers: snapshot.outliers,
             renewal: snapshot.renewal,
+            port: snapshot.port,
             fault: tick.safety.fault.map_or(0, Fault::code),
             rotation,
         }
@@ -250,6 +257,8 @@ pub struct SlaveRecord<const N: usize, R = ()> {
     pub outliers: u64,
     /// Share of the ticks with a new sample of the device; NaN before it is measured, and of a simulated device.
     pub renewal: f32,
+    /// Energies through the port since the engagement.
+    pub port: PortEnergy,
     /// Fault code, 0 without.
     pub fault: u8,
     /// Rotation; empty for a point.
@@ -280,6 +289,7 @@ impl<const N: usize, R: SlaveTurn> Default for SlaveRecord<N, R> {
             overshoot_ns: 0,
             outliers: 0,
             renewal: f32::NAN,
+            port: PortEnergy::default(),
             fault: 0,
             rotation: R::empty(),
         }
@@ -319,6 +329,7 @@ impl<const N: usize, R: SlaveTurn> SlaveRecord<N, R> {
             overshoot_ns: time.overshoot_ns,
             outliers: snapshot.outliers,
             renewal: snapshot.renewal,
+            port: snapshot.port,
             fault: tick.fault.map_or(0, Fault::code),
             rotation: R::of(reading.rotation.as_ref(), tick),
         }

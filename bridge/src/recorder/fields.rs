@@ -136,6 +136,8 @@ const GIVEN_FAULT: &str = "code of a fault that device or trigger gave the safet
 const OUTLIERS: &str =
     "samples so far that left the path of the others and were replaced by their prediction";
 const RENEWAL: &str = "share of the ticks with a new sample of the device; null before it is measured, and of a simulated device";
+const PORT_IN: &str = "energy in J that hand or arm has put into the coupling since the engagement";
+const PORT_OUT: &str = "energy in J that it has drawn from the coupling since the engagement";
 const FAULT: &str = "code of the fault, 0 without";
 
 impl<const N: usize, R: MasterTurn> Recorded for MasterRecord<N, R> {
@@ -185,6 +187,8 @@ impl<const N: usize, R: MasterTurn> Recorded for MasterRecord<N, R> {
             ("overshoot_s", OVERSHOOT, seconds(self.overshoot_ns)),
             ("outliers", OUTLIERS, Value::Count(self.outliers)),
             ("renewal", RENEWAL, Value::Number(self.renewal.into())),
+            ("port_in_j", PORT_IN, Value::Number(self.port.in_j)),
+            ("port_out_j", PORT_OUT, Value::Number(self.port.out_j)),
             ("fault", FAULT, Value::Count(self.fault.into())),
             ("gain", "the ladder's share of the requested force, 0 to 1", Value::Number(self.gain)),
             ("missed", "ticks that were left out since the last", Value::Count(self.missed)),
@@ -237,6 +241,8 @@ impl<const N: usize, R: SlaveTurn> Recorded for SlaveRecord<N, R> {
             ("overshoot_s", OVERSHOOT, seconds(self.overshoot_ns)),
             ("outliers", OUTLIERS, Value::Count(self.outliers)),
             ("renewal", RENEWAL, Value::Number(self.renewal.into())),
+            ("port_in_j", PORT_IN, Value::Number(self.port.in_j)),
+            ("port_out_j", PORT_OUT, Value::Number(self.port.out_j)),
             ("fault", FAULT, Value::Count(self.fault.into())),
         ] {
             take(field);

@@ -1,8 +1,10 @@
 //! The two sides of a scene, built separately: coupled in virtual time, or run live.
 
+use std::f64::consts::TAU;
+
 use haptether_master::SimulatedMaster;
 use haptether_safety::SampleBounds;
-use haptether_slave::{SimulatedSlave, SimulatedTool};
+use haptether_slave::{ArmSettings, ControlKind, SimulatedSlave, SimulatedTool};
 
 use super::{
     aims::{is_aimed_by_person, master_commands},
@@ -19,7 +21,7 @@ use super::{
 use crate::{
     DrivenMaster, DrivenSlave, EndpointError, MasterEndpoint, MasterPlant, MasterRotation, MasterSettings,
     MasterSide, SideKind, SlaveEndpoint, SlaveGripper, SlaveRotation, SlaveSettings, SlaveSide, Trigger,
-    coupling::{PositionForce, ScaleRange, ScaleRanges},
+    coupling::{CouplingError, Gains, Mapping, MethodSettings, ScaleRange, ScaleRanges, VirtualToolSettings},
     endpoint::{Arm, Hand, TOOL_LEVER_M, period_s},
 };
 
@@ -42,6 +44,58 @@ fn master_settings<const N: usize>(
         force_scale: coupling.force_scale,
         ladder: scene.safety.ladder.unwrap_or_default(),
     })
+}
+
+/// Stiffness in N/m of the walls that the virtual tool of a scene without any is for.
+const STIFFEST_WALL: f64 = 2000.0;
+
+/// Return the largest stiffness in N/m of a wall of the scene.
+pub(super) fn stiffest_wall<const N: usize>(scene: &SceneSpec<N>) -> f64 {
+    let walls = scene.environment.iter().flat_map(|environment| &environment.objects);
+    let stiffest = walls.map(|wall| wall.contact.stiffness).fold(0.0, f64::max);
+    if stiffest > 0.0 { stiffest } else { STIFFEST_WALL }
+}
+
+/// Return w in rad/s of the arm's control, and the time in s by which the arm lags behind its command.
+pub(super) fn arm_response<const N: usize>(arm: &ArmSettings<N>) -> (f64, f64) {
+    let w = TAU * arm.bandwidth_hz;
+    match arm.control {
+        // A tool is under an impedance servo.
+        _ if arm.tool.is_some() => ((arm.stiffness / arm.mass_kg).sqrt(), 0.0),
+        ControlKind::Position => (w, 2.0 / w),
+        ControlKind::Velocity => (w, 1.0 / w),
+        ControlKind::Pd => ((arm.stiffness / arm.mass_kg).sqrt(), 0.0),
+    }
+}
+
+/// Return the virtual tool that an arm can follow. By default `M_v = K_max / (0.4 w)²`, with the stiffest wall of the
+/// scene and w of the arm: the tool then swings on that wall at 0.4 w at most.
+fn virtual_tool<const N: usize>(
+    scene: &SceneSpec<N>,
+    arm: &ArmSettings<N>,
+    coupling: &CouplingSpec,
+) -> Result<VirtualToolSettings, CouplingError> {
+    let (w, lag_s) = arm_response(arm);
+    let stiffest = stiffest_wall(scene);
+    let mass = coupling.tool_mass_kg.unwrap_or(stiffest / (0.4 * w).powi(2));
+    VirtualToolSettings::new(mass, coupling.tool_damping, coupling.tool_lead_s.unwrap_or(lag_s))
+}
+
+/// Return the settings of the scene's coupling.
+fn method<const N: usize>(scene: &SceneSpec<N>) -> Result<MethodSettings, SceneError> {
+    let (arm, coupling) = scene.coupled()?;
+    let CouplingSpec { kind, stiffness, damping, position_scale, .. } = *coupling;
+    let default = kind.default_gains();
+    let given = default.unwrap_or(Gains { stiffness: 1.0, damping: 0.0 });
+    let gains = Gains::new(stiffness.unwrap_or(given.stiffness), damping.unwrap_or(given.damping));
+    let (gains, tool) = gains
+        .and_then(|gains| Ok((gains, virtual_tool(scene, arm, coupling)?)))
+        .map_err(EndpointError::from)?;
+    let rotation = match default {
+        Some(_) if scene.master.kind == SideKind::Pose => Some(pose::coupled_rotation(scene, &gains)?),
+        _ => None,
+    };
+    Ok(MethodSettings { kind, gains, tool, position_scale, rotation })
 }
 
 /// Return the sample bounds of a side of this kind, with the speed bound of its device and a quantum in m (rad).
@@ -77,9 +131,9 @@ fn slave_samples<const N: usize>(scene: &SceneSpec<N>) -> [SampleBounds; 2] {
 /// lead a gripper.
 pub(super) fn hand_and_coupling<const N: usize>(
     scene: &SceneSpec<N>,
-) -> Result<(Hand<N>, PositionForce<N>), SceneError> {
+) -> Result<(Hand<N>, Mapping<N>), SceneError> {
     let settings = master_settings(scene, 0)?;
-    let coupling = PositionForce::new(1.0, settings.force_scale).map_err(EndpointError::from)?;
+    let coupling = Mapping::new(1.0, settings.force_scale).map_err(EndpointError::from)?;
     Ok((MasterEndpoint::hand_of(&settings)?.with_samples(master_samples(scene)), coupling))
 }
 
@@ -113,7 +167,8 @@ pub(super) fn master_endpoint<const N: usize>(
             stated(|change| change.torque_scale),
         ))),
     };
-    let mut endpoint = endpoint.with_ranges(ranges).with_samples(master_samples(scene));
+    let mut endpoint =
+        endpoint.with_ranges(ranges).with_samples(master_samples(scene)).with_coupling(&method(scene)?);
     endpoint.exchange.set_kind(scene.master.kind);
     if let Some(trigger) = trigger_feedback(scene, arm)? {
         endpoint = endpoint.with_trigger(&trigger)?;
@@ -171,7 +226,8 @@ pub(super) fn slave_endpoint<const N: usize>(
             stated(|change| change.rotation_scale),
         ))),
     };
-    let mut endpoint = endpoint.with_ranges(ranges).with_samples(slave_samples(scene));
+    let mut endpoint =
+        endpoint.with_ranges(ranges).with_samples(slave_samples(scene)).with_coupling(&method(scene)?);
     endpoint.exchange.set_kind(scene.master.kind);
     if scene.master.buttons.is_some() {
         endpoint.exchange.carry_buttons();

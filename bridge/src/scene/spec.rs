@@ -24,7 +24,7 @@ use serde::Deserialize;
 
 use crate::{
     ButtonSettings, LadderSettings, SideKind,
-    coupling::{AlignmentSettings, CHANGE_FACTOR, CommandBounds, RotationBounds},
+    coupling::{AlignmentSettings, CHANGE_FACTOR, CommandBounds, CouplingKind, RotationBounds},
     scene::metrics::Metrics,
 };
 
@@ -321,6 +321,27 @@ pub struct SecuritySpec {
 pub struct CouplingSpec {
     /// Coupling method.
     pub kind: CouplingKind,
+    /// K in N/m; by default that of the coupling.
+    #[serde(default)]
+    pub stiffness: Option<f64>,
+    /// B in N s/m; by default that of the coupling.
+    #[serde(default)]
+    pub damping: Option<f64>,
+    /// `M_v` in kg of the virtual tool; by default that of a stiff wall.
+    #[serde(default)]
+    pub tool_mass_kg: Option<f64>,
+    /// `B_v` in N s/m of the virtual tool; by default `10 M_v` per second.
+    #[serde(default)]
+    pub tool_damping: Option<f64>,
+    /// K in N m/rad of the rotation; by default that of the force at the lever.
+    #[serde(default)]
+    pub rotational_stiffness: Option<f64>,
+    /// B in N m s/rad of the rotation, likewise.
+    #[serde(default)]
+    pub rotational_damping: Option<f64>,
+    /// Time in s by which the arm lags behind its command; by default that of its control.
+    #[serde(default)]
+    pub tool_lead_s: Option<f64>,
     /// `lambda_p`: slave motion per master motion.
     pub position_scale: f64,
     /// `lambda_f`: rendered force per measured force.
@@ -376,14 +397,6 @@ pub struct ChangeSpec {
     pub quat_wxyz: Option<[f64; 4]>,
     /// The new locked axes.
     pub locked_axes: Option<Vec<usize>>,
-}
-
-/// Coupling method.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum CouplingKind {
-    /// Position forward, measured force backward.
-    PositionForce,
 }
 
 /// `[safety]`.

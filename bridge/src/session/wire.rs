@@ -381,7 +381,7 @@ mod tests {
                 [SideKind::Joints, SideKind::Pose].into_iter().flat_map(|k| (0..4).map(move |p| (k, p)))
             {
                 let (has_gripper, has_buttons) = (parts & 1 != 0, parts & 2 != 0);
-                let layout = FrameLayout { axes, kind, has_gripper, has_buttons };
+                let layout = FrameLayout { kind, has_gripper, has_buttons, ..FrameLayout::of(axes) };
                 assert_ne!(sealed_length(layout.length()), HANDSHAKE_LENGTH);
             }
         }

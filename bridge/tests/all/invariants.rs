@@ -237,6 +237,9 @@ fn what_must_never_be_is_not_in_ten_thousand_scenes() {
         ];
         assert!(rest.iter().all(|count| *count > cases / 10), "{seen:?}");
         assert!(seen.turn.fading > 0, "{seen:?}");
+        // The energies were computed in most ticks of either side, and only copied in the others.
+        let computed = |side: usize| seen.worked[side] > seen.unknown[side].max(10 * cases);
+        assert!(computed(0) && computed(1), "{seen:?}");
         let parts = [&seen.turn.all()[..], &seen.buttons.all(), &seen.gripper.all()];
         assert!(parts.concat().iter().all(|count| *count > cases / 50), "{seen:?}");
     }

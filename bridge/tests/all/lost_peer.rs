@@ -455,27 +455,49 @@ fn a_bad_sample_stops_both_sides_and_says_why() {
     assert_eq!(faults[1499].3, LadderState::Stop);
 }
 
-/// In each frame, each sum is that of the powers of all earlier ticks. It never falls, even if frames are lost.
+/// In each frame, each sum is that of the work of all earlier ticks of the engagement. It never falls during one, even if
+/// frames are lost, and starts at zero with each.
 #[test]
 fn frames_report_the_energy_through_each_port() {
     let (mut master, mut slave) = sides();
     let mut buffer = [0; MAX_FRAME];
-    let mut sums = [[0.0_f64; 2]; 2];
-    let mut add = |side: usize, power_w: f64| {
-        let sum = &mut sums[side][usize::from(power_w <= 0.0)];
-        *sum += power_w.abs() * 1e-3;
-        sums[side]
+    let (mut sums, mut whole) = ([[0.0_f64; 2]; 2], [[0.0_f64; 2]; 2]);
+    let mut epochs = [0_u16; 2];
+    // Position, and force on the link from there on, of each side while it is coupled.
+    let mut last = [None::<[f64; 2]>; 2];
+    let mut check = |side: usize, tick: u64, frame: &Frame, state: LadderState, force: f64| {
+        let message = frame.message;
+        assert_eq!(message.epoch != 0, state.is_coupled(), "{side}, {tick}");
+        if message.epoch != 0 && message.epoch != epochs[side] {
+            assert_eq!(message.epoch, epochs[side] + 1);
+            (epochs[side], sums[side]) = (message.epoch, [0.0; 2]);
+        }
+        let position = frame.position[0];
+        if let Some([before, force]) = last[side] {
+            let work = force * (position - before);
+            sums[side][usize::from(work <= 0.0)] += work.abs();
+            whole[side][usize::from(work <= 0.0)] += work.abs();
+        }
+        last[side] = state.is_coupled().then_some([position, force]);
+        for (sent, expected) in [frame.energy.in_j, frame.energy.out_j].iter().zip(sums[side]) {
+            // A rounding of each of at most 3000 sums.
+            let most = 3000.0 * f64::EPSILON * expected;
+            assert!((sent - expected).abs() <= most, "{side}, {tick}: {sent} J, must be {expected} J");
+        }
+        (epochs, whole)
     };
-    for tick in 0..3000 {
+    let mut seen = None;
+    for tick in 0..4000 {
         let now_ns = tick * MS;
+        if tick == 3000 {
+            assert!(master.command(now_ns, OperatorCommand::Press).unwrap());
+        }
         let near = master.tick(TickTime::at(now_ns));
+        assert_eq!((near.tripped, near.safety_force[0]), (0, 0.0), "damping is no power of the coupling");
         let frame =
             Frame::decode(master.send(LinkTime::at(now_ns), &mut buffer), Role::Master, FrameLayout::of(1))
                 .unwrap();
-        let expected = add(0, -near.rendered_force[0] * frame.velocity[0]);
-        for (sent, expected) in [frame.energy.in_j, frame.energy.out_j].iter().zip(expected) {
-            assert!((sent - expected).abs() <= 1e-12, "master, {tick}: {sent} J, must be {expected} J");
-        }
+        check(0, tick, &frame, near.state, -near.device_force[0]);
         // Every third frame is lost; the next one contains its energy.
         if tick % 3 != 0 {
             let _ = slave.receive(LinkTime::at(now_ns), &buffer[..FrameLayout::of(1).length()]);
@@ -488,21 +510,20 @@ fn frames_report_the_energy_through_each_port() {
         let frame =
             Frame::decode(slave.send(LinkTime::at(now_ns), &mut buffer), Role::Slave, FrameLayout::of(1))
                 .unwrap();
-        let expected = add(1, sample[2][0] * output.command_velocity[0]);
-        for (sent, expected) in [frame.energy.in_j, frame.energy.out_j].iter().zip(expected) {
-            assert!((sent - expected).abs() <= 1e-12, "slave, {tick}: {sent} J, must be {expected} J");
-        }
+        assert_eq!(frame.position[0], sample[0][0]);
+        seen = Some(check(1, tick, &frame, output.state, sample[2][0]));
         let _ = master.receive(LinkTime::at(now_ns), &buffer[..FrameLayout::of(1).length()]);
     }
+    let (epochs, [[master_in, _], [_, slave_out]]) = seen.unwrap();
+    assert_eq!(epochs, [2, 2]);
     // The hand presses into the wall: energy enters the wall at the slave, and leaves the hand at the master.
-    let [[master_in, _], [_, slave_out]] = sums;
-    assert!(master_in > 1e-3 && slave_out > 1e-3, "{sums:?}");
+    assert!(master_in > 1e-3 && slave_out > 1e-3, "{master_in} J, {slave_out} J");
 }
 
 #[test]
 fn a_frame_from_a_stranger_changes_nothing() {
     let (mut master, _) = sides();
-    let noise = [7_u8; 124];
+    let noise = [7_u8; FrameLayout::of(1).length()];
     for tick in 0..50 {
         assert!(master.receive(LinkTime::at(tick * MS), &noise).is_err());
         assert_eq!(master.tick(TickTime::at(tick * MS)).state, LadderState::Aligning);

@@ -32,6 +32,7 @@ class List(FileOptions):
         from rich.padding import Padding
 
         from haptether.bridge import (
+            COUPLINGS,
             GRIPPERS,
             MASTERS,
             RESEARCH_CONTROLLERS,
@@ -66,6 +67,7 @@ class List(FileOptions):
             "preset": ("networks: haptether netsim list says where they come from", tuple(PRESETS)),
         }
         registries = {
+            "[coupling] kind": ("what each side feels of the other", COUPLINGS),
             "[safety] controllers": ("what intervenes when the hand is not safe", CONTROLLERS),
             "observer": ("what the controllers act on", OBSERVERS),
             "[safety.estimator] kind": ("how velocity and acceleration are had from the position", ESTIMATORS),

@@ -15,11 +15,14 @@ pub(super) use measures::RotationMeasures;
 
 use super::{
     assemble::{SceneError, contradiction, limiter},
-    spec::{CouplingSpec, EnvironmentSpec, SceneSpec, TorqueKind, TorqueSpec},
+    sides::{arm_response, stiffest_wall},
+    spec::{
+        CouplingSpec, EnvironmentSpec, RotationSafetySpec, SafetySpec, SceneSpec, TorqueKind, TorqueSpec,
+    },
 };
 use crate::{
-    MasterRotationSettings, SideKind, SlaveRotationSettings, TurningMaster,
-    coupling::{CouplingError, ReferencePoint, RotationLock},
+    EndpointError, MasterRotationSettings, SideKind, SlaveRotationSettings, TurningMaster,
+    coupling::{CouplingError, Gains, ReferencePoint, RotationLock, VirtualToolSettings},
 };
 
 /// Return the scene as one of kind `pose`, or none if it is of another kind.
@@ -142,6 +145,38 @@ pub(super) fn master_rotation<const N: usize>(
         torque_scale: coupling.torque_scale,
         shares_trips: own.shares_trips,
     })
+}
+
+/// Return gains and virtual tool of the rotation: by default the `gains` of the force at the lever, and an inertia that
+/// the tool's servo can follow, as that of the force.
+pub(super) fn coupled_rotation<const N: usize>(
+    scene: &SceneSpec<N>,
+    gains: &Gains,
+) -> Result<(Gains, VirtualToolSettings), SceneError> {
+    let (arm, coupling) = scene.coupled()?;
+    let name = coupling.kind.name();
+    if coupling.rotation_scale != 1.0 || rotation_lock(coupling) != Ok(RotationLock::Free) {
+        return contradiction(format!(
+            "coupling.kind = \"{name}\": needs rotation_scale = 1 and no lock of the rotation; only \"position-force\" \
+             has them"
+        ));
+    }
+    let Some(SafetySpec { rotation: Some(RotationSafetySpec { lever_m, .. }), .. }) = Some(&scene.safety)
+    else {
+        return contradiction("safety.rotation: is missing, kind = \"pose\" needs it");
+    };
+    let lever = lever_m * lever_m;
+    let stiffness = coupling.rotational_stiffness.unwrap_or(gains.stiffness * lever);
+    let damping = coupling.rotational_damping.unwrap_or(gains.damping * lever);
+    let (w, lag_s) = match &arm.tool {
+        Some(tool) => ((tool.rotational_stiffness / tool.inertia_kg_m2.max()).sqrt(), 0.0),
+        None => arm_response(arm),
+    };
+    let inertia = stiffest_wall(scene) * lever / (0.4 * w).powi(2);
+    let lead_s = coupling.tool_lead_s.unwrap_or(lag_s);
+    let gains = Gains::new(stiffness, damping);
+    let tool = VirtualToolSettings::new(inertia, None, lead_s);
+    Ok(gains.and_then(|gains| Ok((gains, tool?))).map_err(EndpointError::from)?)
 }
 
 /// Return the lock of the slave's rotation.

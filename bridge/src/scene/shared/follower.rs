@@ -25,9 +25,9 @@ use super::{
 };
 use crate::{
     Event, MasterRecord, ModelPlant as _, SlaveReading, SlaveRecord,
-    coupling::PositionForce,
+    coupling::Mapping,
     endpoint::{Arm, ArmInput, CarriedState, Hand, HandInput, MasterReading, MasterState},
-    port::PortState,
+    port::{CouplingMessage, PortState},
     scene::{
         assemble::{SceneError, exact_master},
         coupling::commands,
@@ -351,7 +351,7 @@ struct Follower<const N: usize> {
 struct MasterPart<const N: usize> {
     plant: SimulatedMaster<N>,
     hand: Hand<N>,
-    coupling: PositionForce<N>,
+    coupling: Mapping<N>,
     commands: Commands,
     sent: History<N>,
     /// Newest received tick of the slave.
@@ -549,6 +549,7 @@ impl<const N: usize> SlavePart<N> {
             position: *position,
             velocity: *velocity,
             rotation: None,
+            message: &CouplingMessage::ZERO,
         });
         let input = ArmInput { state: step.state, turns: false, stale_ns: step.stale_ns, newest };
         let tick = self.arm.tick(step.clock_ns, &reading, None, &input, &mut self.outgoing);

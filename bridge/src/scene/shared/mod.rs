@@ -7,6 +7,7 @@ mod follower;
 use std::sync::atomic::AtomicBool;
 
 use super::{assemble::SceneError, measures::Outcome, pose, spec::SceneSpec};
+use crate::coupling::CouplingKind;
 use beginning::share_beginning;
 use connection::Connection;
 
@@ -16,7 +17,8 @@ type Outcomes = Vec<Option<Result<Outcome, SceneError>>>;
 /// Return whether a run may share parts with others.
 ///
 /// Its controllers must change nothing but the force on the hand, and a copy of the run must be cheap. A felt trigger
-/// has controllers that depend on those of the hand. Rotation and sessions are not followed. Recordings are long.
+/// has controllers that depend on those of the hand. Rotation, sessions and the halves of couplings other than
+/// position-force are not followed. Recordings are long.
 pub(super) fn can_share<const N: usize>(scene: &SceneSpec<N>) -> bool {
     let links = scene.link.iter().flat_map(|links| [&links.forward, &links.backward]).flatten();
     let is_recorded = links.clone().any(|link| link.trace.is_some() || link.opportunities.is_some())
@@ -30,6 +32,7 @@ pub(super) fn can_share<const N: usize>(scene: &SceneSpec<N>) -> bool {
         && scene.master.gripper.is_none()
         && scene.safety.gripper.is_none()
         && scene.safety.research.is_none()
+        && scene.coupling.as_ref().is_none_or(|coupling| coupling.kind == CouplingKind::PositionForce)
         && !scene.security.is_some_and(|security| security.secure)
         && pose::as_pose(scene).is_ok_and(|scene| scene.is_none())
 }

@@ -1,8 +1,8 @@
 //! Fuzz target: the decoder of frames.
 
 use haptether_bridge::{
-    ReceivedText, SideKind,
-    coupling::{canonical, is_canonical},
+    CouplingMessage, ReceivedText, SideKind,
+    coupling::{CouplingKind, canonical, is_canonical},
     wire::{Frame, FrameLayout, MAX_FRAME, Role, WireError},
 };
 
@@ -18,7 +18,10 @@ pub(crate) fn check(bytes: &[u8]) {
             for parts in 0..4 {
                 let (has_gripper, has_buttons) = (parts & 1 != 0, parts & 2 != 0);
                 for axes in 1..=7 {
-                    check_layout(bytes, role, FrameLayout { axes, kind, has_gripper, has_buttons });
+                    for &coupling in CouplingKind::ALL {
+                        let layout = FrameLayout { axes, kind, has_gripper, has_buttons, coupling };
+                        check_layout(bytes, role, layout);
+                    }
                 }
             }
         }
@@ -47,10 +50,16 @@ fn check_layout(bytes: &[u8], role: Role, layout: FrameLayout) {
 fn decode(bytes: &[u8], role: Role, layout: FrameLayout) -> Result<(), WireError> {
     match Frame::decode(bytes, role, layout) {
         Ok(frame) => {
-            for values in [frame.position, frame.velocity, frame.force] {
+            let message = frame.message;
+            for values in [frame.position, frame.velocity, frame.force, message.vector] {
                 assert!(values.iter().all(|value| value.is_finite() && value.abs() <= 1e4), "{frame:?}");
             }
             assert_eq!(frame.layout(), layout);
+            let is_coupled = message.epoch != 0 && layout.coupling != CouplingKind::PositionForce;
+            assert!(
+                is_coupled || CouplingMessage { epoch: 0, ..message } == CouplingMessage::default(),
+                "{frame:?}"
+            );
             assert_eq!(frame.rotation.is_some(), layout.kind == SideKind::Pose);
             if let Some(rotation) = frame.rotation {
                 let quaternion = rotation.orientation.quaternion();

@@ -6,11 +6,11 @@ use std::{
 };
 
 use haptether_bridge::{
-    ButtonWord, Exchange, LadderState, LinkTime, MasterPlant, MasterRecord, MasterSide, MasterTurn,
-    OperatorCommand, PortEnergy, Reason, RejectReason, Side, SlavePlant, SlaveRecord, SlaveSide, SlaveTurn,
-    TickTime, WithTriggerFeedback,
-    coupling::{CommandBounds, CouplingError, RotationState},
-    wire::{Frame, FrameLayout, MAX_FRAME, Role},
+    ButtonWord, CarriedState, Exchange, LadderState, LinkTime, MasterPlant, MasterRecord, MasterSide,
+    MasterTurn, OperatorCommand, PortEnergy, Reason, RejectReason, Side, SlavePlant, SlaveRecord, SlaveSide,
+    SlaveTurn, TickTime, WithTriggerFeedback,
+    coupling::{CommandBounds, CouplingError},
+    wire::{Frame, FrameLayout, MAX_FRAME, Role, unpadded},
 };
 use haptether_safety::{ActiveLimits, Axes, LimiterSettings};
 use nalgebra::{Quaternion, UnitQuaternion};
@@ -47,6 +47,9 @@ pub(crate) struct Seen {
     pub(crate) accepted: u64,
     pub(crate) authentic: u64,
     pub(crate) refused: u64,
+    /// Ticks of master and slave whose work was computed and was not zero, and ticks whose work cannot be computed.
+    pub(crate) worked: [u64; 2],
+    pub(crate) unknown: [u64; 2],
     pub(crate) turn: SeenTurn,
     pub(crate) buttons: SeenButtons,
     pub(crate) gripper: SeenGripper,
@@ -57,16 +60,19 @@ impl Seen {
     pub(crate) fn and(&self, other: &Self) -> Self {
         let sum =
             |side: usize| std::array::from_fn(|state| self.ticks[side][state] + other.ticks[side][state]);
+        let both = |of: [u64; 2], and: [u64; 2]| std::array::from_fn(|side| of[side] + and[side]);
         Self {
             ticks: [sum(0), sum(1)],
-            engagements: std::array::from_fn(|side| self.engagements[side] + other.engagements[side]),
+            engagements: both(self.engagements, other.engagements),
             growth_limited: self.growth_limited + other.growth_limited,
             commands_limited: self.commands_limited + other.commands_limited,
             soft_stops: self.soft_stops + other.soft_stops,
-            samples: std::array::from_fn(|held| self.samples[held] + other.samples[held]),
+            samples: both(self.samples, other.samples),
             accepted: self.accepted + other.accepted,
             authentic: self.authentic + other.authentic,
             refused: self.refused + other.refused,
+            worked: both(self.worked, other.worked),
+            unknown: both(self.unknown, other.unknown),
             turn: self.turn.and(&other.turn),
             buttons: self.buttons.and(&other.buttons),
             gripper: self.gripper.and(&other.gripper),
@@ -102,9 +108,18 @@ pub(crate) struct Watch {
     /// Last time coupled, on the clock of the side. `fade_out_ns` is the longest fade of the force.
     coupled_ns: u64,
     fade_out_ns: u64,
-    /// Energy into and out of the plant: as computed here, and as in the last frame.
+    /// Energy from and to the plant since the engagement: as computed here, and as in the last frame.
     energy: PortEnergy,
     said: PortEnergy,
+    /// Rounding error of the computed sums in J.
+    rounding_j: f64,
+    /// Number of the last engagement in the frames; 0 before the first.
+    epoch: u16,
+    /// Faults since then; a fault may end an engagement in its first tick, so that no frame shows it.
+    faults: u16,
+    was_fault: bool,
+    /// True if a run of the peer has begun since the last tick.
+    began: bool,
     turns: bool,
     /// Run and sequence of the newest frame that was acted on.
     newest: Option<(u64, u64)>,
@@ -173,6 +188,11 @@ impl Watch {
             fade_out_ns: drawn.ladder.fade_out_ns,
             energy: PortEnergy::default(),
             said: PortEnergy::default(),
+            rounding_j: 0.0,
+            epoch: 0,
+            faults: 0,
+            was_fault: false,
+            began: false,
             turns: drawn.pose.is_some(),
             newest: None,
             commands,
@@ -189,26 +209,57 @@ impl Watch {
         }
     }
 
-    /// Check that a side sends a valid frame with the energies computed here.
+    /// Check that a side sends a valid frame.
     fn send<const N: usize>(&mut self, time: LinkTime, frame: &[u8], layout: FrameLayout) -> Option<Frame> {
         let (tick, role) = (TickTime::at(time.tick_ns), [Role::Master, Role::Slave][self.side]);
         let decoded = Frame::decode(frame, role, layout);
-        match &decoded {
-            &Ok(Frame { energy, .. }) => {
-                let said = std::mem::replace(&mut self.said, energy);
-                let rises = energy.in_j >= said.in_j && energy.out_j >= said.out_j;
-                self.hold(rises, tick, || format!("energies {said:?}, then {energy:?}"));
-                let seen = self.energy;
-                let differs = (energy.in_j - seen.in_j).abs().max((energy.out_j - seen.out_j).abs());
-                let most = ROUNDING * (seen.in_j + seen.out_j) + 1e-15;
-                self.hold(differs <= most, tick, || format!("sent {energy:?}, seen {seen:?}"));
-            }
-            Err(error) => self.hold(false, tick, || format!("sent what is no frame: {error}")),
+        if let Err(error) = &decoded {
+            self.hold(false, tick, || format!("sent what is no frame: {error}"));
         }
         if let Some(sent) = &self.sent {
             sent.borrow_mut()[self.side].push(frame.to_vec());
         }
         decoded.ok()
+    }
+
+    /// Check the energies of a sent frame: they start at zero with each engagement, rise during one, and contain the
+    /// work computed here.
+    fn energies(&mut self, time: TickTime, frame: &Frame, is_coupled: bool, counted: Counted) {
+        let &Frame { energy, message, .. } = frame;
+        let (state, epoch) = (self.state, message.epoch);
+        self.hold((epoch != 0) == is_coupled, time, || format!("engagement {epoch} in {state:?}"));
+        let said = std::mem::replace(&mut self.said, energy);
+        let is_fault = state == LadderState::Fault;
+        let fails = !std::mem::replace(&mut self.was_fault, is_fault) && is_fault;
+        self.faults += u16::from(fails);
+        if epoch != 0 && epoch != self.epoch {
+            let (last, faults) = (self.epoch, self.faults);
+            let follows = (last + 1..=last + 1 + faults).contains(&epoch);
+            self.hold(follows, time, || format!("engagement {epoch} after {last} and {faults} faults"));
+            (self.epoch, self.faults) = (epoch, 0);
+            (self.energy, self.rounding_j) = (PortEnergy::default(), 0.0);
+        } else if fails && energy == PortEnergy::default() {
+            (self.energy, self.rounding_j) = (energy, 0.0);
+        } else {
+            let rises = energy.in_j >= said.in_j && energy.out_j >= said.out_j;
+            self.hold(rises, time, || format!("energies {said:?}, then {energy:?}"));
+        }
+        match counted {
+            Counted::Nothing => {}
+            Counted::Unknown => {
+                self.seen.unknown[self.side] += 1;
+                self.energy = energy;
+            }
+            Counted::Work { energy_j, rounding_j } => {
+                self.seen.worked[self.side] += u64::from(energy_j != 0.0);
+                self.energy.add(energy_j);
+                let sums_j = self.energy.in_j + self.energy.out_j;
+                self.rounding_j += rounding_j + f64::EPSILON * sums_j;
+            }
+        }
+        let (seen, most) = (self.energy, self.rounding_j);
+        let differs = (energy.in_j - seen.in_j).abs().max((energy.out_j - seen.out_j).abs());
+        self.hold(differs <= most, time, || format!("sent {energy:?}, seen {seen:?} within {most} J"));
     }
 
     /// Check that an accepted frame is newer than the last and, in a session, was sent by the peer.
@@ -234,6 +285,7 @@ impl Watch {
         let stands = LadderState::from_code(frame.state).unwrap_or(LadderState::Fault);
         self.heard = Some((now_ns, stands, frame.clutch, frame.hears_peer));
         let newest = self.newest.replace((frame.run_id, frame.sequence));
+        self.began |= newest.is_none_or(|(run_id, _)| run_id != frame.run_id);
         // Without encryption, an attacker who corrects the checksum can imitate another session once the peer is
         // silent.
         let may_change = self.sent.is_none();
@@ -325,6 +377,104 @@ fn axes<const N: usize>(of: Axes<3>) -> Axes<N> {
     Axes::from_fn(|axis, _| of[axis])
 }
 
+/// Work on the link between two ticks.
+#[derive(Clone, Copy, Debug)]
+enum Counted {
+    /// None, because this side was not coupled.
+    Nothing,
+    /// Work in J of the plant on the link, and its rounding error in J.
+    Work { energy_j: f64, rounding_j: f64 },
+    /// Cannot be computed from record and frames.
+    Unknown,
+}
+
+/// Place of a plant at a tick of an engagement, and the wrench that acts from then on.
+#[derive(Clone, Copy, Debug)]
+struct Acting<const N: usize> {
+    position: Axes<N>,
+    orientation: Option<UnitQuaternion<f64>>,
+    force: Axes<N>,
+    torque: Axes<3>,
+    /// Rounding error of the position in m; its own terms may be larger than the position.
+    rounding_m: f64,
+}
+
+impl<const N: usize> Acting<N> {
+    /// `f·dx + tau·dphi` up to the next tick.
+    ///
+    /// Rounding error: of the `N` products and their sum; of both positions; and of the angle, which comes from the
+    /// product of two unit quaternions (4 products of at most 1 a part), its half angle and its axis.
+    fn work(&self, next: &Self) -> Counted {
+        let Self { force, torque, .. } = self;
+        let way = next.position - self.position;
+        let turned = self.orientation.zip(next.orientation);
+        let turned = turned.map_or(Axes::zeros(), |(last, now)| (now * last.inverse()).scaled_axis());
+        let terms = force.abs().dot(&way.abs()) + torque.abs().dot(&turned.abs());
+        let rounding_m = self.rounding_m + next.rounding_m;
+        let rounding_j = f64::EPSILON * (16.0 * terms + 32.0 * torque.norm()) + force.norm() * rounding_m;
+        Counted::Work { energy_j: force.dot(&way) + torque.dot(&turned), rounding_j }
+    }
+}
+
+impl Counted {
+    /// Work of the reaction.
+    fn reversed(self) -> Self {
+        match self {
+            Self::Work { energy_j, rounding_j } => Self::Work { energy_j: -energy_j, rounding_j },
+            other => other,
+        }
+    }
+}
+
+/// Tick of a side until its frame is sent.
+#[derive(Clone, Copy, Debug)]
+struct Due<const N: usize> {
+    /// Place and wrench of the tick; none if the sample is held, and the place is then that of the frame.
+    place: Option<(Axes<N>, Option<UnitQuaternion<f64>>)>,
+    rounding_m: f64,
+    /// Force in N and torque in N m that act from this tick on; none if they are not known.
+    wrench: Option<(Axes<N>, Axes<3>)>,
+    is_coupled: bool,
+    /// True if the work since the last tick counts.
+    counts: bool,
+}
+
+/// Work of the plant at the port of a side.
+#[derive(Clone, Debug, Default)]
+struct Port<const N: usize> {
+    due: Option<Due<N>>,
+    /// True if the frame before was not sent.
+    follows_gap: bool,
+    /// Last tick, if it was coupled.
+    last: Option<(Acting<N>, bool)>,
+}
+
+impl<const N: usize> Port<N> {
+    fn tick(&mut self, due: Due<N>) {
+        self.follows_gap |= self.due.replace(due).is_some();
+    }
+
+    /// Count the work since the last tick: `f·dx + tau·dphi`.
+    fn sent(&mut self, watch: &mut Watch, time: TickTime, frame: &Frame) -> (bool, Counted) {
+        let Some(due) = self.due.take() else { return (frame.message.epoch != 0, Counted::Unknown) };
+        let sent = unpadded(&frame.position);
+        let of_frame = (sent, frame.rotation.map(|rotation| rotation.orientation));
+        let (position, orientation) = due.place.unwrap_or(of_frame);
+        let is_there = (position - sent).norm() <= due.rounding_m;
+        watch.hold(is_there || !due.counts, time, || format!("sent {sent:?} of an arm at {position:?}"));
+        let (force, torque) = due.wrench.unwrap_or((Axes::zeros(), Axes::zeros()));
+        let next = Acting { position, orientation, force, torque, rounding_m: due.rounding_m };
+        let counted = match self.last {
+            _ if std::mem::take(&mut self.follows_gap) => Counted::Unknown,
+            Some((last, true)) if due.counts => last.work(&next),
+            Some((_, false)) if due.counts => Counted::Unknown,
+            _ => Counted::Nothing,
+        };
+        self.last = due.is_coupled.then_some((next, due.wrench.is_some()));
+        (due.is_coupled, counted)
+    }
+}
+
 /// Master with checks.
 #[derive(Clone, Debug)]
 pub(crate) struct Near<P, const N: usize, R> {
@@ -341,6 +491,7 @@ pub(crate) struct Near<P, const N: usize, R> {
     measures: bool,
     /// Alignment of the peer's arm.
     turning: Turning,
+    port: Port<N>,
 }
 
 /// Slave with checks.
@@ -355,8 +506,9 @@ pub(crate) struct Far<P, const N: usize, S> {
     reference_m: Option<Axes<3>>,
     /// Power in W of the measured wrench, and the sum of its absolute parts.
     power_w: Option<(f64, f64)>,
-    /// Force and rotation of the last sample that was not held.
-    taken: (Axes<N>, Option<RotationState>),
+    /// Force in N and torque in N m about the coupled point of the last sample that was not held.
+    taken: (Axes<N>, Axes<3>),
+    port: Port<N>,
     clock_ns: u64,
     orientation: Option<OrientationWatch>,
     /// Alignment at the last tick.
@@ -385,6 +537,7 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
             stalled: false,
             measures: pose.is_some_and(|pose| pose.measures),
             turning,
+            port: Port::default(),
         }
     }
 
@@ -408,15 +561,25 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Near<P, N, R> {
         }
     }
 
-    /// Add `-(F·V + tau·w) dT` of the request, as far as the device can render it.
-    fn energy(&mut self, time: TickTime, record: &MasterRecord<N, WithTriggerFeedback<R>>) {
-        if record.fault != 0 {
-            return;
-        }
-        let turning = record.rotation.rotation();
-        let turning = turning.map_or(0.0, |turn| turn.rendered_torque.dot(&turn.angular_velocity));
-        let power_w = record.rendered_force.dot(&record.velocity) + turning;
-        self.watch.energy.add(-power_w, self.period_s * (time.missed + 1) as f64);
+    /// Prepare the work `-(F·dx + tau·dphi)` of the hand, with the force of the coupling that the device exerted since the
+    /// last tick. While controllers damp, records do not contain the share of it in the force of the device.
+    fn energy(&mut self, record: &MasterRecord<N, WithTriggerFeedback<R>>, was_coupled: bool) {
+        let turn = record.rotation.rotation();
+        let is_damped = record.tripped != 0
+            || record.safety_force != Axes::<N>::zeros()
+            || turn.is_some_and(|turn| turn.tripped != 0 || turn.safety_torque != Axes::<3>::zeros());
+        let torque = turn.map_or(Axes::zeros(), |turn| turn.device_torque);
+        // A trip withholds the force only at the end of its tick.
+        let withheld =
+            [Reason::HandYields, Reason::HandGone].map(Some).contains(&Reason::from_code(record.reason));
+        let parts = was_coupled && record.state == LadderState::Hold && withheld;
+        self.port.tick(Due {
+            place: None,
+            rounding_m: 0.0,
+            wrench: (!is_damped).then_some((record.device_force, torque)),
+            is_coupled: record.fault == 0 && (record.state.is_coupled() || parts),
+            counts: record.fault == 0 && record.past == CarriedState::All,
+        });
     }
 
     /// Check that no force is rendered during alignment, except the fade of an earlier force.
@@ -478,7 +641,8 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
             homes: Homes::new(),
             command: None,
             power_w: None,
-            taken: (Axes::zeros(), None),
+            taken: (Axes::zeros(), Axes::zeros()),
+            port: Port::default(),
             reference_m: drawn.pose.as_ref().and_then(|pose| pose.reference_m),
             clock_ns: 0,
             orientation: drawn
@@ -494,28 +658,30 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Far<P, N, S> {
         self.watch.wrong.map_or(Ok(self.watch.seen), Err)
     }
 
-    /// Add the energy `F_e·V + tau_e·w` since the last tick. The wrench is measured about the tool point. The twist of
-    /// the tool point follows from the written twist of the coupled point.
-    fn energy(&mut self, record: &SlaveRecord<N, S>, elapsed_s: f64) {
+    /// Prepare the work `F_e·dx + tau_e·dphi` of the arm on the link. The wrench is measured about the tool point; the
+    /// coupled point p is at `p = x + R r`, and the torque about it is `tau - (R r) x F`.
+    fn energy(&mut self, record: &SlaveRecord<N, S>) {
         let plant = &self.side.plant;
-        let [_, measured_velocity, force] = plant.sample;
+        let [tool, measured_velocity, force] = plant.sample;
         let is_held = self.side.endpoint.holds_sample();
         self.watch.seen.samples[usize::from(is_held)] += 1;
-        if !is_held {
-            self.taken = (force, plant.rotation());
-        }
-        let ((force, measured), turned) = (self.taken, plant.turned);
+        let measured = plant.rotation();
         let by =
             self.reference_m.zip(measured).map(|(reference_m, measured)| measured.orientation * reference_m);
-        let moving = plant.written.map_or(0.0, |written| {
-            let ([_, velocity], _) = self.about(written, turned);
-            let round = by.zip(turned).map_or(Axes::zeros(), |(by, (_, w))| axes(w.cross(&by)));
-            force.dot(&(velocity - round))
+        let by_m = by.unwrap_or(Axes::zeros());
+        if !is_held {
+            let moment = by_m.cross(&Axes::<3>::from_fn(|axis, _| if axis < N { force[axis] } else { 0.0 }));
+            self.taken = (force, measured.map_or(Axes::zeros(), |measured| measured.torque - moment));
+        }
+        // No motion counts over the beginning of a run of the peer.
+        let began = std::mem::take(&mut self.watch.began);
+        self.port.tick(Due {
+            place: (!is_held).then(|| (tool + axes(by_m), measured.map(|measured| measured.orientation))),
+            rounding_m: 4.0 * f64::EPSILON * (tool.norm() + 8.0 * by_m.norm()),
+            wrench: Some(self.taken),
+            is_coupled: record.state.is_coupled(),
+            counts: record.fault == 0 && !began,
         });
-        let turning = measured.zip(turned).map_or(0.0, |(measured, (_, w))| measured.torque.dot(&w));
-        // Contact during alignment is not felt.
-        let power_w = if record.state.is_coupled() { moving + turning } else { 0.0 };
-        self.watch.energy.add(power_w, elapsed_s);
         self.power_w = measured.filter(|_| record.fault == 0 && !is_held).map(|measured| {
             let (moving, w) = (force.dot(&measured_velocity), measured.angular_velocity);
             let turning = measured.torque.dot(&w);
@@ -675,11 +841,11 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for Near<P, N, R> {
         self.side.tick_into(time, record);
         let ladder = self.side.exchange().ladder();
         let (gain, holds) = (ladder.gain(), ladder.holds());
-        self.watch.ladder(time, record.state, gain, holds, record.clutch);
+        let before = self.watch.ladder(time, record.state, gain, holds, record.clutch);
         self.force(time, record);
         self.turn(time, record);
         self.while_turned(time, record);
-        self.energy(time, record);
+        self.energy(record, before.is_coupled());
         let stalled = std::mem::take(&mut self.stalled);
         if let Some(finger) = &mut self.finger {
             let tick = FingerTickSeen {
@@ -707,7 +873,11 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for Near<P, N, R> {
     fn send<'a>(&mut self, time: LinkTime, buffer: &'a mut [u8; MAX_FRAME]) -> &'a [u8] {
         let layout = self.side.exchange().link().layout();
         let frame = self.side.send(time, buffer);
-        self.watch.send::<N>(time, frame, layout);
+        if let Some(frame) = self.watch.send::<N>(time, frame, layout) {
+            let tick = TickTime::at(time.tick_ns);
+            let (is_coupled, counted) = self.port.sent(&mut self.watch, tick, &frame);
+            self.watch.energies(tick, &frame, is_coupled, counted.reversed());
+        }
         frame
     }
 
@@ -767,7 +937,7 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Side for Far<P, N, S> {
         self.watch.seen.soft_stops += stopped;
         self.watch.seen.commands_limited += u64::from(record.limited != 0);
         let elapsed_s = (time.clock_ns - std::mem::replace(&mut self.clock_ns, time.clock_ns)) as f64 * 1e-9;
-        self.energy(record, elapsed_s);
+        self.energy(record);
         let oriented = self.side.plant.turned;
         self.turn(time, record, elapsed_s, (stopped > 0, turns));
         self.command(time, elapsed_s, stopped > 0, record, before.is_coupled(), oriented);
@@ -782,6 +952,9 @@ impl<P: SlavePlant<N>, const N: usize, S: SlaveTurn> Side for Far<P, N, S> {
         let frame = self.side.send(time, buffer);
         if let Some(frame) = self.watch.send::<N>(time, frame, layout) {
             self.power(time, &frame);
+            let tick = TickTime::at(time.tick_ns);
+            let (is_coupled, counted) = self.port.sent(&mut self.watch, tick, &frame);
+            self.watch.energies(tick, &frame, is_coupled, counted);
         }
         frame
     }

@@ -81,11 +81,11 @@ class CheckLink(FileOptions):
             largest_delay_s,
             scene_loops,
             scene_times,
-            stable_together,
             summarise_link,
         )
-        from haptether.studies.design.check import SHOWN_DELAY_S
         from haptether.studies.design.contact import scene_numbers, touched
+        from haptether.studies.design.couplings import bearable_delays
+        from haptether.studies.design.finding import SHOWN_DELAY_S
 
         check_target(self.json, force=self.force)
         key = session_key(self.key, insecure=self.insecure)
@@ -96,11 +96,10 @@ class CheckLink(FileOptions):
             message = f"duration-s = {self.duration_s:g}: must be between 0.1 and {MAX_DURATION_S:g} s"
             raise ValueError(message)
         scene = live_scene(self, ("force_scale",)) or baseline_scene(force_scale=self.force_scale)
-        loops, (period_s, hold_s) = scene_loops(scene, self.wall_stiffness), scene_times(scene)
+        (period_s, hold_s), numbers = scene_times(scene), scene_numbers(scene)
         # A given wall stiffness replaces the scene's objects by one spring.
-        beyond = touched(scene, scene_numbers(scene)).beyond if self.wall_stiffness is None else ()
-        worst = min(loops, key=largest_delay_s)
-        bearable_s = largest_delay_s(worst)
+        beyond = touched(scene, numbers).beyond if self.wall_stiffness is None else ()
+        worst = min(scene_loops(scene, self.wall_stiffness), key=largest_delay_s)
         with Stopped() as stopped:
             master = stopped.attached(
                 LiveMaster(
@@ -138,13 +137,18 @@ class CheckLink(FileOptions):
             )
             raise RuntimeError(message)
         summary = summarise_link(trace, report, scene.run.period_s)
-        stable_s = stable_together(loops, max(SHOWN_DELAY_S, 2.0 * (summary.round_trip_p99_s or 0.0)))
+        up_to_s = max(SHOWN_DELAY_S, 2.0 * (summary.round_trip_p99_s or 0.0))
+        bearable_s, stable_s = bearable_delays(scene, up_to_s, self.wall_stiffness)
         verdict = judge_link(summary, bearable_s, hold_s + period_s, period_s, stable_delays_s=stable_s)
-        self._report(summary, verdict, worst, beyond)
+        self._report(summary, verdict, (numbers["coupling"]["kind"], worst), beyond)
         return 0 if verdict.good else 1
 
     def _report(
-        self, summary: "LinkSummary", verdict: "LinkVerdict", loop: "ContactLoop", beyond: tuple[str, ...]
+        self,
+        summary: "LinkSummary",
+        verdict: "LinkVerdict",
+        coupled: "tuple[str, ContactLoop]",
+        beyond: tuple[str, ...],
     ) -> None:
         from haptether.cli.shared.link_table import link_table
         from haptether.cli.shared.output import write_report
@@ -153,9 +157,10 @@ class CheckLink(FileOptions):
 
         console = screen(self.json)
         console.print(link_table(summary))
+        kind, loop = coupled
         of_scene = "" if self.scene is None else f"{self.scene}: "
         scene = (
-            f"{of_scene}position-force coupling, a device of {loop.mass_kg:g} kg, lambda_f = {loop.force_scale:g}, "
+            f"{of_scene}{kind} coupling, a device of {loop.mass_kg:g} kg, lambda_f = {loop.force_scale:g}, "
             f"{loop.environment_stiffness:g} N/m, "
             f"{'a hand that holds' if loop.hand_stiffness > 0.0 else 'nobody holds'}"
         )

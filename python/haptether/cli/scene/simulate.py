@@ -123,6 +123,11 @@ class Simulate(PictureOptions):
         from haptether.cli.shared.output import write_report
 
         self._print(console, run)
+        if (swing_n := run.contact_swing_n) is not None:
+            console.print(
+                f"the force swings by {swing_n:.3g} N peak to peak and does not settle: `haptether check` names the "
+                "delay and the stiffness that the coupling bears"
+            )
         bound = None if scene is None else scene_bound(scene)
         if scene is not None and bound is not None:
             console.print(bound_line(scene, bound))
@@ -134,6 +139,7 @@ class Simulate(PictureOptions):
             "version": run.version,
             "events": run.events,
             "metrics": run.metrics,
+            "contact_swing_n": swing_n,
             "ejection_bound": bound,
             "release_law": None if scene is None else release_law(scene),
         }

@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     Truth,
-    coupling::PositionForce,
+    coupling::Mapping,
     endpoint::{HandLanes, SlaveTranslation, TranslationInput},
     scene::{
         measures::Outcome,
@@ -42,7 +42,7 @@ pub(super) struct LaneFollowers<const N: usize> {
 struct MasterPart<const N: usize> {
     plants: MasterLanes<N, Lanes>,
     hands: HandLanes<N, Lanes>,
-    coupling: PositionForce<N, Lanes>,
+    coupling: Mapping<N, Lanes>,
     commands: Commands,
     sent: History<N, Lanes>,
     /// Newest received tick of the slave.
@@ -63,7 +63,7 @@ struct SlavePart<const N: usize> {
 /// Safety layers, couplings and measures.
 struct Deciding<const N: usize> {
     hands: HandLanes<N, Lanes>,
-    coupling: PositionForce<N, Lanes>,
+    coupling: Mapping<N, Lanes>,
     translation: SlaveTranslation<N, Lanes>,
     watched: WatchedLanes<N, Lanes>,
 }
@@ -77,7 +77,7 @@ impl<const N: usize> Deciding<N> {
         let watched: Vec<_> = of.iter().map(|one| &one.watched).collect();
         Some(Self {
             hands: HandLanes::gather(&hands)?,
-            coupling: PositionForce::gather(&couplings)?,
+            coupling: Mapping::gather(&couplings)?,
             translation: SlaveTranslation::gather(&arms)?,
             watched: WatchedLanes::gather(&watched)?,
         })

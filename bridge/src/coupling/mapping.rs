@@ -1,4 +1,4 @@
-//! Position-force coupling with measured force (`PFm`).
+//! Frame map, scales and anchor between the sides: both halves of the coupling position-force (`PFm`).
 
 use haptether_numeric::pack;
 use haptether_safety::{Axes, Real};
@@ -6,8 +6,10 @@ use haptether_safety::{Axes, Real};
 use super::{CouplingError, FrameMap, change::Changing};
 use crate::command::OperatorCommand;
 
-/// Position-force coupling: the slave follows the master's position; the master renders the force that the
-/// slave measures.
+/// Map between the motions and forces of both sides, with its anchor. Every coupling goes through it.
+///
+/// The coupling position-force is this map alone: the slave follows the master's position; the master renders the force
+/// that the slave measures.
 ///
 /// `x_s = x_s0 + lambda_p L R (x_m - x_m0)`, `F_v = lambda_f R' L F_e`, with R and L of [`FrameMap`].
 ///
@@ -20,7 +22,7 @@ use crate::command::OperatorCommand;
 ///
 /// Source: Hannaford 1989; Lawrence 1993 ("position-force"); the condition by the small-gain theorem.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PositionForce<const N: usize, S = f64> {
+pub struct Mapping<const N: usize, S = f64> {
     /// `lambda_p`, `lambda_f`, R and L.
     change: Changing<FrameMap<N>, S>,
     anchor: Option<(Axes<N, S>, Axes<N, S>)>,
@@ -30,7 +32,7 @@ pub(super) fn check(name: &'static str, symbol: &'static str, seen: f64) -> Resu
     if seen.is_finite() && seen > 0.0 { Ok(seen) } else { Err(CouplingError::scale(name, symbol, seen)) }
 }
 
-impl<const N: usize> PositionForce<N> {
+impl<const N: usize> Mapping<N> {
     /// Build the coupling with scales `lambda_p` and `lambda_f` (> 0).
     pub fn new(position_scale: f64, force_scale: f64) -> Result<Self, CouplingError> {
         let motion = check("position_scale", "lambda_p", position_scale)?;
@@ -39,12 +41,23 @@ impl<const N: usize> PositionForce<N> {
     }
 }
 
-impl<const N: usize, S: Real> PositionForce<N, S> {
+impl<const N: usize> Mapping<N> {
+    /// Rotation and locks at this tick.
+    pub(super) fn map(&self) -> &FrameMap<N> {
+        &self.change.map
+    }
+
+    /// Map a displacement of the slave in m to the master's frame. Fades of a changing map do not apply.
+    pub(super) fn back(&self, of_slave: &Axes<N>) -> Axes<N> {
+        self.change.map.to_master(of_slave) / self.change.unfaded_motion()
+    }
+}
+
+impl<const N: usize, S: Real> Mapping<N, S> {
     /// Gather couplings into lanes. Returns `None` if one has engaged or is changing, or if the maps differ.
-    pub(crate) fn gather(of: &[&PositionForce<N>]) -> Option<Self> {
+    pub(crate) fn gather(of: &[&Mapping<N>]) -> Option<Self> {
         let map = of.first()?.change.map;
-        let begins =
-            |one: &&PositionForce<N>| one.change.map == map && !one.change.moves && one.anchor.is_none();
+        let begins = |one: &&Mapping<N>| one.change.map == map && !one.change.moves && one.anchor.is_none();
         let [motion, force] = [pack(of, |one| one.change.motion)?, pack(of, |one| one.change.force)?];
         of.iter().all(begins).then(|| Self { change: Changing::new(motion, force, map), anchor: None })
     }
@@ -156,11 +169,11 @@ mod tests {
     use super::*;
 
     /// Change of a coupling at a tick.
-    type Changing<'a> = &'a dyn Fn(&mut PositionForce<1>, u32);
+    type Changing<'a> = &'a dyn Fn(&mut Mapping<1>, u32);
 
     #[test]
     fn engages_where_both_are_and_scales_from_there() {
-        let mut coupling = PositionForce::<2>::new(2.0, 0.5).unwrap();
+        let mut coupling = Mapping::<2>::new(2.0, 0.5).unwrap();
         let slave = Axes::<2>::new(1.0, -1.0);
         assert_eq!(coupling.commanded_position(&Axes::<2>::new(0.3, 0.1), &slave), slave);
         let command = coupling.commanded_position(&Axes::<2>::new(0.4, 0.1), &Axes::<2>::zeros());
@@ -175,7 +188,7 @@ mod tests {
     #[test]
     fn a_change_of_scale_or_axes_moves_nothing_by_itself() {
         for ticks in [0, 4] {
-            let mut coupling = PositionForce::<2>::new(1.0, 1.0).unwrap();
+            let mut coupling = Mapping::<2>::new(1.0, 1.0).unwrap();
             let mut command = coupling.commanded_position(&Axes::<2>::zeros(), &Axes::<2>::new(1.0, 1.0));
             let hand = Axes::<2>::new(0.5, -0.2);
             command = coupling.commanded_position(&hand, &command);
@@ -202,8 +215,8 @@ mod tests {
     /// fades out and in.
     #[test]
     fn changes_fade_tick_by_tick() {
-        let steps = |change: &dyn Fn(&mut PositionForce<1>, u32)| -> Vec<[f64; 2]> {
-            let mut slave = PositionForce::<1>::new(1.0, 1.0).unwrap();
+        let steps = |change: &dyn Fn(&mut Mapping<1>, u32)| -> Vec<[f64; 2]> {
+            let mut slave = Mapping::<1>::new(1.0, 1.0).unwrap();
             let mut master = slave;
             let mut before = slave.commanded_position(&Axes::<1>::zeros(), &Axes::<1>::zeros());
             (1..=10)
@@ -222,7 +235,7 @@ mod tests {
                 })
                 .collect()
         };
-        let scale = |coupling: &mut PositionForce<1>, to: f64| {
+        let scale = |coupling: &mut Mapping<1>, to: f64| {
             coupling.set_position_scale(to, 4).unwrap();
             coupling.set_force_scale(to, 4).unwrap();
         };
@@ -269,7 +282,7 @@ mod tests {
     /// After the sides part, the changes are complete, so the next engagement uses the commanded values.
     #[test]
     fn disengaging_completes_changes() {
-        let mut coupling = PositionForce::<1>::new(1.0, 1.0).unwrap();
+        let mut coupling = Mapping::<1>::new(1.0, 1.0).unwrap();
         coupling.commanded_position(&Axes::<1>::zeros(), &Axes::<1>::zeros());
         coupling.set_position_scale(2.0, 100).unwrap();
         coupling.set_map(FrameMap::locking([false]), 100);
@@ -280,7 +293,7 @@ mod tests {
     #[test]
     fn invalid_scales_are_refused() {
         for (p, f) in [(0.0, 1.0), (1.0, -1.0), (f64::NAN, 1.0), (1.0, f64::INFINITY)] {
-            assert!(PositionForce::<1>::new(p, f).is_err());
+            assert!(Mapping::<1>::new(p, f).is_err());
         }
     }
 }

@@ -1,0 +1,159 @@
+//! Couplings: the force of each half on its device, from both motions in the slave's frame.
+
+mod master;
+mod registry;
+mod slave;
+mod tool;
+mod turn;
+
+use haptether_safety::Axes;
+
+pub(crate) use master::CoupledMaster;
+pub use registry::CouplingKind;
+pub(crate) use registry::Half;
+pub(crate) use slave::CoupledSlave;
+pub(crate) use tool::VirtualTool;
+pub use tool::VirtualToolSettings;
+pub(crate) use turn::{CoupledMasterTurn, CoupledSlaveTurn};
+
+use super::{CouplingError, mapping::check};
+
+#[cfg(test)]
+mod tests;
+
+/// Name, title and source of a coupling.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CouplingAbout {
+    /// Name in scenes and tables.
+    pub name: &'static str,
+    /// One line for tables.
+    pub title: &'static str,
+    /// Publication.
+    pub source: &'static str,
+}
+
+/// Value of the N numbers that a slave sends beside position, velocity and force.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SlaveSends {
+    /// Motion in m since the engagement, in the master's frame.
+    Motion,
+    /// `F_c` in N, in the slave's frame.
+    Force,
+}
+
+/// Spring and damper of a coupling.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gains {
+    /// K in N/m (N m/rad).
+    pub stiffness: f64,
+    /// B in N s/m (N m s/rad).
+    pub damping: f64,
+}
+
+impl Gains {
+    /// Check both gains: K above 0, B at least 0.
+    pub fn new(stiffness: f64, damping: f64) -> Result<Self, CouplingError> {
+        check("stiffness", "K", stiffness)?;
+        if !(damping >= 0.0 && damping.is_finite()) {
+            return Err(CouplingError::Negative { name: "damping", symbol: "B", seen: damping });
+        }
+        Ok(Self { stiffness, damping })
+    }
+}
+
+/// Settings of a coupling.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MethodSettings {
+    /// Kind of the coupling.
+    pub kind: CouplingKind,
+    /// Spring and damper.
+    pub gains: Gains,
+    /// Virtual tool of the slave.
+    pub tool: VirtualToolSettings,
+    /// `lambda_p` of the scene.
+    pub position_scale: f64,
+    /// The same for the rotation, in N m/rad, N m s/rad, kg m² and N m s/rad; none of a scene that does not turn.
+    pub rotation: Option<(Gains, VirtualToolSettings)>,
+}
+
+/// Motion of a half's own device at this tick, in the slave's frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Local<'a, const N: usize> {
+    /// Position in m.
+    pub(crate) position: &'a Axes<N>,
+    /// Velocity in m/s.
+    pub(crate) velocity: &'a Axes<N>,
+    /// Share of the damping in effect, 0 to 1: the gain of the ladder at the master, 1 at the slave.
+    pub(crate) gain: f64,
+}
+
+/// State of the other side in its newest frame, in the slave's frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Peer<'a, const N: usize> {
+    /// Position in m, from the same origin as the own position.
+    pub(crate) position: &'a Axes<N>,
+    /// Velocity in m/s.
+    pub(crate) velocity: &'a Axes<N>,
+    /// `F_c` in N of the slave; zero at the slave, and if the slave sends its motion.
+    pub(crate) force: &'a Axes<N>,
+}
+
+/// Two pure halves of a coupling. Frame map, scales, anchors and locks stand outside, in [`CoupledMaster`] and
+/// [`CoupledSlave`].
+///
+/// Neither half is stepped while the sides are not engaged. Both motions are zero at the engagement.
+pub(crate) trait Method<const N: usize> {
+    const ABOUT: CouplingAbout;
+    /// Gains of a scene that states none.
+    const DEFAULT: Gains;
+    const SLAVE_SENDS: SlaveSends;
+    /// True if the push on a released stylus may grow, so that no bound may assume the force at the release.
+    const PUSH_MAY_GROW: bool;
+
+    fn new(gains: Gains) -> Self;
+
+    /// Return the least B in N s/m with which the coupling is passive at a round trip and a tick in s; none if it claims
+    /// no passivity.
+    fn least_damping(_stiffness: f64, _round_trip_s: f64, _period_s: f64) -> Option<f64> {
+        None
+    }
+
+    /// Return `F_m` in N against the hand, in the slave's frame: the hand feels `F_v = -lambda_f R' L F_m`.
+    fn master(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N>;
+
+    /// Return `F_c` in N on the slave.
+    fn slave(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N>;
+}
+
+/// Coefficients of both halves, which are linear: of `F_m` in `x_m, v_m, x_s', v_s', F_c'`, and of `F_c` in
+/// `x_s, v_s, x_m', v_m'`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CouplingMatrix {
+    /// Coefficients of `F_m`.
+    pub master: [f64; 5],
+    /// Coefficients of `F_c`.
+    pub slave: [f64; 4],
+}
+
+/// Return the coefficients of a coupling, by its halves; none of measured position-force, whose slave commands a motion.
+pub fn coupling_matrix(kind: CouplingKind, gains: Gains) -> Option<CouplingMatrix> {
+    let mut half = Half::new::<1>(kind, gains)?;
+    let axes = Axes::<1>::new;
+    let one = |index: usize, at: usize| axes(f64::from(u8::from(index == at)));
+    let inputs = |at: usize| [0, 1, 2, 3, 4].map(|index| one(index, at));
+    let mut step = |at: usize, is_master: bool| {
+        let [x, v, peer_x, peer_v, peer_force] = inputs(at);
+        let own = Local { position: &x, velocity: &v, gain: 1.0 };
+        let peer = Peer { position: &peer_x, velocity: &peer_v, force: &peer_force };
+        if is_master { half.master(&own, &peer)[0] } else { half.slave(&own, &peer)[0] }
+    };
+    let master = [0, 1, 2, 3, 4].map(|at| step(at, true));
+    let slave = [0, 1, 2, 3].map(|at| step(at, false));
+    Some(CouplingMatrix { master, slave })
+}
+
+/// Return `K (to - from) + B g (to' - from')`.
+fn spring_damper<const N: usize>(gains: &Gains, from: &Local<'_, N>, to: &Peer<'_, N>) -> Axes<N> {
+    (to.position - from.position) * gains.stiffness
+        + (to.velocity - from.velocity) * (gains.damping * from.gain)
+}

@@ -1,0 +1,40 @@
+//! Position-force coupling with the computed force.
+
+use haptether_safety::Axes;
+
+use super::super::{CouplingAbout, Gains, Local, Method, Peer, SlaveSends, spring_damper};
+
+/// Position forth, the force of the slave's controller back.
+///
+/// `F_c = K (x_m' - x_s) + B (v_m' - v_s)`, `F_m = F_c'`. At rest the hand feels
+/// `F = (x_t - x_w) / (lambda_f lambda_p / K_h + 1/K + 1/K_e)`. It needs no force sensor, and bears more stiffness than
+/// the measured force at short delays.
+///
+/// Source: Hannaford 1989; Lawrence 1993; Daniel and `McAree` 1998.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PositionForceComputed {
+    gains: Gains,
+}
+
+impl<const N: usize> Method<N> for PositionForceComputed {
+    const ABOUT: CouplingAbout = CouplingAbout {
+        name: "position-force-computed",
+        title: "position forth, force of the slave's controller back",
+        source: "Hannaford 1989; Lawrence 1993; Daniel and McAree 1998",
+    };
+    const DEFAULT: Gains = Gains { stiffness: 300.0, damping: 8.0 };
+    const SLAVE_SENDS: SlaveSends = SlaveSends::Force;
+    const PUSH_MAY_GROW: bool = false;
+
+    fn new(gains: Gains) -> Self {
+        Self { gains }
+    }
+
+    fn master(&mut self, _own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
+        *peer.force
+    }
+
+    fn slave(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
+        spring_damper(&self.gains, own, peer)
+    }
+}

@@ -1,0 +1,40 @@
+//! Position-position coupling.
+
+use haptether_safety::Axes;
+
+use super::super::{CouplingAbout, Gains, Local, Method, Peer, SlaveSends, spring_damper};
+
+/// Spring and damper between the sides, at each side.
+///
+/// `F_m = K (x_m - x_s') + B (v_m - v_s')`, `F_c = K (x_m' - x_s) + B (v_m' - v_s)`. In series it has the compliance
+/// `1/K`. It needs no force sensor. The hand feels inertia and friction of the slave in free motion, and with delay the
+/// damper gives energy.
+///
+/// Source: Lawrence 1993 (position-position).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PositionPosition {
+    gains: Gains,
+}
+
+impl<const N: usize> Method<N> for PositionPosition {
+    const ABOUT: CouplingAbout = CouplingAbout {
+        name: "position-position",
+        title: "a spring and a damper between both positions",
+        source: "Lawrence 1993",
+    };
+    const DEFAULT: Gains = Gains { stiffness: 100.0, damping: 2.0 };
+    const SLAVE_SENDS: SlaveSends = SlaveSends::Motion;
+    const PUSH_MAY_GROW: bool = true;
+
+    fn new(gains: Gains) -> Self {
+        Self { gains }
+    }
+
+    fn master(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
+        -spring_damper(&self.gains, own, peer)
+    }
+
+    fn slave(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
+        spring_damper(&self.gains, own, peer)
+    }
+}

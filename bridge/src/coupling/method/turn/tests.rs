@@ -1,0 +1,117 @@
+//! Both halves of the rotation against the closed form on SO(3), over delays and a turned frame.
+
+use std::collections::VecDeque;
+
+use haptether_safety::Axes;
+use nalgebra::UnitQuaternion;
+
+use super::{super::*, *};
+use crate::{
+    SideKind,
+    coupling::{RotationCoupling, RotationState, VirtualToolSettings, quat_wxyz},
+    port::CouplingMessage,
+    wire::{Frame, Role},
+};
+
+const T: f64 = 1e-3;
+const K_HAND: f64 = 0.6;
+const K: f64 = 0.25;
+const K_WALL: f64 = 2.0;
+
+fn exp(phi: [f64; 3]) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_scaled_axis(Axes::<3>::from(phi))
+}
+
+fn log(to: &UnitQuaternion<f64>, from: &UnitQuaternion<f64>) -> Axes<3> {
+    (to * from.inverse()).scaled_axis()
+}
+
+/// Frame of an engaged side with these numbers.
+fn frame(kind: CouplingKind, turned: Axes<3>, angular_velocity: Axes<3>) -> Frame {
+    let rotation = RotationState { angular_velocity, ..RotationState::default() };
+    Frame {
+        role: Role::Slave,
+        kind: SideKind::Pose,
+        coupling: kind,
+        message: CouplingMessage { epoch: 1, turned, ..CouplingMessage::ZERO },
+        rotation: Some(rotation),
+        ..Frame::EMPTY
+    }
+}
+
+/// A ball of a hand, held by a spring, and a tool in a spring of the world. Returns the torque on the hand at rest.
+fn rest(kind: CouplingKind, delay: usize, target: UnitQuaternion<f64>, wall: UnitQuaternion<f64>) -> Axes<3> {
+    let gains = Gains::new(K, 0.02 + 1.3 * K * T * (delay as f64 + 1.0)).unwrap();
+    let tool = VirtualToolSettings::new(2e-3, Some(0.08), 0.0).unwrap();
+    let rotation = Some((gains, tool));
+    let settings = MethodSettings { kind, gains, tool, position_scale: 1.0, rotation };
+    let (mut master, mut slave) =
+        (CoupledMasterTurn::new(&settings).unwrap(), CoupledSlaveTurn::new(&settings).unwrap());
+    let map = |force: f64| {
+        let mut map = RotationCoupling::new(1.0, force).unwrap();
+        map.set_frame(quat_wxyz(&exp([0.5, -0.2, 0.3])), 0).unwrap();
+        map
+    };
+    let (of_master, mut of_slave) = (map(1.0), map(1.0));
+    // The hand starts elsewhere than the tool: only the turns since the engagement couple.
+    let start = exp([0.3, 0.1, -0.6]);
+    let (mut hand, mut w, mut command) = (start, Axes::<3>::zeros(), UnitQuaternion::identity());
+    let (mut forth, mut back) = (VecDeque::new(), VecDeque::new());
+    let mut torque = Axes::zeros();
+    for tick in 0..20_000 {
+        // The world is there once the sides have engaged: the hand's turn begins at that of the tool.
+        let stiffness = if tick > 2 * delay { K_WALL } else { 0.0 };
+        let measured = log(&wall, &command) * stiffness;
+        let message: (CouplingMessage, Axes<3>) =
+            if forth.len() > delay { forth.pop_front().unwrap() } else { Default::default() };
+        command = slave.step(&mut of_slave, &command, &measured, (&message.0, &message.1), T);
+        back.push_back(frame(kind, *slave.sent().unwrap(), *slave.velocity()));
+        if back.len() > delay {
+            let newest = back.pop_front().unwrap();
+            torque = master.request(&of_master, (&hand, &w), 1.0, true, &newest);
+        }
+        let turned = master.turned(&hand);
+        if turned.is_some() {
+            w += (log(&(target * start), &hand) * K_HAND - w * 0.02 + torque) * (T / 1e-3);
+            hand = UnitQuaternion::from_scaled_axis(w * T) * hand;
+        }
+        let message = CouplingMessage {
+            epoch: u16::from(turned.is_some()),
+            turned: turned.unwrap_or_default(),
+            ..CouplingMessage::ZERO
+        };
+        forth.push_back((message, w));
+    }
+    torque
+}
+
+/// `tau = log(R_w C R_t' C') / (1/k_h + 1/k + 1/k_e)` in the frame of the slave: all orientations lie on one geodesic at rest.
+#[test]
+fn torques_settle_at_the_closed_form_on_so3() {
+    let (target, wall, frame) = (exp([0.5, -0.2, 0.3]), exp([0.1, 0.15, -0.1]), exp([0.5, -0.2, 0.3]));
+    let wanted = frame * target * frame.inverse();
+    for kind in [CouplingKind::PdDamped, CouplingKind::PositionPosition, CouplingKind::PositionForceComputed]
+    {
+        for delay in [0, 5, 20, 100, 250] {
+            if kind != CouplingKind::PdDamped && delay > 20 {
+                continue;
+            }
+            let expected = frame.inverse() * log(&wall, &wanted) / (1.0 / K_HAND + 1.0 / K + 1.0 / K_WALL);
+            let seen = rest(kind, delay, target, wall);
+            assert!(
+                (seen - expected).norm() < 1e-4 * expected.norm(),
+                "{kind:?}, {delay} ms: {seen} {expected}"
+            );
+        }
+    }
+}
+
+/// About one axis and without a frame, the rotation is a translation along one axis.
+#[test]
+fn a_turn_about_one_axis_is_a_translation() {
+    let seen = rest(CouplingKind::PdDamped, 10, exp([0.0, 0.0, 0.4]), exp([0.0, 0.0, -0.1]));
+    let turned = exp([0.5, -0.2, 0.3]);
+    let wanted = turned * exp([0.0, 0.0, 0.4]) * turned.inverse();
+    let expected = turned.inverse() * log(&exp([0.0, 0.0, -0.1]), &wanted);
+    assert!((seen - expected / (1.0 / K_HAND + 1.0 / K + 1.0 / K_WALL)).norm() < 1e-5);
+}

@@ -1,0 +1,255 @@
+"""Findings of couplings with two halves, and the coupling that a device pair and its round trip allow."""
+
+from collections.abc import Iterator
+from math import inf
+from typing import Any
+
+from msgspec import Struct
+
+from haptether.bridge import COUPLINGS, Scene, SceneError, coupling_facts, override_scene
+from haptether.studies.design.contact import contacts, largest_force_n, largest_scale, scene_numbers, touched
+from haptether.studies.design.coupled import coupled_delays, coupled_loops, virtual_tool
+from haptether.studies.design.delay import largest_delay_s, stable_together
+from haptether.studies.design.finding import (
+    MARGIN,
+    Finding,
+    Intervals,
+    State,
+    Units,
+    intervals_text,
+    link_delays_s,
+    rounded_down,
+    rounded_up,
+)
+from haptether.studies.design.loops import scene_loops
+
+DAMPING_MARGIN = 1.3
+"""Ratio of an advised B to the least with which the coupling is passive."""
+MOST_DAMPING = 0.3
+"""Largest B in units of M/T: more, held for a tick, turns a motion around."""
+DRAG_N, DRAG_SPEED, DRAG_SPEED_OF_JOINTS = 2.0, 0.3, 1.0
+"""Largest force of the dampers in free motion, at these speeds in m/s and rad/s; at most a quarter of the cap."""
+SOFTER = 0.8
+"""Step of the search for a stiffness that is stable."""
+STEPS = 24
+
+
+class AdvisedCoupling(Struct, frozen=True, kw_only=True):
+    """Coupling that is passive and stable over a link."""
+
+    kind: str
+    stiffness: float
+    """K in N/m (N m/rad)."""
+    damping: float
+    """B in N s/m (N m s/rad)."""
+    stable: Intervals
+    """Intervals of the sum of both delays in s, in which it is stable."""
+
+    @property
+    def changes(self) -> tuple[str, ...]:
+        """Overrides that set it."""
+        return (
+            f"coupling.kind={self.kind}",
+            f"coupling.stiffness={self.stiffness:g}",
+            f"coupling.damping={self.damping:g}",
+        )
+
+
+def has_halves(spec: dict[str, Any]) -> bool:
+    """Return True if a scene's coupling has two halves; False without an arm, and for measured position-force."""
+    return spec["slave"] is not None and coupling_facts(spec["coupling"]["kind"])[1] is not None
+
+
+def bearable_delays(scene: Scene, up_to_s: float, wall_stiffness: float | None = None) -> tuple[float, Intervals]:
+    """Return the smallest sum of both delays in s at which a scene's loop oscillates, and the stable intervals.
+
+    Args:
+        scene: Scene with a [slave], of any coupling.
+        up_to_s: Largest delay in s that is examined; without oscillation up to it the first result is infinite.
+        wall_stiffness: Stiffness in N/m that replaces the scene's contact.
+    """
+    if has_halves(scene_numbers(scene)):
+        stable = coupled_delays(coupled_loops(scene, wall_stiffness), up_to_s)
+        return _margin_s(stable, up_to_s), stable
+    loops = scene_loops(scene, wall_stiffness)
+    return min(map(largest_delay_s, loops)), stable_together(loops, up_to_s)
+
+
+def _margin_s(stable: Intervals, up_to_s: float) -> float:
+    """Return the end of the interval that begins at 0; infinite if that is the largest examined delay."""
+    first_s = stable[0][1] if stable and stable[0][0] == 0.0 else 0.0
+    return inf if first_s >= up_to_s else first_s
+
+
+def coupling_findings(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Iterator[Finding]:
+    """Check delay margin, passivity and felt stiffness of a coupling with two halves."""
+    if spec["master"]["kind"] == "pose":
+        text = f"{spec['coupling']['kind']} of a pose: only loops of points and joints are judged; simulate the scene"
+        yield Finding(name="coupling", state="not judged", text=text)
+        return
+    coupling, units, delays = spec["coupling"], Units.of(spec), link_delays_s(spec)
+    kind, beyond = coupling["kind"], "; ".join(touched(scene, spec).beyond)
+    loops = coupled_loops(scene)
+    stable = coupled_delays(loops, up_to_s)
+    margin_s = _margin_s(stable, up_to_s)
+    walls = ", ".join(f"{stiffness:g}" for stiffness in sorted({loop.environment_stiffness for loop in loops} - {0.0}))
+    touches = f" and on {walls} {units.stiffness}" if walls else ""
+    text = f"{kind}, {_who(spec)}, in free motion{touches}: {intervals_text(stable, up_to_s)}"
+    state: State = "note"
+    if delays is None:
+        text += "; the link's delays are a recording"
+    else:
+        mean_s, late_s = delays
+        state = "good" if late_s * MARGIN <= margin_s else "warning"
+        if not any(low <= mean_s <= high for low, high in stable):
+            state = "bad"
+        text += f"; this link has {mean_s * 1e3:.0f} ms, 1 in 100 {late_s * 1e3:.0f} ms"
+    if beyond:
+        state, text = "not judged" if state == "good" else state, f"{text}; not in that loop: {beyond}"
+    yield Finding(
+        name="delay margin", state=state, text=text, value=delays and delays[1], unit="s",
+        limit=None if margin_s == inf else margin_s,
+    )  # fmt: skip
+    if spec["operator"] is not None:
+        free = coupled_delays(coupled_loops(scene, held=False), up_to_s)
+        if (least_s := _margin_s(free, up_to_s)) < inf:
+            text = f"a device that nobody holds is {intervals_text(free, up_to_s)}"
+            yield Finding(name="let go", state="note", text=text, value=least_s, unit="s")
+    yield from _passive(spec, units, delays)
+    yield from _felt(scene, spec, units)
+    if coupling_facts(kind)[3] and "hsc" in spec["safety"]["controllers"]:
+        yield Finding(
+            name="push", state="note", text=f"with {kind} the push may grow after a release, as the spring pulls to"
+            " where the arm still is: the bound of HSC does not hold, that of WSC does",
+        )  # fmt: skip
+
+
+def _who(spec: dict[str, Any]) -> str:
+    return "nobody holds" if spec["operator"] is None else "held"
+
+
+def _gains(spec: dict[str, Any]) -> tuple[float, float]:
+    coupling = spec["coupling"]
+    gains, *_ = coupling_facts(coupling["kind"], stiffness=coupling["stiffness"], damping=coupling["damping"])
+    assert gains is not None, "position-force has no gains"
+    return gains
+
+
+def _least(kind: str, stiffness: float, delay_s: float, spec: dict[str, Any]) -> float | None:
+    """Return the least B with which a coupling is passive."""
+    period_s = max(spec["run"]["period_s"], spec["slave"]["period_s"])
+    return coupling_facts(kind, stiffness=stiffness, round_trip_s=delay_s, period_s=period_s)[2]
+
+
+def _passive(spec: dict[str, Any], units: Units, delays: tuple[float, float] | None) -> Iterator[Finding]:
+    """Check that the damping makes the coupling passive at the longest delay of the link."""
+    kind, (stiffness, damping) = spec["coupling"]["kind"], _gains(spec)
+    least = None if delays is None else _least(kind, stiffness, delays[1], spec)
+    if delays is None or least is None:
+        why = f"{kind} claims none" if delays is not None else "the link's delays are a recording"
+        yield Finding(name="passivity", state="note", text=f"{why}: the stable delays above are of this hand and wall")
+        return
+    state: State = "good" if damping > least else "warning"
+    yield Finding(
+        name="passivity", state=state, text=f"{kind} with K = {stiffness:g} {units.stiffness} is passive over"
+        f" {delays[1] * 1e3:.0f} ms, for any hand and wall, from B = {least:.3g} {units.damping} on; it has"
+        f" {damping:g}",
+        value=least, limit=damping, unit=units.damping,
+    )  # fmt: skip
+
+
+def _felt(scene: Scene, spec: dict[str, Any], units: Units) -> Iterator[Finding]:
+    """Report the stiffness that the hand feels and how far the arm stays behind at rest, for each contact."""
+    stiffness, _ = _gains(spec)
+    arm = scene_loops(scene, 0.0)[0].follower if scene_loops(scene, 0.0) else None
+    springs, walls = contacts(spec)
+    found = sorted({contact for contact, _ in (*springs, *walls) if contact > 0.0})
+    if arm is None or not found or arm.stiffness == 0.0:
+        return
+    behind = 1.0 / stiffness + 1.0 / arm.stiffness
+    shares = [1.0 / (1.0 + contact * behind) for contact in found]
+    each = ", ".join(f"{share:.2g} of {contact:g}" for share, contact in zip(shares, found, strict=True))
+    length = "mrad" if units.stiffness == "N m/rad" else "mm"
+    yield Finding(
+        name="felt stiffness", state="note", value=min(shares), text=f"at rest, at any delay, the hand feels {each}"
+        f" {units.stiffness} (1/K + 1/K_arm in series), and the arm stays {behind * 1e3:.3g} {length} behind per"
+        f" {units.force}; a stiffer coupling.stiffness feels more",
+    )  # fmt: skip
+
+
+def advised_coupling(scene: Scene, up_to_s: float, kinds: tuple[str, ...] = ()) -> AdvisedCoupling | None:
+    """Return the stiffest coupling that is passive and stable over a scene's link, or None.
+
+    B is `DAMPING_MARGIN` times the least, and K the largest with `B <= 0.3 M/T` for device and virtual tool and with
+    `B V <= 2 N` in free motion. It is lowered until held, let go, in free motion and on each contact the delay that 1 %
+    exceed is stable with margin.
+
+    Args:
+        scene: Scene with a [slave], not of kind "pose".
+        up_to_s: Largest delay in s that is examined.
+        kinds: Names of the couplings that are tried; by default all.
+    """
+    spec = scene_numbers(scene)
+    delays = link_delays_s(spec)
+    if delays is None or spec["master"]["kind"] == "pose":
+        return None
+    scale = largest_scale(spec, "force_scale") * largest_scale(spec, "position_scale")
+    period_s = max(spec["run"]["period_s"], spec["slave"]["period_s"])
+    speed = DRAG_SPEED_OF_JOINTS if spec["master"]["kind"] == "joints" else DRAG_SPEED
+    drag_n = min(DRAG_N, 0.25 * largest_force_n(spec) * largest_scale(spec, "force_scale"))
+    mass_kg = min(min(spec["master"]["mass_kg"]) / scale, virtual_tool(spec).mass_kg)
+    most = min(MOST_DAMPING * mass_kg / period_s, drag_n / speed / scale)
+    best: AdvisedCoupling | None = None
+    for name, *_ in COUPLINGS:
+        per = _least(name, 1.0, delays[1], spec)
+        if per is None or (kinds and name not in kinds):
+            continue
+        stiffness = rounded_down(most / (DAMPING_MARGIN * per))
+        for _ in range(STEPS):
+            if best is not None and stiffness <= best.stiffness:
+                break
+            damping = rounded_up(DAMPING_MARGIN * per * stiffness)
+            tried = AdvisedCoupling(kind=name, stiffness=stiffness, damping=damping, stable=())
+            try:
+                stable = _stable(override_scene(scene, tried.changes), up_to_s)
+            except SceneError:
+                break
+            if any(low <= delays[0] and delays[1] * MARGIN <= high for low, high in stable):
+                best = AdvisedCoupling(kind=name, stiffness=stiffness, damping=damping, stable=stable)
+                break
+            stiffness = rounded_down(SOFTER * stiffness)
+    return best
+
+
+def _stable(scene: Scene, up_to_s: float) -> Intervals:
+    return coupled_delays([*coupled_loops(scene), *coupled_loops(scene, held=False)], up_to_s)
+
+
+def coupling_advice(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Iterator[Finding]:
+    """Report the coupling that a device pair and its round trip allow, with the lines of its table."""
+    advised, delays, units = advised_coupling(scene, up_to_s), link_delays_s(spec), Units.of(spec)
+    if advised is None or delays is None:
+        return
+    yield Finding(
+        name="coupling", state="note", text=f"over {delays[1] * 1e3:.0f} ms this pair bears {advised.kind} with K ="
+        f" {advised.stiffness:g} {units.stiffness}, passive for any hand and wall; held"
+        f" or let go it is {intervals_text(advised.stable, up_to_s)}: [coupling] kind = \"{advised.kind}\", stiffness ="
+        f" {advised.stiffness:g}, damping = {advised.damping:g}",
+        value=advised.stiffness, unit=units.stiffness,
+    )  # fmt: skip
+
+
+def other_gains(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Iterator[tuple[str, ...]]:
+    """Yield changes of a coupling's gains, the mildest first, then the advised coupling."""
+    kind, (stiffness, damping), delays = spec["coupling"]["kind"], _gains(spec), link_delays_s(spec)
+    least = None if delays is None else _least(kind, stiffness, delays[1], spec)
+    if least is not None and damping < DAMPING_MARGIN * least < inf:
+        yield (f"coupling.damping={rounded_up(DAMPING_MARGIN * least):g}",)
+    if least is None:
+        for share in (0.5, 0.25, 0.1):
+            softer, weaker = rounded_down(share * stiffness), rounded_down(share**0.5 * damping) if damping else 0.0
+            yield f"coupling.stiffness={softer:g}", f"coupling.damping={weaker:g}"
+    if (same := advised_coupling(scene, up_to_s, (kind,))) is not None:
+        yield same.changes[1:]
+    if (other := advised_coupling(scene, up_to_s)) is not None:
+        yield other.changes

@@ -1,0 +1,50 @@
+"""Couplings of two live sides over UDP."""
+
+import time
+
+import numpy as np
+import pytest
+from tests.live.sides import until
+from tests.scene.test_couplings import pressed
+
+from haptether.bridge import LiveMaster, LiveSlave, Scene, override_scene, scene_json, simulate
+
+pytestmark = pytest.mark.live
+KEY = bytes(range(32))
+
+
+def live(scene: Scene) -> Scene:
+    """Give the ladder time for a machine that stalls a loop."""
+    return override_scene(scene, ["safety.ladder.hold_after_s=0.1", "safety.ladder.stop_after_s=1.0"])
+
+
+@pytest.mark.parametrize("kind", ["position-force-computed", "pd-damped"])
+def test_a_live_contact_has_the_force_of_virtual_time(kind: str) -> None:
+    """The hand presses for 1 s and holds; both runs then rest at the same force, over sockets and in virtual time."""
+    scene = live(pressed(kind, 0.0, run={"duration_s": 6.0}, coupling={"damping": 8.0}))
+    json = scene_json(scene)
+    slave = LiveSlave(json, listen="127.0.0.1:0", run_id=2, key=KEY)
+    master = LiveMaster(json, peer=slave.address, run_id=1, key=KEY)
+    until(lambda: (master.state, slave.state) == ("engaged", "engaged"), 20.0)
+    time.sleep(5.0)
+    assert (master.state, slave.state) == ("engaged", "engaged")
+    near, _ = master.finish()
+    slave.finish()
+    signals = simulate(scene).signals
+    assert signals is not None
+    felt = near.rendered_force[np.isin(near.state, (2, 3))][-200:].mean()
+    expected = signals.rendered_force[-200:].mean()
+    assert abs(expected) > 0.5
+    assert felt == pytest.approx(expected, rel=0.01)
+
+
+def test_sides_of_different_couplings_do_not_meet() -> None:
+    """The handshake names both couplings, and nothing engages."""
+    of_master, of_slave = (scene_json(live(pressed(kind, 0.0))) for kind in ("pd-damped", "position-position"))
+    slave = LiveSlave(of_slave, listen="127.0.0.1:0", run_id=2, key=KEY)
+    master = LiveMaster(of_master, peer=slave.address, run_id=1, key=KEY)
+    time.sleep(1.0)
+    states = {master.state, slave.state}
+    (_, near), (_, far) = master.finish(), slave.finish()
+    assert not states & {"engaged", "stale"}
+    assert np.isinf([near.engaged_s, far.engaged_s]).all()
