@@ -394,15 +394,21 @@ impl<const N: usize> SafetyLayer<N> {
         }
     }
 
-    /// Return the force in N of the coupling that the device has exerted since the last tick: `F_device` without the
-    /// controllers' damping, which is not power of the coupling.
+    /// Return the force in N of the coupling that the device has exerted since the last tick: the share of `F_v` in
+    /// `F_device`, without the controllers' damping, which is not power of the coupling.
     #[inline]
     pub fn exerted(&self) -> Axes<N> {
         if self.fault.is_some() {
             return Axes::zeros();
         }
-        let g = 1.0 - self.controller.let_through();
-        self.device_force - self.entry.last.intervention.safety_force - self.last_rendered * g
+        let let_through = self.last_rendered * self.controller.let_through();
+        let damping = self.entry.last.intervention.safety_force + self.last_rendered - let_through;
+        // The last limiter may cut off more than the damping.
+        let squared = let_through.norm_squared();
+        if squared == 0.0 {
+            return Axes::zeros();
+        }
+        let_through * ((self.device_force - damping).dot(&let_through) / squared).clamp(0.0, 1.0)
     }
 
     /// Return the accepted sample, or the prediction while the newest sample is held.

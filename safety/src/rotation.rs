@@ -243,7 +243,10 @@ impl RotationLayer {
     ) -> SafetyTick<3> {
         let orientation = self.orientation.unwrap_or_default();
         let tick = self.layer.hold_coupled(at, CoupledTurn::in_body(&orientation, couple), authority);
-        in_base(&orientation, &tick)
+        match tick.fault {
+            Some(fault) => self.stop(fault.of_rotation()),
+            None => in_base(&orientation, &tick),
+        }
     }
 
     fn catch_up(&mut self) {

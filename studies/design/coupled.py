@@ -79,7 +79,8 @@ def virtual_tool(spec: dict[str, Any]) -> Tool:
     else:
         lag_s = (2.0 if slave["control"] == "position" else 1.0) / pole
     walls = (spec["environment"] or {}).get("objects", ())
-    stiffest = max((wall["contact"]["stiffness"] for wall in walls), default=0.0) or STIFFEST_WALL
+    linear = [wall["contact"]["stiffness"] for wall in walls if wall["contact"]["law"] == "kelvin-voigt"]
+    stiffest = max(linear, default=0.0) or STIFFEST_WALL
     mass_kg, damping, lead_s = (coupling[f"tool_{name}"] for name in ("mass_kg", "damping", "lead_s"))
     if mass_kg is None:
         mass_kg = stiffest / (0.4 * pole) ** 2

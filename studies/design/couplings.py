@@ -152,7 +152,7 @@ def _passive(spec: dict[str, Any], units: Units, delays: tuple[float, float] | N
     state: State = "good" if damping > least else "warning"
     yield Finding(
         name="passivity", state=state, text=f"{kind} with K = {stiffness:g} {units.stiffness} is passive over"
-        f" {delays[1] * 1e3:.0f} ms, for any hand and wall, from B = {least:.3g} {units.damping} on; it has"
+        f" {delays[1] * 1e3:.0f} ms, for any hand and tool, from B = {least:.3g} {units.damping} on; it has"
         f" {damping:g}",
         value=least, limit=damping, unit=units.damping,
     )  # fmt: skip
@@ -232,7 +232,7 @@ def coupling_advice(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Itera
         return
     yield Finding(
         name="coupling", state="note", text=f"over {delays[1] * 1e3:.0f} ms this pair bears {advised.kind} with K ="
-        f" {advised.stiffness:g} {units.stiffness}, passive for any hand and wall; held"
+        f" {advised.stiffness:g} {units.stiffness}, passive for any hand and tool; held"
         f" or let go it is {intervals_text(advised.stable, up_to_s)}: [coupling] kind = \"{advised.kind}\", stiffness ="
         f" {advised.stiffness:g}, damping = {advised.damping:g}",
         value=advised.stiffness, unit=units.stiffness,

@@ -43,6 +43,16 @@ pub enum CouplingError {
         /// Smallest and largest value while the clutch is open.
         open: [f64; 2],
     },
+    /// Change that a coupling does not allow.
+    #[error("{name}: coupling {kind} keeps that of the scene{}; set coupling.{name} in the scene", when(*while_engaged))]
+    Fixed {
+        /// Name of the setting.
+        name: &'static str,
+        /// Name of the coupling.
+        kind: &'static str,
+        /// True if it may change while the clutch is open.
+        while_engaged: bool,
+    },
     /// Scale that this side does not have.
     #[error("{0}: only a side of kind \"pose\" has it")]
     NoScale(&'static str),
@@ -99,6 +109,10 @@ impl CouplingError {
     pub(super) const fn scale(name: &'static str, symbol: &'static str, seen: f64) -> Self {
         Self::Scale { name, symbol, seen }
     }
+}
+
+fn when(while_engaged: bool) -> &'static str {
+    if while_engaged { " while the clutch is closed" } else { "" }
 }
 
 /// Round to six digits for messages, because a factor turns short decimal numbers into long ones.

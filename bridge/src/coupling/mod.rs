@@ -26,7 +26,7 @@ pub use error::CouplingError;
 pub use frame_map::FrameMap;
 pub use gripper::{GripperFollower, GripperState};
 pub use mapping::Mapping;
-pub(crate) use method::{CoupledMaster, CoupledMasterTurn, CoupledSlave, CoupledSlaveTurn};
+pub(crate) use method::{CoupledMaster, CoupledMasterTurn, CoupledSlave, CoupledSlaveTurn, capped};
 pub use method::{
     CouplingAbout, CouplingKind, CouplingMatrix, Gains, MethodSettings, SlaveSends, VirtualToolSettings,
     coupling_matrix,

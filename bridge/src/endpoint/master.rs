@@ -42,7 +42,7 @@ pub struct MasterSettings<const N: usize> {
     pub safety: SafetySettings,
     /// Bounds on the device force. The limiter's ramp-in is not used, because the ladder fades the force in.
     pub limiter: LimiterSettings,
-    /// `lambda_f` of the position-force coupling.
+    /// `lambda_f`.
     pub force_scale: f64,
     /// Times of the ladder.
     pub ladder: LadderSettings,
@@ -70,6 +70,8 @@ pub struct MasterTick<const N: usize> {
 pub struct MasterEndpoint<const N: usize> {
     hand: Hand<N>,
     mapping: Mapping<N>,
+    /// Settings of the coupling; none of position-force.
+    method: Option<MethodSettings>,
     /// Half of the coupling; none of measured position-force, whose force follows from the newest frame alone.
     coupled: Option<Box<CoupledMaster<N>>>,
     /// Half of the coupling for the rotation, likewise.
@@ -127,6 +129,7 @@ impl<const N: usize> MasterEndpoint<N> {
     #[must_use]
     pub fn with_coupling(mut self, settings: &MethodSettings) -> Self {
         self.exchange.set_coupling(settings.kind);
+        self.method = Some(*settings);
         self.coupled = CoupledMaster::new(settings).map(Box::new);
         self.turning = CoupledMasterTurn::new(settings).map(Box::new);
         self
@@ -203,6 +206,7 @@ impl<const N: usize> MasterEndpoint<N> {
         Ok(Self {
             hand,
             mapping: Mapping::new(1.0, settings.force_scale)?,
+            method: None,
             coupled: None,
             turning: None,
             last: None,
@@ -409,6 +413,7 @@ impl<const N: usize> MasterEndpoint<N> {
             return Ok(true);
         }
         command.check_scale(Role::Master, &self.ranges, self.exchange.is_open())?;
+        self.method.map_or(Ok(()), |method| method.check_change(&command, self.exchange.is_open()))?;
         self.change(command, self.exchange.fade_ticks())
     }
 

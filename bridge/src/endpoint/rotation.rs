@@ -218,9 +218,9 @@ impl SlaveRotation {
         if acted.any() {
             (limited.turn, limited.angular_speed) =
                 (limited.turn | acted.turn, limited.angular_speed | acted.angular_speed);
-            coupled.limit(&command, &((command * from.inverse()).scaled_axis() / dt));
+            coupled.limit([&wanted, &command], self.left.speed, acted.turn);
         }
-        Some((*coupled.velocity(), coupled.work_j()))
+        Some((coupled.velocity().cap_magnitude(self.left.speed), coupled.work_j()))
     }
 
     /// Angular velocity in rad/s of the command, within the bound on its speed.

@@ -22,7 +22,7 @@ pub struct SlaveSettings {
     pub period_ns: u64,
     /// Random run id; a new one is drawn at every start.
     pub run_id: u64,
-    /// `lambda_p` of the position-force coupling.
+    /// `lambda_p`.
     pub position_scale: f64,
     /// Bounds on a remote command.
     pub bounds: CommandBounds,
@@ -78,6 +78,8 @@ pub struct SlaveTick<const N: usize> {
 #[derive(Clone, Debug)]
 pub struct SlaveEndpoint<const N: usize> {
     arm: Arm<N>,
+    /// Settings of the coupling; none before they are set.
+    method: Option<MethodSettings>,
     /// Bounds of `lambda_p` and `lambda_r` during the run.
     ranges: ScaleRanges,
     /// Link and ladder towards the peer.
@@ -93,7 +95,7 @@ impl<const N: usize> SlaveEndpoint<N> {
             translation: Some(ScaleRange::position(settings.position_scale, CHANGE_FACTOR, [])),
             rotation: None,
         };
-        Ok(Self { arm, ranges, exchange })
+        Ok(Self { arm, method: None, ranges, exchange })
     }
 
     /// Build the endpoint of a pose (three axes, with `rotation`).
@@ -101,11 +103,11 @@ impl<const N: usize> SlaveEndpoint<N> {
         settings: &SlaveSettings,
         rotation: &SlaveRotationSettings,
     ) -> Result<Self, EndpointError> {
-        let Self { arm, mut ranges, mut exchange } = Self::new(settings)?;
+        let Self { arm, method, mut ranges, mut exchange } = Self::new(settings)?;
         let arm = arm.turning(rotation, period_s(settings.ladder.align_ns))?;
         ranges.rotation = Some(ScaleRange::rotation(rotation.rotation_scale, CHANGE_FACTOR, []));
         exchange.set_kind(SideKind::Pose);
-        Ok(Self { arm, ranges, exchange })
+        Ok(Self { arm, method, ranges, exchange })
     }
 
     /// Set the coupling; the default is position-force.
@@ -113,6 +115,7 @@ impl<const N: usize> SlaveEndpoint<N> {
     pub fn with_coupling(mut self, settings: &MethodSettings) -> Self {
         self.exchange.set_coupling(settings.kind);
         self.arm.set_coupling(settings);
+        self.method = Some(*settings);
         self
     }
 
@@ -212,6 +215,7 @@ impl<const N: usize> SlaveEndpoint<N> {
             self.exchange.acknowledge(now_ns);
         }
         command.check_scale(Role::Slave, &self.ranges, self.exchange.is_open())?;
+        self.method.map_or(Ok(()), |method| method.check_change(&command, self.exchange.is_open()))?;
         self.arm.command(command, self.exchange.fade_ticks())
     }
 

@@ -7,7 +7,7 @@ use nalgebra::SimdBool as _;
 
 use super::{Arm, EndpointError, SlaveSettings, check_period, period_s};
 use crate::{
-    coupling::{CoupledSlave, Mapping, bounded, decayed},
+    coupling::{CoupledSlave, Mapping, bounded, capped, decayed},
     ladder::LadderState,
     port::CouplingMessage,
 };
@@ -112,13 +112,13 @@ impl<const N: usize> SlaveTranslation<N> {
         // A late loop must not make the spring unstable: the tool then moves for one period.
         let dt = self.period_s;
         let wanted = coupled.step(&mut self.coupling, &from, environment_force, (message, velocity), dt);
-        let bounds = self.bounds();
-        let (command, [hurries, leaves]) = bounded(bounds, elapsed_s, &home, &from, &wanted);
+        let bounds @ [max_speed, _] = self.bounds();
+        let (command, limited @ [hurries, leaves]) = bounded(bounds, elapsed_s, &home, &from, &wanted);
         if hurries || leaves {
-            coupled.tool().limit(&command, &((command - from) / dt));
+            coupled.tool().limit([&wanted, &command], max_speed, leaves);
         }
         self.command = Some(command);
-        let (velocity, limited) = (*coupled.tool().velocity(), [hurries, leaves]);
+        let velocity = capped(coupled.tool().velocity(), max_speed);
         Some((CommandMotion { velocity, limited, extrapolated: (0.0, 1.0) }, coupled.work_j()))
     }
 }

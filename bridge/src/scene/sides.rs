@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use haptether_master::SimulatedMaster;
 use haptether_safety::SampleBounds;
-use haptether_slave::{ArmSettings, ControlKind, SimulatedSlave, SimulatedTool};
+use haptether_slave::{ArmSettings, ContactLawKind, ControlKind, SimulatedSlave, SimulatedTool};
 
 use super::{
     aims::{is_aimed_by_person, master_commands},
@@ -21,7 +21,10 @@ use super::{
 use crate::{
     DrivenMaster, DrivenSlave, EndpointError, MasterEndpoint, MasterPlant, MasterRotation, MasterSettings,
     MasterSide, SideKind, SlaveEndpoint, SlaveGripper, SlaveRotation, SlaveSettings, SlaveSide, Trigger,
-    coupling::{CouplingError, Gains, Mapping, MethodSettings, ScaleRange, ScaleRanges, VirtualToolSettings},
+    coupling::{
+        CouplingError, CouplingKind, Gains, Mapping, MethodSettings, ScaleRange, ScaleRanges, SlaveSends,
+        VirtualToolSettings,
+    },
     endpoint::{Arm, Hand, TOOL_LEVER_M, period_s},
 };
 
@@ -52,7 +55,8 @@ const STIFFEST_WALL: f64 = 2000.0;
 /// Return the largest stiffness in N/m of a wall of the scene.
 pub(super) fn stiffest_wall<const N: usize>(scene: &SceneSpec<N>) -> f64 {
     let walls = scene.environment.iter().flat_map(|environment| &environment.objects);
-    let stiffest = walls.map(|wall| wall.contact.stiffness).fold(0.0, f64::max);
+    let linear = walls.filter(|wall| wall.contact.law == ContactLawKind::KelvinVoigt);
+    let stiffest = linear.map(|wall| wall.contact.stiffness).fold(0.0, f64::max);
     if stiffest > 0.0 { stiffest } else { STIFFEST_WALL }
 }
 
@@ -81,20 +85,55 @@ fn virtual_tool<const N: usize>(
     VirtualToolSettings::new(mass, coupling.tool_damping, coupling.tool_lead_s.unwrap_or(lag_s))
 }
 
+/// Return whether both sides of a coupling compare motions.
+fn compares(kind: CouplingKind) -> bool {
+    kind.slave_sends() == Some(SlaveSends::Motion)
+}
+
 /// Return the settings of the scene's coupling.
 fn method<const N: usize>(scene: &SceneSpec<N>) -> Result<MethodSettings, SceneError> {
     let (arm, coupling) = scene.coupled()?;
     let CouplingSpec { kind, stiffness, damping, position_scale, .. } = *coupling;
     let default = kind.default_gains();
-    let given = default.unwrap_or(Gains { stiffness: 1.0, damping: 0.0 });
+    let name = kind.name();
+    let numbers = [
+        ("stiffness", coupling.stiffness),
+        ("damping", coupling.damping),
+        ("rotational_stiffness", coupling.rotational_stiffness),
+        ("rotational_damping", coupling.rotational_damping),
+        ("tool_mass_kg", coupling.tool_mass_kg),
+        ("tool_damping", coupling.tool_damping),
+        ("tool_lead_s", coupling.tool_lead_s),
+    ];
+    if let (None, Some((key, Some(seen)))) = (default, numbers.iter().find(|(_, seen)| seen.is_some())) {
+        return Err(SceneError::Contradiction(format!(
+            "coupling.{key} = {seen}: {name} has no spring; set coupling.kind, or leave it out"
+        )));
+    }
+    for change in &coupling.changes {
+        let changed = [
+            ("position_scale", change.position_scale.is_some() && compares(kind)),
+            ("rotation_scale", change.rotation_scale.is_some() && default.is_some()),
+            ("quat_wxyz", (change.quat_wxyz.is_some() || change.locked_axes.is_some()) && default.is_some()),
+        ];
+        if let Some((key, _)) = changed.iter().find(|(_, changes)| *changes) {
+            return Err(SceneError::Contradiction(format!(
+                "coupling.changes: {key} at {} s: {name} keeps that of the scene",
+                change.at_s
+            )));
+        }
+    }
+    let Some(given) = default else {
+        let gains = Gains { stiffness: 1.0, damping: 0.0 };
+        let tool = VirtualToolSettings { mass: 1.0, damping: 0.0, lead_s: 0.0 };
+        return Ok(MethodSettings { kind, gains, tool, position_scale, rotation: None });
+    };
     let gains = Gains::new(stiffness.unwrap_or(given.stiffness), damping.unwrap_or(given.damping));
     let (gains, tool) = gains
         .and_then(|gains| Ok((gains, virtual_tool(scene, arm, coupling)?)))
         .map_err(EndpointError::from)?;
-    let rotation = match default {
-        Some(_) if scene.master.kind == SideKind::Pose => Some(pose::coupled_rotation(scene, &gains)?),
-        _ => None,
-    };
+    let is_pose = scene.master.kind == SideKind::Pose;
+    let rotation = if is_pose { Some(pose::coupled_rotation(scene, &gains)?) } else { None };
     Ok(MethodSettings { kind, gains, tool, position_scale, rotation })
 }
 

@@ -46,9 +46,14 @@ impl<const N: usize> CoupledMaster<N> {
         peer: &Frame,
     ) -> Axes<N> {
         let CouplingMessage { epoch, ref vector, .. } = peer.message;
-        if !is_coupled || epoch == 0 {
+        if !is_coupled {
             // The springs lose their energy.
             self.origin = None;
+            return self.force;
+        }
+        if epoch == 0 {
+            // The gain may rise before the slave has engaged: no force of an earlier engagement may rise with it.
+            (self.origin, self.force) = (None, Axes::zeros());
             return self.force;
         }
         let sent: Axes<N> = unpadded(vector);

@@ -12,11 +12,12 @@ pub(crate) use master::CoupledMaster;
 pub use registry::CouplingKind;
 pub(crate) use registry::Half;
 pub(crate) use slave::CoupledSlave;
-pub(crate) use tool::VirtualTool;
 pub use tool::VirtualToolSettings;
+pub(crate) use tool::{VirtualTool, capped};
 pub(crate) use turn::{CoupledMasterTurn, CoupledSlaveTurn};
 
 use super::{CouplingError, mapping::check};
+use crate::command::OperatorCommand;
 
 #[cfg(test)]
 mod tests;
@@ -74,6 +75,27 @@ pub struct MethodSettings {
     pub position_scale: f64,
     /// The same for the rotation, in N m/rad, N m s/rad, kg m² and N m s/rad; none of a scene that does not turn.
     pub rotation: Option<(Gains, VirtualToolSettings)>,
+}
+
+impl MethodSettings {
+    /// Return an error for a change of frame or scale that this coupling does not allow; `is_open` is true if the clutch is
+    /// open and no force is left.
+    ///
+    /// Both sides of a coupling that sends motions compare them in the frame of the scene, so a change of one side alone
+    /// would push.
+    pub(crate) fn check_change(&self, command: &OperatorCommand, is_open: bool) -> Result<(), CouplingError> {
+        let kind = self.kind.name();
+        let compares = self.kind.slave_sends() == Some(SlaveSends::Motion);
+        let fixed = |name, while_engaged| Err(CouplingError::Fixed { name, kind, while_engaged });
+        match command {
+            OperatorCommand::PositionScale(_) if compares => fixed("position_scale", false),
+            OperatorCommand::RotationScale(_) if self.rotation.is_some() => fixed("rotation_scale", false),
+            OperatorCommand::Frame { .. } if self.kind.slave_sends().is_some() && !is_open => {
+                fixed("quat_wxyz", true)
+            }
+            _ => Ok(()),
+        }
+    }
 }
 
 /// Motion of a half's own device at this tick, in the slave's frame.

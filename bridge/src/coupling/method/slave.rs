@@ -16,6 +16,8 @@ pub(crate) struct CoupledSlave<const N: usize> {
     tool: VirtualTool<N>,
     /// True while engaged.
     engaged: bool,
+    /// Motion in m of the master in its last engaged frame.
+    moved: Axes<N>,
     /// Numbers for the next frame.
     sent: Axes<N>,
     /// `F_c` in N since the last tick, and the position in m of the tool before it.
@@ -29,8 +31,8 @@ impl<const N: usize> CoupledSlave<N> {
         let MethodSettings { kind, gains, tool, .. } = *settings;
         let (half, sends) = (Half::new::<N>(kind, gains)?, kind.slave_sends()?);
         let tool = VirtualTool::new(tool);
-        let [sent, force, before] = [Axes::zeros(); 3];
-        Some(Self { half, sends, tool, engaged: false, sent, force, before })
+        let [moved, sent, force, before] = [Axes::zeros(); 4];
+        Some(Self { half, sends, tool, engaged: false, moved, sent, force, before })
     }
 
     /// Step an engaged tick of `dt` s at the command `from` in m; return the command that the coupling requests, in m.
@@ -48,20 +50,23 @@ impl<const N: usize> CoupledSlave<N> {
             self.tool.rest_at(from);
             map.disengage();
             map.commanded_position(&Axes::zeros(), from);
-            (self.engaged, self.sent, self.force, self.before) = (true, Axes::zeros(), Axes::zeros(), *from);
+            [self.moved, self.sent, self.force] = [Axes::zeros(); 3];
+            (self.engaged, self.before) = (true, *from);
             return *from;
         }
         let (message, velocity) = peer;
-        // A master that is not engaged yet rests at zero motion.
+        // A master that is not engaged rests where it was, at first at zero.
         let is_engaged = message.epoch != 0;
-        let moved: Axes<N> = if is_engaged { unpadded(&message.vector) } else { Axes::zeros() };
+        if is_engaged {
+            self.moved = unpadded(&message.vector);
+        }
         let velocity = if is_engaged { map.commanded_velocity(velocity) } else { Axes::zeros() };
-        let target = map.commanded_position(&moved, from);
+        let target = map.commanded_position(&self.moved, from);
         let own = Local { position: self.tool.position(), velocity: self.tool.velocity(), gain: 1.0 };
         let peer = Peer { position: &target, velocity: &velocity, force: &Axes::zeros() };
         self.force = self.half.slave(&own, &peer);
         self.sent = match self.sends {
-            SlaveSends::Motion => moved + map.back(&(self.tool.position() - target)),
+            SlaveSends::Motion => self.moved + map.back(&(self.tool.position() - target)),
             SlaveSends::Force => self.force,
         };
         self.before = *self.tool.position();

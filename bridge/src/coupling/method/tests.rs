@@ -3,6 +3,11 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::{
+    coupling::Mapping,
+    port::CouplingMessage,
+    wire::{Frame, Role, padded},
+};
 
 /// Period of both sides in s.
 const T: f64 = 1e-3;
@@ -201,4 +206,104 @@ fn contacts_settle_at_their_closed_form() {
             }
         }
     }
+}
+
+fn settings(kind: CouplingKind) -> MethodSettings {
+    let (gains, tool) =
+        (Gains::new(100.0, 2.0).unwrap(), VirtualToolSettings::new(1.4, Some(14.0), 0.02).unwrap());
+    MethodSettings { kind, gains, tool, position_scale: 1.0, rotation: None }
+}
+
+fn of_slave(epoch: u16, motion: f64) -> Frame {
+    let message = CouplingMessage { epoch, vector: padded(&Axes::<1>::new(motion)), ..CouplingMessage::ZERO };
+    Frame { role: Role::Slave, coupling: CouplingKind::PdDamped, axes: 1, message, ..Frame::EMPTY }
+}
+
+/// The ladder may engage the master one way before the slave. Until then no force of the last engagement may rise again.
+#[test]
+fn a_second_engagement_begins_without_the_force_of_the_first() {
+    let mut master = CoupledMaster::<1>::new(&settings(CouplingKind::PdDamped)).unwrap();
+    let map = Mapping::new(1.0, 1.0).unwrap();
+    let mut request = |x: f64, is_coupled: bool, frame: &Frame| {
+        master.request(&map, (&Axes::<1>::new(x), &Axes::zeros()), 1.0, is_coupled, frame)[0]
+    };
+    assert_eq!(request(0.0, true, &of_slave(3, 0.0)), 0.0);
+    assert_eq!(request(0.05, true, &of_slave(3, 0.0)), -5.0);
+    // The force fades by the gain of the ladder while the sides hold.
+    assert_eq!(request(0.06, false, &of_slave(3, 0.0)), -5.0);
+    assert_eq!(request(0.06, true, &of_slave(0, 0.0)), 0.0);
+    assert_eq!(request(0.07, false, &of_slave(0, 0.0)), 0.0);
+    assert_eq!(request(0.08, true, &of_slave(4, 0.02)), 0.0);
+    assert!((request(0.09, true, &of_slave(4, 0.02)) + 1.0).abs() < 1e-12);
+}
+
+/// A master that lets go and presses again while its frames are lost keeps its last motion at the slave.
+#[test]
+fn a_master_that_is_not_engaged_rests_where_it_was() {
+    let mut slave = CoupledSlave::<1>::new(&settings(CouplingKind::PdDamped)).unwrap();
+    let mut map = Mapping::new(1.0, 1.0).unwrap();
+    let (zero, mut at) = (Axes::<1>::zeros(), Axes::<1>::new(0.4));
+    let mut step = |epoch: u16, motion: f64| {
+        let message = of_slave(epoch, motion).message;
+        at = slave.step(&mut map, &at, &zero, (&message, &zero), T);
+        slave.tool().position()[0]
+    };
+    assert_eq!(step(0, 0.0), 0.4);
+    assert_eq!(step(0, 0.0), 0.4);
+    let there = (0..4000).map(|_| step(1, 0.3)).fold(0.0, |_, x| x);
+    assert!((there - 0.7).abs() < 1e-6, "{there}");
+    for _ in 0..100 {
+        assert!((step(0, 0.0) - there).abs() < 1e-6);
+    }
+}
+
+/// A step of force moves a leading command fast. The bound on its speed does not make the tool faster, and the tool does
+/// not step back by more than its lead.
+#[test]
+fn a_bound_on_the_command_adds_no_energy_to_the_tool() {
+    let tool_settings = VirtualToolSettings::new(1.4, Some(0.0), 0.02).unwrap();
+    let mut tool = VirtualTool::<1>::new(tool_settings);
+    tool.rest_at(&Axes::zeros());
+    let (force, zero, most) = (Axes::<1>::new(16.0), Axes::zeros(), 0.25);
+    let (mut command, mut work_j) = (0.0, 0.0);
+    for tick in 0..200 {
+        let before = tool.position()[0];
+        let wanted = tool.step(&force, &zero, T)[0];
+        let bounded = command + (wanted - command).clamp(-most * T, most * T);
+        tool.limit([&Axes::<1>::new(wanted), &Axes::<1>::new(bounded)], most, false);
+        work_j += force[0] * (tool.position()[0] - before);
+        command = bounded;
+        let v = tool.velocity()[0];
+        assert!(v <= 16.0 / 1.4 * T * f64::from(tick + 1) + 1e-12 && v <= most, "{tick}: {v}");
+    }
+    assert!((tool.velocity()[0] - most).abs() < 1e-12);
+    // At the bound, the tool is behind the command by the lead.
+    assert!((tool.position()[0] + most * 0.02 - command).abs() < 1e-9);
+    assert!(work_j > 0.5 * 1.4 * most * most, "{work_j}");
+    // At the reach, nothing is left of a speed outwards; one inwards stays.
+    tool.limit([&Axes::<1>::new(command + 0.01), &Axes::<1>::new(command)], most, true);
+    assert_eq!(tool.velocity()[0], 0.0);
+}
+
+#[test]
+fn both_sides_keep_what_they_compare() {
+    let change = |kind, command: OperatorCommand, is_open| settings(kind).check_change(&command, is_open);
+    let frame = OperatorCommand::Frame { quat_wxyz: [1.0, 0.0, 0.0, 0.0], locked: [false; 7] };
+    for (kind, scale, frame_engaged) in [
+        (CouplingKind::PositionForce, true, true),
+        (CouplingKind::PositionForceComputed, true, false),
+        (CouplingKind::PositionPosition, false, false),
+        (CouplingKind::PdDamped, false, false),
+    ] {
+        for is_open in [false, true] {
+            assert_eq!(change(kind, OperatorCommand::PositionScale(2.0), is_open).is_ok(), scale, "{kind:?}");
+            assert_eq!(change(kind, frame, is_open).is_ok(), frame_engaged || is_open, "{kind:?}");
+            assert!(change(kind, OperatorCommand::ForceScale(2.0), is_open).is_ok());
+        }
+    }
+    let refused = change(CouplingKind::PdDamped, OperatorCommand::PositionScale(2.0), true).unwrap_err();
+    assert_eq!(
+        refused.to_string(),
+        "position_scale: coupling pd-damped keeps that of the scene; set coupling.position_scale in the scene"
+    );
 }

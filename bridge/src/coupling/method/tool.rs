@@ -47,6 +47,12 @@ pub(crate) struct VirtualTool<const N: usize> {
     velocity: Axes<N>,
 }
 
+/// Return a velocity of at most `max_speed`.
+pub(crate) fn capped<const N: usize>(velocity: &Axes<N>, max_speed: f64) -> Axes<N> {
+    let speed = velocity.norm();
+    if speed > max_speed { velocity * (max_speed / speed) } else { *velocity }
+}
+
 impl<const N: usize> VirtualTool<N> {
     pub(crate) fn new(settings: VirtualToolSettings) -> Self {
         Self { settings, position: Axes::zeros(), velocity: Axes::zeros() }
@@ -67,10 +73,16 @@ impl<const N: usize> VirtualTool<N> {
         (self.position, self.velocity) = (*position, Axes::zeros());
     }
 
-    /// Take over what bounds left of the command: `command` in m, reached with `velocity` in m/s.
-    pub(crate) fn limit(&mut self, command: &Axes<N>, velocity: &Axes<N>) {
-        self.velocity = *velocity;
-        self.position = command - velocity * self.settings.lead_s;
+    /// Follow what bounds left of the command, in m: at most at `max_speed` in m/s, and not outwards where `leaves` is true.
+    pub(crate) fn limit(&mut self, [wanted, command]: [&Axes<N>; 2], max_speed: f64, leaves: bool) {
+        let moved = command - wanted;
+        let inwards = moved.norm();
+        if leaves && inwards > 0.0 {
+            let direction = moved / inwards;
+            self.velocity -= direction * self.velocity.dot(&direction).min(0.0);
+        }
+        self.velocity = capped(&self.velocity, max_speed);
+        self.position = command - self.velocity * self.settings.lead_s;
     }
 
     /// Step over `dt` s with the forces `F_c` and `F_e` in N; return the command in m.

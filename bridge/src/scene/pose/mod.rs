@@ -16,9 +16,7 @@ pub(super) use measures::RotationMeasures;
 use super::{
     assemble::{SceneError, contradiction, limiter},
     sides::{arm_response, stiffest_wall},
-    spec::{
-        CouplingSpec, EnvironmentSpec, RotationSafetySpec, SafetySpec, SceneSpec, TorqueKind, TorqueSpec,
-    },
+    spec::{CouplingSpec, EnvironmentSpec, RotationSafetySpec, SceneSpec, TorqueKind, TorqueSpec},
 };
 use crate::{
     EndpointError, MasterRotationSettings, SideKind, SlaveRotationSettings, TurningMaster,
@@ -161,8 +159,7 @@ pub(super) fn coupled_rotation<const N: usize>(
              has them"
         ));
     }
-    let Some(SafetySpec { rotation: Some(RotationSafetySpec { lever_m, .. }), .. }) = Some(&scene.safety)
-    else {
+    let Some(RotationSafetySpec { lever_m, .. }) = &scene.safety.rotation else {
         return contradiction("safety.rotation: is missing, kind = \"pose\" needs it");
     };
     let lever = lever_m * lever_m;

@@ -24,7 +24,7 @@ impl<const N: usize> Method<N> for PositionForceComputed {
     };
     const DEFAULT: Gains = Gains { stiffness: 300.0, damping: 8.0 };
     const SLAVE_SENDS: SlaveSends = SlaveSends::Force;
-    const PUSH_MAY_GROW: bool = false;
+    const PUSH_MAY_GROW: bool = true;
 
     fn new(gains: Gains) -> Self {
         Self { gains }

@@ -40,8 +40,12 @@ impl CoupledMasterTurn {
         peer: &Frame,
     ) -> Axes<3> {
         let CouplingMessage { epoch, turned: sent, .. } = peer.message;
-        if !is_coupled || epoch == 0 {
+        if !is_coupled {
             self.origin = None;
+            return self.torque;
+        }
+        if epoch == 0 {
+            (self.origin, self.torque) = (None, Axes::zeros());
             return self.torque;
         }
         let sends_motion = peer.sends_motion();

@@ -4,7 +4,7 @@ use haptether_safety::Axes;
 use nalgebra::{Unit, UnitQuaternion};
 
 use super::{
-    super::{Half, Local, MethodSettings, Peer, SlaveSends, VirtualToolSettings},
+    super::{Half, Local, MethodSettings, Peer, SlaveSends, VirtualToolSettings, capped},
     stretch,
 };
 use crate::{coupling::RotationCoupling, port::CouplingMessage};
@@ -21,9 +21,12 @@ pub(crate) struct CoupledSlaveTurn {
     orientation: UnitQuaternion<f64>,
     velocity: Axes<3>,
     engaged: bool,
+    /// Turn in rad of the master in its last engaged frame.
+    moved: Axes<3>,
     sent: Axes<3>,
-    /// Work in J of `tau_c` on the tool at the last tick.
-    work_j: f64,
+    /// `tau_c` in N m since the last tick, and the orientation of the tool before it.
+    torque: Axes<3>,
+    before: UnitQuaternion<f64>,
 }
 
 fn product(left: &UnitQuaternion<f64>, right: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
@@ -35,8 +38,10 @@ impl CoupledSlaveTurn {
     pub(crate) fn new(settings: &MethodSettings) -> Option<Self> {
         let (gains, tool) = settings.rotation?;
         let (half, sends) = (Half::new::<3>(settings.kind, gains)?, settings.kind.slave_sends()?);
-        let (orientation, velocity, sent) = (UnitQuaternion::identity(), Axes::zeros(), Axes::zeros());
-        Some(Self { half, sends, tool, orientation, velocity, engaged: false, sent, work_j: 0.0 })
+        let orientation = UnitQuaternion::identity();
+        let [velocity, moved, sent, torque] = [Axes::zeros(); 4];
+        let (engaged, before) = (false, orientation);
+        Some(Self { half, sends, tool, orientation, velocity, engaged, moved, sent, torque, before })
     }
 
     /// Step an engaged tick of `dt` s at the command `from`; return the command that the coupling requests.
@@ -55,13 +60,16 @@ impl CoupledSlaveTurn {
             (self.orientation, self.velocity) = (*from, Axes::zeros());
             map.clear_anchor();
             map.commanded_orientation(&UnitQuaternion::identity(), from);
-            (self.engaged, self.sent, self.work_j) = (true, Axes::zeros(), 0.0);
+            [self.moved, self.sent, self.torque] = [Axes::zeros(); 3];
+            (self.engaged, self.before) = (true, *from);
             return *from;
         }
         let (message, velocity) = peer;
         let is_engaged = message.epoch != 0;
-        let moved = if is_engaged { message.turned } else { Axes::zeros() };
-        let turned = UnitQuaternion::from_scaled_axis(moved);
+        if is_engaged {
+            self.moved = message.turned;
+        }
+        let turned = UnitQuaternion::from_scaled_axis(self.moved);
         let target = map.commanded_orientation(&turned, from);
         let velocity = if is_engaged { map.commanded_velocity(velocity) } else { Axes::zeros() };
         let own = Local { position: &Axes::zeros(), velocity: &self.velocity, gain: 1.0 };
@@ -78,16 +86,27 @@ impl CoupledSlaveTurn {
         };
         let VirtualToolSettings { mass, damping, lead_s } = self.tool;
         self.velocity = (self.velocity + (coupled + torque) * (dt / mass)) / (1.0 + dt * damping / mass);
-        let turn = self.velocity * dt;
-        self.work_j = coupled.dot(&turn);
-        self.orientation = product(&UnitQuaternion::from_scaled_axis(turn), &self.orientation);
+        (self.torque, self.before) = (coupled, self.orientation);
+        self.orientation = product(&UnitQuaternion::from_scaled_axis(self.velocity * dt), &self.orientation);
         product(&UnitQuaternion::from_scaled_axis(self.velocity * lead_s), &self.orientation)
     }
 
-    /// Take over what bounds left of the command, reached with `velocity` in rad/s.
-    pub(crate) fn limit(&mut self, command: &UnitQuaternion<f64>, velocity: &Axes<3>) {
-        self.velocity = *velocity;
-        self.orientation = product(&UnitQuaternion::from_scaled_axis(velocity * -self.tool.lead_s), command);
+    /// Follow the command that bounds have turned from `wanted` to `command`, at most at `max_speed` in rad/s, and not
+    /// outwards where `leaves` is true.
+    pub(crate) fn limit(
+        &mut self,
+        [wanted, command]: [&UnitQuaternion<f64>; 2],
+        max_speed: f64,
+        leaves: bool,
+    ) {
+        let moved = (command * wanted.inverse()).scaled_axis();
+        if leaves && moved.norm() > 0.0 {
+            let direction = moved.normalize();
+            self.velocity -= direction * self.velocity.dot(&direction).min(0.0);
+        }
+        self.velocity = capped(&self.velocity, max_speed);
+        let lead = self.velocity * self.tool.lead_s;
+        self.orientation = product(&UnitQuaternion::from_scaled_axis(-lead), command);
     }
 
     /// Angular velocity in rad/s of the tool.
@@ -97,7 +116,7 @@ impl CoupledSlaveTurn {
 
     /// Work in J of `tau_c` on the tool at the last tick.
     pub(crate) fn work_j(&self) -> f64 {
-        self.work_j
+        self.torque.dot(&(self.orientation * self.before.inverse()).scaled_axis())
     }
 
     /// Numbers for the next frame; none while not engaged.
