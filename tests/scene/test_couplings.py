@@ -34,7 +34,7 @@ def pressed(kind: str, one_way_s: float, **changed: Any) -> Scene:  # noqa: ANN4
             "contact": {"stiffness": K_WALL, "damping": 1.0},
         }]},
         "link": {"forward": link, "backward": link},
-        "coupling": {"kind": kind, "stiffness": K, "damping": 3.0},
+        "coupling": {"kind": kind, **({"stiffness": K, "damping": 3.0} if kind in WITH_GAINS else {})},
         "safety": {"controllers": [], "limiter": LIMITER},
     }  # fmt: skip
     for table, fields in changed.items():
@@ -114,6 +114,11 @@ def test_an_engagement_begins_without_force(kind: str, speed: float) -> None:
 
 
 def test_unknown_couplings_and_numbers_are_refused_by_name() -> None:
+    with pytest.raises(SceneError, match=r"coupling\.damping = 2: position-force has no spring"):
+        simulate(pressed("position-force", 0.0, coupling={"damping": 2.0}))
+    changes = [{"at_s": 1.0, "position_scale": 2.0}]
+    with pytest.raises(SceneError, match=r"position_scale at 1 s: pd-damped keeps that of the scene"):
+        simulate(pressed("pd-damped", 0.0, coupling={"changes": changes}))
     with pytest.raises(SceneError, match="position-force-computed"):
         override_scene(pressed("pd-damped", 0.0), ['coupling.kind="spring"'])
     with pytest.raises(SceneError, match=r"\[coupling\] damping = -1"):
