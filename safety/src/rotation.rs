@@ -143,10 +143,10 @@ impl CoupledTurn<'_> {
     }
 
     /// Return `couple` for a layer whose vectors are in the body frame.
-    fn in_body(
-        orientation: &UnitQuaternion<f64>,
-        couple: impl FnOnce(&CoupledTurn<'_>) -> Axes<3>,
-    ) -> impl FnOnce(&Coupled<'_, 3>) -> Axes<3> {
+    fn in_body<'a>(
+        orientation: &'a UnitQuaternion<f64>,
+        couple: &'a mut dyn FnMut(&CoupledTurn<'_>) -> Axes<3>,
+    ) -> impl FnOnce(&Coupled<'_, 3>) -> Axes<3> + 'a {
         move |at| {
             let angular_velocity = orientation * at.velocity;
             let torque = couple(&CoupledTurn { orientation, angular_velocity, coupled: at });
@@ -214,21 +214,21 @@ impl RotationLayer {
         requested_torque: &Axes<3>,
         authority: f64,
     ) -> SafetyTick<3> {
-        let couple = |_: &CoupledTurn<'_>| *requested_torque;
+        let mut couple = |_: &CoupledTurn<'_>| *requested_torque;
         let entered = self.check(orientation, angular_velocity).and_then(|()| {
             match self.layer.judge(missed, sample_of(orientation, angular_velocity).parts())? {
                 Judged::Held(at) => return Ok(Err(at)),
                 Judged::Settled => self.catch_up(),
                 _ => {}
             }
-            self.checked(orientation, angular_velocity, couple).map(Ok)
+            self.checked(orientation, angular_velocity, &mut couple).map(Ok)
         });
         match entered {
             Ok(Ok(perceived)) => {
                 let advance = self.layer.decide(&perceived, authority);
                 in_base(orientation, &self.layer.keep(&advance, authority))
             }
-            Ok(Err(at)) => self.hold_coupled(at, couple, authority),
+            Ok(Err(at)) => self.hold_coupled(at, &mut couple, authority),
             Err(fault) => self.stop(fault),
         }
     }
@@ -238,7 +238,7 @@ impl RotationLayer {
     pub(crate) fn hold_coupled(
         &mut self,
         at: f64,
-        couple: impl FnOnce(&CoupledTurn<'_>) -> Axes<3>,
+        couple: &mut dyn FnMut(&CoupledTurn<'_>) -> Axes<3>,
         authority: f64,
     ) -> SafetyTick<3> {
         let orientation = self.orientation.unwrap_or_default();
@@ -299,7 +299,7 @@ impl RotationLayer {
         &mut self,
         orientation: &UnitQuaternion<f64>,
         angular_velocity: Option<&Axes<3>>,
-        couple: impl FnOnce(&CoupledTurn<'_>) -> Axes<3>,
+        couple: &mut dyn FnMut(&CoupledTurn<'_>) -> Axes<3>,
     ) -> Result<Perceived<3, f64>, Fault> {
         self.check(orientation, angular_velocity)?;
         self.turn_to(orientation)?;

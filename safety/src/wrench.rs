@@ -116,18 +116,17 @@ impl<const N: usize> WrenchLayer<N> {
         torque: &Axes<3>,
         authority: f64,
     ) -> WrenchTick<N> {
-        self.tick_coupled(missed, sample, |_| *force, |_| *torque, authority)
+        self.tick_coupled(missed, sample, &mut |_| *force, &mut |_| *torque, authority)
     }
 
     /// Compute a tick as [`tick_after`](Self::tick_after), with `F_v` from `couple` and the torque from `couple_torque`,
     /// see [`SafetyLayer::tick_coupled`].
-    #[inline(always)]
     pub fn tick_coupled(
         &mut self,
         missed: u64,
         sample: &PoseSample<N>,
-        couple: impl FnOnce(&Coupled<'_, N>) -> Axes<N>,
-        couple_torque: impl FnOnce(&CoupledTurn<'_>) -> Axes<3>,
+        couple: &mut dyn FnMut(&Coupled<'_, N>) -> Axes<N>,
+        couple_torque: &mut dyn FnMut(&CoupledTurn<'_>) -> Axes<3>,
         authority: f64,
     ) -> WrenchTick<N> {
         let PoseSample { position, orientation, velocity, angular_velocity } = sample;

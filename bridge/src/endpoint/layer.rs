@@ -157,9 +157,15 @@ impl<const N: usize> Layer<N> {
                 (layer.tick_coupled(missed, position, velocity.as_ref(), couple, gain), None)
             }
             Self::Wrench(layer) => {
-                let couple_torque = |at: &CoupledTurn<'_>| at.faded(&couple_torque(at), gain);
+                // A pose is compiled once for all couplings.
+                let (mut couple, mut couple_torque) = (Some(couple), Some(couple_torque));
+                let mut force =
+                    |at: &Coupled<'_, N>| couple.take().map_or(Axes::zeros(), |couple| couple(at));
+                let mut torque = |at: &CoupledTurn<'_>| {
+                    couple_torque.take().map_or(Axes::zeros(), |couple| at.faded(&couple(at), gain))
+                };
                 let WrenchTick { translation, rotation } =
-                    layer.tick_coupled(missed, &reading.pose(), couple, couple_torque, gain);
+                    layer.tick_coupled(missed, &reading.pose(), &mut force, &mut torque, gain);
                 (translation, Some(rotation))
             }
         }
