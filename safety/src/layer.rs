@@ -403,6 +403,9 @@ impl<const N: usize> SafetyLayer<N> {
         }
         let let_through = self.last_rendered * self.controller.let_through();
         let damping = self.entry.last.intervention.safety_force + self.last_rendered - let_through;
+        if damping == Axes::<N>::zeros() {
+            return self.device_force;
+        }
         // The last limiter may cut off more than the damping.
         let squared = let_through.norm_squared();
         if squared == 0.0 {
