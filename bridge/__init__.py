@@ -2,6 +2,7 @@
 
 from haptether._core import (
     COUPLINGS,
+    CouplingFacts,
     LinkStatistics,
     LiveMaster,
     LiveSlave,
@@ -164,6 +165,7 @@ __all__ = [
     "ClockTable",
     "ContactTable",
     "ControllerTime",
+    "CouplingFacts",
     "CouplingTable",
     "DeviceError",
     "DeviceRun",

@@ -53,7 +53,7 @@ def settings_of(scene: Scene) -> EjectionSettings:
         free_s=_free_s(spec),
         fades=spec["slave"] is not None,
         ramp_in_s=limiter["ramp_in_s"],
-        push_may_grow=spec["slave"] is not None and coupling_facts(spec["coupling"]["kind"])[3],
+        push_may_grow=spec["slave"] is not None and coupling_facts(spec["coupling"]["kind"]).push_may_grow,
         turns=scene.master.kind == "pose",
         outside=_outside(spec),
     )

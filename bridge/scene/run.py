@@ -110,7 +110,7 @@ class Metrics(Struct, frozen=True, kw_only=True):
     max_ejection_velocity: float | None = None
     """MEV: largest speed in m/s after the release, away from the pressed object.
 
-    Of a hand that follows aims: while it is open.
+    For a hand that follows aims, only the time in which it is open counts.
     """
     peak_device_force: float | None = None
     """Largest |F_device| in N."""

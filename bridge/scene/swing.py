@@ -13,7 +13,7 @@ LEAST_N = 0.5
 CROSSINGS = 4
 """Fewest crossings of the mean within the window; a motion of the hand has fewer."""
 KEPT = 0.7
-"""Smallest share of the swing that the second half of the window keeps; one that settles keeps less."""
+"""Smallest ratio of the swings in the second and the first half of the window. A force that settles is below it."""
 
 
 def contact_swing_n(signals: Mapping[str, npt.NDArray[Any]], release_s: Iterable[float] = ()) -> float | None:
@@ -33,7 +33,7 @@ def contact_swing_n(signals: Mapping[str, npt.NDArray[Any]], release_s: Iterable
 
 
 def _swing_n(force: npt.NDArray[np.float64]) -> float:
-    """Return the swing of one axis in N, or 0 if it settles."""
+    """Return the swing of one axis in N. Return 0 if the force settles."""
     if len(force) < 2 * CROSSINGS:
         return 0.0
     swing = float(np.ptp(force))

@@ -489,7 +489,7 @@ impl Frame {
 
     /// Return whether the vector of this frame of a slave is a motion.
     pub(crate) fn sends_motion(&self) -> bool {
-        self.coupling.slave_sends() == Some(SlaveSends::Motion)
+        self.coupling.compares_motions()
     }
 
     /// Quaternion, angular velocity and torque as encoded; only of kind `pose`.

@@ -32,6 +32,7 @@ __all__ = [
     "PRESS_S",
     "ROUND_TRIP_S",
     "TRIP_BITS",
+    "CouplingFacts",
     "DeviceModel",
     "DirectionStatistics",
     "DynamixelBus",
@@ -2817,6 +2818,29 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
     def gripper_command(self) -> tuple[float, float, float] | None:
         """Position, 0 (open) to 1 (closed), speed in 1/s and force in N after the last tick; None keeps the grip."""
 
+@final
+class CouplingFacts:
+    """Facts of a coupling, by its own halves; `coupling_facts` makes it. position-force has only `push_may_grow`."""
+
+    @property
+    def stiffness(self) -> float | None:
+        """K in N/m."""
+    @property
+    def damping(self) -> float | None:
+        """B in N s/m."""
+    @property
+    def master(self) -> list[float] | None:
+        """Coefficients of F_m in x_m, v_m, x_s', v_s', F_c' (N/m, N s/m, and 1 for a force)."""
+    @property
+    def slave(self) -> list[float] | None:
+        """Coefficients of F_c in x_s, v_s, x_m', v_m'."""
+    @property
+    def least_damping(self) -> float | None:
+        """Least B in N s/m with which it is passive; None if it claims no passivity."""
+    @property
+    def push_may_grow(self) -> bool:
+        """True if the push on a released stylus may grow."""
+
 def coupling_facts(
     name: str,
     *,
@@ -2824,8 +2848,8 @@ def coupling_facts(
     damping: float | None = None,
     round_trip_s: float = 0.0,
     period_s: float = 1e-3,
-) -> tuple[tuple[float, float] | None, tuple[list[float], list[float]] | None, float | None, bool]:
-    """Facts of a coupling, by its own halves.
+) -> CouplingFacts:
+    """Facts of a coupling.
 
     Args:
         name: Name in `COUPLINGS`.
@@ -2833,11 +2857,6 @@ def coupling_facts(
         damping: B in N s/m; by default that of the coupling.
         round_trip_s: Round trip T1 + T2 in s, for the least damping.
         period_s: Tick in s, for the same.
-
-    Returns:
-        K and B; the coefficients of F_m in x_m, v_m, x_s', v_s', F_c' and of F_c in x_s, v_s, x_m', v_m' (N/m, N s/m,
-        and 1 for a force); the least B in N s/m with which it is passive; and whether the push on a released stylus may
-        grow. None where it has none: position-force has neither K, B nor coefficients.
 
     Raises:
         ValueError: Unknown name, or a number out of range.

@@ -11,6 +11,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let couplings = CouplingKind::ALL.iter().map(|kind| kind.about());
     let rows = couplings.map(|about| (about.name, about.title, about.source)).collect::<Vec<_>>();
     module.add("COUPLINGS", PyTuple::new(module.py(), rows)?)?;
+    module.add_class::<PyCouplingFacts>()?;
     module.add_function(wrap_pyfunction!(coupling_facts, module)?)?;
     module.add_function(wrap_pyfunction!(ladder_state_name, module)?)?;
     module.add_function(wrap_pyfunction!(ladder_reason, module)?)
@@ -25,8 +26,16 @@ pub(crate) fn nanoseconds(key: &str, seconds: f64) -> PyResult<u64> {
     Err(PyValueError::new_err(format!("{key} = {seconds}: must be between 0 and 1e9 s")))
 }
 
-type Coefficients = (Vec<f64>, Vec<f64>);
-type Facts = (Option<(f64, f64)>, Option<Coefficients>, Option<f64>, bool);
+#[documented(CouplingFacts)]
+#[pyclass(name = "CouplingFacts", module = "haptether.bridge", frozen, get_all)]
+struct PyCouplingFacts {
+    stiffness: Option<f64>,
+    damping: Option<f64>,
+    master: Option<[f64; 5]>,
+    slave: Option<[f64; 4]>,
+    least_damping: Option<f64>,
+    push_may_grow: bool,
+}
 
 #[documented]
 #[pyfunction]
@@ -37,19 +46,24 @@ fn coupling_facts(
     damping: Option<f64>,
     round_trip_s: f64,
     period_s: f64,
-) -> PyResult<Facts> {
+) -> PyResult<PyCouplingFacts> {
     let kind = CouplingKind::ALL.iter().copied().find(|kind| kind.name() == name);
     let names = || CouplingKind::ALL.iter().map(|kind| kind.name()).collect::<Vec<_>>().join(", ");
     let kind =
         kind.ok_or_else(|| PyValueError::new_err(format!("coupling {name:?}: must be one of {}", names())))?;
-    let Some(default) = kind.default_gains() else {
-        return Ok((None, None, None, kind.push_may_grow()));
-    };
-    let gains = Gains::new(stiffness.unwrap_or(default.stiffness), damping.unwrap_or(default.damping))
-        .map_err(|error| PyValueError::new_err(error.to_string()))?;
-    let matrix = coupling_matrix(kind, gains).map(|matrix| (matrix.master.to_vec(), matrix.slave.to_vec()));
-    let least = kind.least_damping(gains.stiffness, round_trip_s, period_s);
-    Ok((Some((gains.stiffness, gains.damping)), matrix, least, kind.push_may_grow()))
+    let gains = kind.default_gains().map(|default| {
+        Gains::new(stiffness.unwrap_or(default.stiffness), damping.unwrap_or(default.damping))
+    });
+    let gains = gains.transpose().map_err(|error| PyValueError::new_err(error.to_string()))?;
+    let matrix = gains.and_then(|gains| coupling_matrix(kind, gains));
+    Ok(PyCouplingFacts {
+        stiffness: gains.map(|gains| gains.stiffness),
+        damping: gains.map(|gains| gains.damping),
+        master: matrix.map(|matrix| matrix.master),
+        slave: matrix.map(|matrix| matrix.slave),
+        least_damping: gains.and_then(|gains| kind.least_damping(gains.stiffness, round_trip_s, period_s)),
+        push_may_grow: kind.push_may_grow(),
+    })
 }
 
 #[documented]

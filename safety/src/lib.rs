@@ -2,7 +2,7 @@
 //!
 //! Per tick: position -> [`Guard`] -> [`estimator`] -> grasp force ([`DeviceModel::grasp_force`]) -> [`observer`] ->
 //! [`controller`] -> [`Limiter`]. [`SafetyLayer`] runs these steps for a position, [`RotationLayer`] for a rotation, and
-//! [`WrenchLayer`] for both of one hand. All are pure state machines: no clock, no lock, no allocation after
+//! [`WrenchLayer`] for position and rotation of one hand. All are pure state machines: no clock, no lock, no allocation after
 //! construction. The code for positions is generic over [`Real`]: an `f64`, or SIMD lanes that step several scenarios at
 //! once.
 //!

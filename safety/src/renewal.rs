@@ -128,8 +128,8 @@ impl Motion {
 /// - A device that gives the time of its samples is measured exactly, also at rest: a sample is new if its time is.
 /// - Else a sample is new if its position or its orientation differs from the last. Each change counts with the ticks
 ///   since the change before.
-/// - A coarse encoder in slow motion also repeats its samples. Its changes are steps of one quantum
-///   at varying intervals, equal or in different joints. The changes of a slow device vary a little
+/// - A coarse encoder in slow motion also repeats its samples. It changes by one quantum at varying intervals. Two
+///   such changes are equal, or they are in different joints. The changes of a slow device vary a little
 ///   with the motion, at even intervals. So a change counts if it is like the one before but not
 ///   equal to it, and if more than 35 % of the recent changes are alike in this way.
 /// - From the 16th successive tick with a new sample on, any change counts: a slow device has no

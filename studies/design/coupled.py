@@ -104,10 +104,8 @@ def coupled_loops(scene: Scene, wall_stiffness: float | None = None, *, held: bo
     """
     spec = scene_numbers(scene)
     coupling, settings = spec["coupling"], settings_of(scene)
-    _, coefficients, _, _ = coupling_facts(
-        coupling["kind"], stiffness=coupling["stiffness"], damping=coupling["damping"]
-    )
-    if coefficients is None:
+    facts = coupling_facts(coupling["kind"], stiffness=coupling["stiffness"], damping=coupling["damping"])
+    if facts.master is None or facts.slave is None:
         message = f"coupling.kind = {coupling['kind']!r}: has no halves: use scene_loops"
         raise ValueError(message)
     period_s = max(spec["run"]["period_s"], spec["slave"]["period_s"])
@@ -128,8 +126,8 @@ def coupled_loops(scene: Scene, wall_stiffness: float | None = None, *, held: bo
             damping=loop.damping,
             hand_stiffness=loop.hand_stiffness,
             scale=largest_scale(spec, "force_scale") * largest_scale(spec, "position_scale"),
-            master=tuple(coefficients[0]),
-            slave=tuple(coefficients[1]),
+            master=tuple(facts.master),
+            slave=tuple(facts.slave),
             velocity=velocity,
             tool=virtual_tool(spec),
             follower=loop.follower,

@@ -57,7 +57,7 @@ class AdvisedCoupling(Struct, frozen=True, kw_only=True):
 
 def has_halves(spec: dict[str, Any]) -> bool:
     """Return True if a scene's coupling has two halves; False without an arm, and for measured position-force."""
-    return spec["slave"] is not None and coupling_facts(spec["coupling"]["kind"])[1] is not None
+    return spec["slave"] is not None and coupling_facts(spec["coupling"]["kind"]).stiffness is not None
 
 
 def bearable_delays(scene: Scene, up_to_s: float, wall_stiffness: float | None = None) -> tuple[float, Intervals]:
@@ -117,7 +117,7 @@ def coupling_findings(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Ite
             yield Finding(name="let go", state="note", text=text, value=least_s, unit="s")
     yield from _passive(spec, units, delays)
     yield from _felt(scene, spec, units)
-    if coupling_facts(kind)[3] and "hsc" in spec["safety"]["controllers"]:
+    if coupling_facts(kind).push_may_grow and "hsc" in spec["safety"]["controllers"]:
         yield Finding(
             name="push", state="note", text=f"with {kind} the push may grow after a release, as the spring pulls to"
             " where the arm still is: the bound of HSC does not hold, that of WSC does",
@@ -130,15 +130,16 @@ def _who(spec: dict[str, Any]) -> str:
 
 def _gains(spec: dict[str, Any]) -> tuple[float, float]:
     coupling = spec["coupling"]
-    gains, *_ = coupling_facts(coupling["kind"], stiffness=coupling["stiffness"], damping=coupling["damping"])
-    assert gains is not None, "position-force has no gains"
-    return gains
+    facts = coupling_facts(coupling["kind"], stiffness=coupling["stiffness"], damping=coupling["damping"])
+    assert facts.stiffness is not None, "position-force has no gains"
+    assert facts.damping is not None
+    return facts.stiffness, facts.damping
 
 
 def _least(kind: str, stiffness: float, delay_s: float, spec: dict[str, Any]) -> float | None:
     """Return the least B with which a coupling is passive."""
     period_s = max(spec["run"]["period_s"], spec["slave"]["period_s"])
-    return coupling_facts(kind, stiffness=stiffness, round_trip_s=delay_s, period_s=period_s)[2]
+    return coupling_facts(kind, stiffness=stiffness, round_trip_s=delay_s, period_s=period_s).least_damping
 
 
 def _passive(spec: dict[str, Any], units: Units, delays: tuple[float, float] | None) -> Iterator[Finding]:

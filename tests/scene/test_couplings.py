@@ -14,7 +14,7 @@ ONE_WAY_S = (0.0, 0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25)
 K_HAND, K, K_WALL, WALL, TARGET = 40.0, 100.0, 2000.0, 0.03, 0.06
 ARM_K = 4.0 * (2 * np.pi * 15.0) ** 2
 """M w^2 of the default arm in N/m: 4 kg at 15 Hz."""
-WITH_GAINS = [name for name, _, _ in COUPLINGS if coupling_facts(name)[0] is not None]
+WITH_GAINS = [name for name, _, _ in COUPLINGS if coupling_facts(name).stiffness is not None]
 LIMITER = {"max_force_n": 20.0, "max_slew_n_per_s": 1e6, "max_power_w": 1000.0}
 
 

@@ -1,4 +1,4 @@
-"""A contact that swings without settling is reported; one that settles, and a moving hand, are not."""
+"""A contact that swings without settling is reported. A contact that settles and a moving hand are not reported."""
 
 import json
 from pathlib import Path

@@ -82,8 +82,9 @@ def floats(low: float, high: float) -> st.SearchStrategy[float]:
 @st.composite
 def loops(draw: st.DrawFn) -> CoupledLoop:
     kind, stiffness, damping = draw(st.sampled_from(KINDS)), draw(floats(50.0, 1500.0)), draw(floats(0.3, 10.0))
-    _, halves, _, _ = coupling_facts(kind, stiffness=stiffness, damping=damping)
-    assert halves is not None
+    facts = coupling_facts(kind, stiffness=stiffness, damping=damping)
+    assert facts.master is not None
+    assert facts.slave is not None
     mass_kg, pole = draw(floats(0.5, 6.0)), draw(floats(30.0, 200.0))
     follows = draw(st.booleans())
     share = 1.0 if not follows else 0.25
@@ -93,8 +94,8 @@ def loops(draw: st.DrawFn) -> CoupledLoop:
         damping=draw(floats(0.1, 3.0)),
         hand_stiffness=draw(floats(10.0, 100.0)),
         scale=draw(floats(0.3, 2.0)),
-        master=tuple(halves[0]),
-        slave=tuple(halves[1]),
+        master=tuple(facts.master),
+        slave=tuple(facts.slave),
         velocity=draw(st.sampled_from([None, (1e3, -1e3)])),
         tool=Tool(mass_kg=draw(floats(0.2, 5.0)), damping=draw(floats(0.5, 20.0)), lead_s=draw(st.floats(0.0, 0.02))),
         follower=Follower(
@@ -226,7 +227,7 @@ def test_the_advised_coupling_holds_contact_at_its_closed_form(round_trip_s: flo
     # Coulomb friction of the device holds back up to c.
     assert np.ptp(late) < 1e-3
     assert late.mean() == pytest.approx(0.03 / series, abs=0.038 / (series * 100.0))
-    least = coupling_facts(advised.kind, stiffness=advised.stiffness, round_trip_s=round_trip_s + 2e-3)[2]
+    least = coupling_facts(advised.kind, stiffness=advised.stiffness, round_trip_s=round_trip_s + 2e-3).least_damping
     assert least is not None
     assert advised.damping > least
 
@@ -294,7 +295,7 @@ def test_a_coupling_is_advised_where_position_force_lacks_margin_only() -> None:
 @pytest.mark.parametrize("kind", ["position-force", *KINDS])
 def test_the_bound_of_hsc_holds_for_couplings_whose_push_does_not_grow(kind: str) -> None:
     scene = pressing(0.01, coupling={"kind": kind}, master={"stops": [[-0.08, 0.08]]}, safety={"controllers": ["hsc"]})
-    may_grow = coupling_facts(kind)[3]
+    may_grow = coupling_facts(kind).push_may_grow
     bound = ejection_bound(scene)
     assert (bound.speed is None) == may_grow
     assert ("may grow" in (bound.reason or "")) == may_grow

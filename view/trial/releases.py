@@ -33,7 +33,7 @@ class Measured(Struct, kw_only=True):
 
 
 class Pending(Struct, kw_only=True):
-    """Measurement that still runs, of one bridge."""
+    """Running measurement of one bridge."""
 
     begun_ns: int
     position: list[float]

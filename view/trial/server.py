@@ -248,7 +248,7 @@ class Trial(PageServer):
         self._grip.lapse()
         self._enter("running")
         if self._stops != stops:
-            # The stop came before the sides had sockets; one that still runs may have missed them.
+            # The stop came before the sides had sockets. A stop that is still under way may have missed them.
             await self.stop()
             await self.stop()
             raise RuntimeError(STOPPED)

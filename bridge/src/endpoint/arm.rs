@@ -67,7 +67,7 @@ pub(crate) const TOOL_LEVER_M: f64 = 0.1;
 #[derive(Clone, Debug)]
 pub(crate) struct Arm<const N: usize> {
     translation: SlaveTranslation<N>,
-    /// Half of the coupling; none of measured position-force, which commands the master's own motion.
+    /// Half of the coupling. None for position-force, which commands the master's own motion.
     coupled: Option<Box<CoupledSlave<N>>>,
     /// Position in m and `F_e` in N at the last tick of this engagement, from which the work of the next tick counts.
     last: Option<[Axes<N>; 2]>,
@@ -106,7 +106,7 @@ impl<const N: usize> Arm<N> {
         })
     }
 
-    /// Set the coupling; the default is position-force.
+    /// Set a coupling with two halves; the default is position-force.
     pub(super) fn set_coupling(&mut self, settings: &MethodSettings) {
         self.coupled = CoupledSlave::new(settings).map(Box::new);
         if let Some(rotation) = &mut self.rotation {

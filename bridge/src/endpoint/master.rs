@@ -70,9 +70,9 @@ pub struct MasterTick<const N: usize> {
 pub struct MasterEndpoint<const N: usize> {
     hand: Hand<N>,
     mapping: Mapping<N>,
-    /// Settings of the coupling; none of position-force.
+    /// Settings of the coupling; None for position-force.
     method: Option<MethodSettings>,
-    /// Half of the coupling; none of measured position-force, whose force follows from the newest frame alone.
+    /// Half of the coupling. None for position-force, whose force follows from the newest frame alone.
     coupled: Option<Box<CoupledMaster<N>>>,
     /// Half of the coupling for the rotation, likewise.
     turning: Option<Box<CoupledMasterTurn>>,
@@ -125,7 +125,7 @@ impl<const N: usize> MasterEndpoint<N> {
         &self.ranges
     }
 
-    /// Set the coupling; the default is position-force.
+    /// Set a coupling with two halves; the default is position-force.
     #[must_use]
     pub fn with_coupling(mut self, settings: &MethodSettings) -> Self {
         self.exchange.set_coupling(settings.kind);

@@ -36,7 +36,7 @@ pub struct SlaveRotationSettings {
 #[derive(Clone, Debug)]
 pub(super) struct SlaveRotation {
     pub(super) coupling: RotationCoupling,
-    /// Half of the coupling; none of measured position-force.
+    /// Half of the coupling; None for position-force.
     pub(super) coupled: Option<Box<CoupledSlaveTurn>>,
     pub(super) alignment: Option<Alignment>,
     /// Time in s that the turning arm has been within [`ALIGNED_RAD`] of the master.
@@ -184,12 +184,8 @@ impl SlaveRotation {
             self.coupling.commanded_orientation(&master.orientation, &from);
             (wanted, velocity) = (from, Axes::zeros());
         }
-        let mut acted = Limited::default();
-        let command = turned_within(&self.left, elapsed_s, [&home, &from, &wanted], &mut acted);
-        self.command = Some(command);
+        let (command, acted) = self.bound(elapsed_s, [&home, &from, &wanted], limited);
         if acted.any() {
-            (limited.turn, limited.angular_speed) =
-                (limited.turn | acted.turn, limited.angular_speed | acted.angular_speed);
             // The velocity of a limited command is that of the limited motion.
             let way = (command * from.inverse()).scaled_axis();
             velocity = if elapsed_s > 0.0 { way / elapsed_s } else { Axes::zeros() };
@@ -207,20 +203,32 @@ impl SlaveRotation {
         (elapsed_s, dt): (f64, f64),
         limited: &mut Limited,
     ) -> Option<(Axes<3>, f64)> {
-        let coupled = self.coupled.as_mut()?;
         let home = self.home.unwrap_or(measured.orientation);
         let from = self.command.unwrap_or(measured.orientation);
         let peer = (message, &master.angular_velocity);
-        let wanted = coupled.step(&mut self.coupling, &from, &measured.torque, peer, dt);
-        let mut acted = Limited::default();
-        let command = turned_within(&self.left, elapsed_s, [&home, &from, &wanted], &mut acted);
-        self.command = Some(command);
+        let wanted = self.coupled.as_mut()?.step(&mut self.coupling, &from, &measured.torque, peer, dt);
+        let (command, acted) = self.bound(elapsed_s, [&home, &from, &wanted], limited);
+        let coupled = self.coupled.as_mut()?;
         if acted.any() {
-            (limited.turn, limited.angular_speed) =
-                (limited.turn | acted.turn, limited.angular_speed | acted.angular_speed);
             coupled.limit([&wanted, &command], self.left.speed, acted.turn);
         }
         Some((coupled.velocity().cap_magnitude(self.left.speed), coupled.work_j()))
+    }
+
+    /// Store the command that the bounds leave of home, last command and wanted orientation; return it and the bounds that
+    /// acted.
+    fn bound(
+        &mut self,
+        elapsed_s: f64,
+        orientations: [&UnitQuaternion<f64>; 3],
+        limited: &mut Limited,
+    ) -> (UnitQuaternion<f64>, Limited) {
+        let mut acted = Limited::default();
+        let command = turned_within(&self.left, elapsed_s, orientations, &mut acted);
+        self.command = Some(command);
+        limited.turn |= acted.turn;
+        limited.angular_speed |= acted.angular_speed;
+        (command, acted)
     }
 
     /// Angular velocity in rad/s of the command, within the bound on its speed.

@@ -78,7 +78,7 @@ pub struct SlaveTick<const N: usize> {
 #[derive(Clone, Debug)]
 pub struct SlaveEndpoint<const N: usize> {
     arm: Arm<N>,
-    /// Settings of the coupling; none before they are set.
+    /// Settings of the coupling; None for position-force.
     method: Option<MethodSettings>,
     /// Bounds of `lambda_p` and `lambda_r` during the run.
     ranges: ScaleRanges,
@@ -110,7 +110,7 @@ impl<const N: usize> SlaveEndpoint<N> {
         Ok(Self { arm, method, ranges, exchange })
     }
 
-    /// Set the coupling; the default is position-force.
+    /// Set a coupling with two halves; the default is position-force.
     #[must_use]
     pub fn with_coupling(mut self, settings: &MethodSettings) -> Self {
         self.exchange.set_coupling(settings.kind);

@@ -21,10 +21,7 @@ use super::{
 use crate::{
     DrivenMaster, DrivenSlave, EndpointError, MasterEndpoint, MasterPlant, MasterRotation, MasterSettings,
     MasterSide, SideKind, SlaveEndpoint, SlaveGripper, SlaveRotation, SlaveSettings, SlaveSide, Trigger,
-    coupling::{
-        CouplingError, CouplingKind, Gains, Mapping, MethodSettings, ScaleRange, ScaleRanges, SlaveSends,
-        VirtualToolSettings,
-    },
+    coupling::{CouplingError, Gains, Mapping, MethodSettings, ScaleRange, ScaleRanges, VirtualToolSettings},
     endpoint::{Arm, Hand, TOOL_LEVER_M, period_s},
 };
 
@@ -49,7 +46,7 @@ fn master_settings<const N: usize>(
     })
 }
 
-/// Stiffness in N/m of the walls that the virtual tool of a scene without any is for.
+/// Stiffness in N/m of the stiffest wall, for a scene that has no wall.
 const STIFFEST_WALL: f64 = 2000.0;
 
 /// Return the largest stiffness in N/m of a wall of the scene.
@@ -85,17 +82,33 @@ fn virtual_tool<const N: usize>(
     VirtualToolSettings::new(mass, coupling.tool_damping, coupling.tool_lead_s.unwrap_or(lag_s))
 }
 
-/// Return whether both sides of a coupling compare motions.
-fn compares(kind: CouplingKind) -> bool {
-    kind.slave_sends() == Some(SlaveSends::Motion)
-}
-
-/// Return the settings of the scene's coupling.
-fn method<const N: usize>(scene: &SceneSpec<N>) -> Result<MethodSettings, SceneError> {
+/// Return the settings of a coupling with two halves; None for position-force.
+fn method<const N: usize>(scene: &SceneSpec<N>) -> Result<Option<MethodSettings>, SceneError> {
     let (arm, coupling) = scene.coupled()?;
     let CouplingSpec { kind, stiffness, damping, position_scale, .. } = *coupling;
-    let default = kind.default_gains();
-    let name = kind.name();
+    let Some(default) = kind.default_gains() else {
+        return refuse_springs(coupling).map(|()| None);
+    };
+    let gains = Gains::new(stiffness.unwrap_or(default.stiffness), damping.unwrap_or(default.damping));
+    let (gains, tool) = gains
+        .and_then(|gains| Ok((gains, virtual_tool(scene, arm, coupling)?)))
+        .map_err(EndpointError::from)?;
+    let is_pose = scene.master.kind == SideKind::Pose;
+    let rotation = if is_pose { Some(pose::coupled_rotation(scene, &gains)?) } else { None };
+    let settings = MethodSettings { kind, gains, tool, position_scale, rotation };
+    for (at_ns, command) in commands::<N>(coupling)? {
+        if let Err(CouplingError::Fixed { name, kind, .. }) = settings.check_change(&command, at_ns == 0) {
+            return Err(SceneError::Contradiction(format!(
+                "coupling.changes: {name} at {} s: {kind} keeps that of the scene",
+                at_ns as f64 * 1e-9
+            )));
+        }
+    }
+    Ok(Some(settings))
+}
+
+/// Return an error for numbers of springs in the table of position-force, which has none.
+fn refuse_springs(coupling: &CouplingSpec) -> Result<(), SceneError> {
     let numbers = [
         ("stiffness", coupling.stiffness),
         ("damping", coupling.damping),
@@ -105,36 +118,13 @@ fn method<const N: usize>(scene: &SceneSpec<N>) -> Result<MethodSettings, SceneE
         ("tool_damping", coupling.tool_damping),
         ("tool_lead_s", coupling.tool_lead_s),
     ];
-    if let (None, Some((key, Some(seen)))) = (default, numbers.iter().find(|(_, seen)| seen.is_some())) {
-        return Err(SceneError::Contradiction(format!(
-            "coupling.{key} = {seen}: {name} has no spring; set coupling.kind, or leave it out"
-        )));
+    match numbers.into_iter().find_map(|(key, seen)| seen.map(|seen| (key, seen))) {
+        None => Ok(()),
+        Some((key, seen)) => Err(SceneError::Contradiction(format!(
+            "coupling.{key} = {seen}: {} has no spring; set coupling.kind, or leave it out",
+            coupling.kind.name()
+        ))),
     }
-    for change in &coupling.changes {
-        let changed = [
-            ("position_scale", change.position_scale.is_some() && compares(kind)),
-            ("rotation_scale", change.rotation_scale.is_some() && default.is_some()),
-            ("quat_wxyz", (change.quat_wxyz.is_some() || change.locked_axes.is_some()) && default.is_some()),
-        ];
-        if let Some((key, _)) = changed.iter().find(|(_, changes)| *changes) {
-            return Err(SceneError::Contradiction(format!(
-                "coupling.changes: {key} at {} s: {name} keeps that of the scene",
-                change.at_s
-            )));
-        }
-    }
-    let Some(given) = default else {
-        let gains = Gains { stiffness: 1.0, damping: 0.0 };
-        let tool = VirtualToolSettings { mass: 1.0, damping: 0.0, lead_s: 0.0 };
-        return Ok(MethodSettings { kind, gains, tool, position_scale, rotation: None });
-    };
-    let gains = Gains::new(stiffness.unwrap_or(given.stiffness), damping.unwrap_or(given.damping));
-    let (gains, tool) = gains
-        .and_then(|gains| Ok((gains, virtual_tool(scene, arm, coupling)?)))
-        .map_err(EndpointError::from)?;
-    let is_pose = scene.master.kind == SideKind::Pose;
-    let rotation = if is_pose { Some(pose::coupled_rotation(scene, &gains)?) } else { None };
-    Ok(MethodSettings { kind, gains, tool, position_scale, rotation })
 }
 
 /// Return the sample bounds of a side of this kind, with the speed bound of its device and a quantum in m (rad).
@@ -206,8 +196,10 @@ pub(super) fn master_endpoint<const N: usize>(
             stated(|change| change.torque_scale),
         ))),
     };
-    let mut endpoint =
-        endpoint.with_ranges(ranges).with_samples(master_samples(scene)).with_coupling(&method(scene)?);
+    let mut endpoint = endpoint.with_ranges(ranges).with_samples(master_samples(scene));
+    if let Some(method) = method(scene)? {
+        endpoint = endpoint.with_coupling(&method);
+    }
     endpoint.exchange.set_kind(scene.master.kind);
     if let Some(trigger) = trigger_feedback(scene, arm)? {
         endpoint = endpoint.with_trigger(&trigger)?;
@@ -265,8 +257,10 @@ pub(super) fn slave_endpoint<const N: usize>(
             stated(|change| change.rotation_scale),
         ))),
     };
-    let mut endpoint =
-        endpoint.with_ranges(ranges).with_samples(slave_samples(scene)).with_coupling(&method(scene)?);
+    let mut endpoint = endpoint.with_ranges(ranges).with_samples(slave_samples(scene));
+    if let Some(method) = method(scene)? {
+        endpoint = endpoint.with_coupling(&method);
+    }
     endpoint.exchange.set_kind(scene.master.kind);
     if scene.master.buttons.is_some() {
         endpoint.exchange.carry_buttons();

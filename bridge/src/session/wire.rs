@@ -258,7 +258,7 @@ pub enum Rejection {
     #[error("datagram of an epoch whose keys this side does not have")]
     Epoch,
     /// Counter beyond the limit of one key.
-    #[error("counter beyond the limit of one key")]
+    #[error("the counter exceeds the limit of one key")]
     Counter,
     /// Counter too old for the replay window.
     #[error("counter too far behind the newest")]

@@ -18,7 +18,7 @@ pub(crate) struct CoupledMaster<const N: usize> {
     half: Half,
     /// `lambda_p` of the scene.
     position_scale: f64,
-    /// Position in m of the hand at which its motion is zero; none while not engaged.
+    /// Position in m of the hand at which its motion is zero; None while not engaged.
     origin: Option<Axes<N>>,
     /// Engagement of the slave to which this one belongs.
     peer_epoch: u16,
@@ -27,15 +27,16 @@ pub(crate) struct CoupledMaster<const N: usize> {
 }
 
 impl<const N: usize> CoupledMaster<N> {
-    /// Build the half; none of measured position-force, whose force follows from the newest frame alone.
+    /// Build the half. None for position-force, whose force follows from the newest frame alone.
     pub(crate) fn new(settings: &MethodSettings) -> Option<Self> {
         let MethodSettings { kind, gains, position_scale, .. } = *settings;
         let half = Half::new::<N>(kind, gains)?;
         Some(Self { half, position_scale, origin: None, peer_epoch: 0, force: Axes::zeros() })
     }
 
-    /// Return `F_v` in N before the ladder's gain, from x in m and V in m/s. It is stepped while the sides are coupled; else the last force
-    /// stays, and the gain lets it fade.
+    /// Return `F_v` in N before the ladder's gain, from x in m and V in m/s.
+    ///
+    /// The half is stepped while the sides are coupled. Otherwise the last force stays, and the gain fades it.
     #[inline(never)]
     pub(crate) fn request(
         &mut self,

@@ -62,7 +62,7 @@ impl Gains {
     }
 }
 
-/// Settings of a coupling.
+/// Settings of a coupling with two halves; position-force has none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MethodSettings {
     /// Kind of the coupling.
@@ -73,22 +73,22 @@ pub struct MethodSettings {
     pub tool: VirtualToolSettings,
     /// `lambda_p` of the scene.
     pub position_scale: f64,
-    /// The same for the rotation, in N m/rad, N m s/rad, kg m² and N m s/rad; none of a scene that does not turn.
+    /// The same for the rotation, in N m/rad, N m s/rad, kg m² and N m s/rad; None for a scene that does not turn.
     pub rotation: Option<(Gains, VirtualToolSettings)>,
 }
 
 impl MethodSettings {
-    /// Return an error for a change of frame or scale that this coupling does not allow; `is_open` is true if the clutch is
+    /// Return an error for a change of frame or scale that this coupling does not allow. `is_open` is true if the clutch is
     /// open and no force is left.
     ///
-    /// Both sides of a coupling that sends motions compare them in the frame of the scene, so a change of one side alone
-    /// would push.
+    /// The sides compare motions in the frame of the scene. If only one side changed, its spring would push.
     pub(crate) fn check_change(&self, command: &OperatorCommand, is_open: bool) -> Result<(), CouplingError> {
         let kind = self.kind.name();
-        let compares = self.kind.slave_sends() == Some(SlaveSends::Motion);
         let fixed = |name, while_engaged| Err(CouplingError::Fixed { name, kind, while_engaged });
         match command {
-            OperatorCommand::PositionScale(_) if compares => fixed("position_scale", false),
+            OperatorCommand::PositionScale(_) if self.kind.compares_motions() => {
+                fixed("position_scale", false)
+            }
             OperatorCommand::RotationScale(_) if self.rotation.is_some() => fixed("rotation_scale", false),
             OperatorCommand::Frame { .. } if self.kind.slave_sends().is_some() && !is_open => {
                 fixed("quat_wxyz", true)
@@ -134,8 +134,8 @@ pub(crate) trait Method<const N: usize> {
 
     fn new(gains: Gains) -> Self;
 
-    /// Return the least B in N s/m with which the coupling is passive at a round trip and a tick in s; none if it claims
-    /// no passivity.
+    /// Return the least B in N s/m with which the coupling is passive at a round trip and a tick in s. None if it claims no
+    /// passivity.
     fn least_damping(_stiffness: f64, _round_trip_s: f64, _period_s: f64) -> Option<f64> {
         None
     }
@@ -157,7 +157,7 @@ pub struct CouplingMatrix {
     pub slave: [f64; 4],
 }
 
-/// Return the coefficients of a coupling, by its halves; none of measured position-force, whose slave commands a motion.
+/// Return the coefficients of a coupling, by its halves. None for position-force, whose slave commands a motion.
 pub fn coupling_matrix(kind: CouplingKind, gains: Gains) -> Option<CouplingMatrix> {
     let mut half = Half::new::<1>(kind, gains)?;
     let axes = Axes::<1>::new;

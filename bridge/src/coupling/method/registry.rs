@@ -33,7 +33,7 @@ macro_rules! couplings {
                 }
             }
 
-            /// Return the gains of a scene that states none; none of a coupling without gains.
+            /// Return the gains of a scene that states none. None for a coupling without gains.
             pub const fn default_gains(self) -> Option<Gains> {
                 match self {
                     Self::$measured => None,
@@ -41,7 +41,7 @@ macro_rules! couplings {
                 }
             }
 
-            /// Return the meaning of the slave's numbers; none of a coupling that sends none.
+            /// Return the meaning of the slave's numbers. None for a coupling that sends none.
             pub const fn slave_sends(self) -> Option<SlaveSends> {
                 match self {
                     Self::$measured => None,
@@ -50,7 +50,7 @@ macro_rules! couplings {
             }
 
             /// Return the least B in N s/m with which the coupling is passive at a stiffness in N/m, a round trip and a
-            /// tick in s; none if it claims no passivity.
+            /// tick in s. None if it claims no passivity.
             pub fn least_damping(self, stiffness: f64, round_trip_s: f64, period_s: f64) -> Option<f64> {
                 match self {
                     Self::$measured => None,
@@ -74,7 +74,7 @@ macro_rules! couplings {
         }
 
         impl Half {
-            /// Build the half of a coupling; none of measured position-force, whose halves are those of
+            /// Build the half of a coupling. None for position-force, whose halves are those of
             /// [`Mapping`](crate::coupling::Mapping).
             pub(crate) fn new<const N: usize>(kind: CouplingKind, gains: Gains) -> Option<Self> {
                 Some(match kind {
@@ -99,7 +99,7 @@ macro_rules! couplings {
 /// Measured position-force. Its halves are [`Mapping`](crate::coupling::Mapping), because rows in lanes use them too.
 const MEASURED: CouplingAbout = CouplingAbout {
     name: "position-force",
-    title: "position forth, measured force back",
+    title: "position forward, measured force back",
     source: "Hannaford 1989; Lawrence 1993",
 };
 
@@ -119,6 +119,11 @@ impl CouplingKind {
     #[allow(clippy::cast_lossless)] // a constant function
     pub const fn code(self) -> u16 {
         self as u16
+    }
+
+    /// Return whether each side compares its motion with that of the other.
+    pub const fn compares_motions(self) -> bool {
+        matches!(self.slave_sends(), Some(SlaveSends::Motion))
     }
 
     /// Return the kind of a code.

@@ -26,7 +26,7 @@ pub(crate) struct CoupledSlave<const N: usize> {
 }
 
 impl<const N: usize> CoupledSlave<N> {
-    /// Build the half; none of measured position-force, which sends the arm after the master itself.
+    /// Build the half. None for position-force, which commands the motion of the master itself.
     pub(crate) fn new(settings: &MethodSettings) -> Option<Self> {
         let MethodSettings { kind, gains, tool, .. } = *settings;
         let (half, sends) = (Half::new::<N>(kind, gains)?, kind.slave_sends()?);
@@ -83,7 +83,7 @@ impl<const N: usize> CoupledSlave<N> {
         self.force.dot(&(self.tool.position() - self.before))
     }
 
-    /// Numbers for the next frame; none while not engaged.
+    /// Numbers for the next frame; None while not engaged.
     pub(crate) fn sent(&self) -> Option<&Axes<N>> {
         self.engaged.then_some(&self.sent)
     }

@@ -35,7 +35,7 @@ impl Plant {
     }
 }
 
-/// Path of one direction: for each tick, the tick whose message is the newest there.
+/// Path of one direction. For each tick, it has the sending tick of the newest message that has arrived.
 ///
 /// Each message takes its own delay, may be lost, and may come twice; a newer one wins.
 fn newest(delay: usize, jitter: usize, loss: f64, draws: &[(f64, f64)]) -> Vec<Option<usize>> {

@@ -4,11 +4,11 @@ use haptether_safety::Axes;
 
 use super::super::{CouplingAbout, Gains, Local, Method, Peer, SlaveSends, spring_damper};
 
-/// Position forth, the force of the slave's controller back.
+/// Position forward, the force of the slave's controller back.
 ///
 /// `F_c = K (x_m' - x_s) + B (v_m' - v_s)`, `F_m = F_c'`. At rest the hand feels
-/// `F = (x_t - x_w) / (lambda_f lambda_p / K_h + 1/K + 1/K_e)`. It needs no force sensor, and bears more stiffness than
-/// the measured force at short delays.
+/// `F = (x_t - x_w) / (lambda_f lambda_p / K_h + 1/K + 1/K_e)`. At short delays it is stable on stiffer walls than the
+/// measured force.
 ///
 /// Source: Hannaford 1989; Lawrence 1993; Daniel and `McAree` 1998.
 #[derive(Clone, Copy, Debug)]
@@ -19,7 +19,7 @@ pub(crate) struct PositionForceComputed {
 impl<const N: usize> Method<N> for PositionForceComputed {
     const ABOUT: CouplingAbout = CouplingAbout {
         name: "position-force-computed",
-        title: "position forth, force of the slave's controller back",
+        title: "position forward, force of the slave's controller back",
         source: "Hannaford 1989; Lawrence 1993; Daniel and McAree 1998",
     };
     const DEFAULT: Gains = Gains { stiffness: 300.0, damping: 8.0 };

@@ -31,7 +31,7 @@ impl<const N: usize> Method<N> for PdDamped {
         Self { gains }
     }
 
-    /// `K (T1 + T2) / 2 + K dT`: half a tick for the sampled spring, half a tick for V, which is older than the way.
+    /// `K (T1 + T2) / 2 + K dT`: half a tick for the sampled spring, and half a tick because V is older than the force.
     fn least_damping(stiffness: f64, round_trip_s: f64, period_s: f64) -> Option<f64> {
         Some(stiffness * (0.5 * round_trip_s + period_s))
     }

@@ -7,8 +7,7 @@ use super::super::{CouplingAbout, Gains, Local, Method, Peer, SlaveSends, spring
 /// Spring and damper between the sides, at each side.
 ///
 /// `F_m = K (x_m - x_s') + B (v_m - v_s')`, `F_c = K (x_m' - x_s) + B (v_m' - v_s)`. In series it has the compliance
-/// `1/K`. It needs no force sensor. The hand feels inertia and friction of the slave in free motion, and with delay the
-/// damper gives energy.
+/// `1/K`. In free motion the hand feels inertia and friction of the slave. With delay the damper creates energy.
 ///
 /// Source: Lawrence 1993 (position-position).
 #[derive(Clone, Copy, Debug)]

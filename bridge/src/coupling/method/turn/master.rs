@@ -13,7 +13,7 @@ use crate::{coupling::RotationCoupling, port::CouplingMessage, wire::Frame};
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CoupledMasterTurn {
     half: Half,
-    /// Orientation of the hand at which its turn is zero; none while not engaged.
+    /// Orientation of the hand at which its turn is zero; None while not engaged.
     origin: Option<UnitQuaternion<f64>>,
     /// Engagement of the slave to which this one belongs.
     peer_epoch: u16,
@@ -22,7 +22,7 @@ pub(crate) struct CoupledMasterTurn {
 }
 
 impl CoupledMasterTurn {
-    /// Build the half; none of measured position-force, and of a scene that does not turn.
+    /// Build the half. None for position-force, and for a scene that does not turn.
     pub(crate) fn new(settings: &MethodSettings) -> Option<Self> {
         let (gains, _) = settings.rotation?;
         let half = Half::new::<3>(settings.kind, gains)?;
@@ -72,7 +72,7 @@ impl CoupledMasterTurn {
         self.torque
     }
 
-    /// Turn in rad since the engagement, for the next frame; none while not engaged.
+    /// Turn in rad since the engagement, for the next frame; None while not engaged.
     pub(crate) fn turned(&self, orientation: &UnitQuaternion<f64>) -> Option<Axes<3>> {
         self.origin.map(|origin| (orientation * origin.inverse()).scaled_axis())
     }

@@ -34,7 +34,7 @@ fn product(left: &UnitQuaternion<f64>, right: &UnitQuaternion<f64>) -> UnitQuate
 }
 
 impl CoupledSlaveTurn {
-    /// Build the half; none of measured position-force, and of a scene that does not turn.
+    /// Build the half. None for position-force, and for a scene that does not turn.
     pub(crate) fn new(settings: &MethodSettings) -> Option<Self> {
         let (gains, tool) = settings.rotation?;
         let (half, sends) = (Half::new::<3>(settings.kind, gains)?, settings.kind.slave_sends()?);
@@ -119,7 +119,7 @@ impl CoupledSlaveTurn {
         self.torque.dot(&(self.orientation * self.before.inverse()).scaled_axis())
     }
 
-    /// Numbers for the next frame; none while not engaged.
+    /// Numbers for the next frame; None while not engaged.
     pub(crate) fn sent(&self) -> Option<&Axes<3>> {
         self.engaged.then_some(&self.sent)
     }
