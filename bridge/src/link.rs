@@ -4,6 +4,7 @@ use crate::{
     SideKind,
     fault_text::TextPiece,
     path::PeerPath,
+    playout::{Playout, PlayoutError, PlayoutSettings},
     port::PortState,
     session::{Arrival, Rejection, Rejections, ReplayWindow},
     wire::{Echo, Frame, FrameLayout, MAX_FRAME, Role, WireError},
@@ -28,6 +29,8 @@ pub struct LinkStatistics {
     pub round_trip_ns: u64,
     /// Smallest round trip in ns; 0 before the first.
     pub min_round_trip_ns: u64,
+    /// Wait in ns of the frames with the least delay in the play-out; 0 without one.
+    pub play_out_ns: u64,
 }
 
 impl LinkStatistics {
@@ -169,7 +172,22 @@ pub struct FrameLink {
     pub(crate) path: PeerPath,
     /// Silence in ns after which another run is accepted.
     lease_ns: u64,
+    /// Newest epoch of the peer's half of the coupling that is not 0.
+    epoch: u16,
+    /// Frames for a coupling that needs a constant delay; None for all others.
+    playout: Option<Box<PlayedFrames>>,
 }
+
+/// Frames that wait for their time, and the one whose time is now.
+#[derive(Clone, Debug)]
+struct PlayedFrames {
+    waiting: Playout<Frame>,
+    settings: PlayoutSettings,
+    now: Option<Frame>,
+}
+
+/// Frames that may wait at once: a quarter of a second at 1 kHz.
+const MOST_WAITING: usize = 256;
 
 impl FrameLink {
     /// Create an end of `role`. A new `run_id` at every start shows a restart to the peer.
@@ -187,7 +205,40 @@ impl FrameLink {
             statistics: LinkStatistics::default(),
             path: PeerPath::default(),
             lease_ns,
+            epoch: 0,
+            playout: None,
         }
+    }
+
+    /// Let frames for the coupling wait until their delay is constant: that of the largest jitter, up to `most_ns`.
+    pub(crate) fn set_play_out(&mut self, most_ns: u64) -> Result<(), PlayoutError> {
+        let settings =
+            PlayoutSettings { adapts: true, capacity: MOST_WAITING, ..PlayoutSettings::new(most_ns) };
+        let waiting = Playout::new(settings)?;
+        self.playout = Some(Box::new(PlayedFrames { waiting, settings, now: None }));
+        Ok(())
+    }
+
+    /// Take the frames from the play-out that are due at `now_ns`.
+    #[inline]
+    pub(crate) fn play(&mut self, now_ns: u64) {
+        let Some(playout) = &mut self.playout else { return };
+        while let Some(due) = playout.waiting.next_due(now_ns) {
+            playout.now = Some(due.payload);
+        }
+        self.statistics.play_out_ns = playout.waiting.wait_ns().unwrap_or(0);
+    }
+
+    /// Frame for the coupling: the one whose time is now, or the newest without a play-out.
+    #[inline]
+    pub(crate) fn coupled(&self) -> Option<&Frame> {
+        self.playout.as_ref().map_or_else(|| self.newest(), |playout| playout.now.as_ref())
+    }
+
+    /// Newest epoch of the peer's half of the coupling that is not 0; 0 before the first.
+    #[inline]
+    pub(crate) fn epoch(&self) -> u16 {
+        self.epoch
     }
 
     /// Take a datagram; strictly newer frames replace the newest.
@@ -248,7 +299,11 @@ impl FrameLink {
         let begins = match &self.newest {
             Some(newest) if newest.frame.run_id == frame.run_id && newest.is_near(frame.sequence, by_ns) => {
                 self.path.arrived(frame.sequence, frame.sent_ns, by_ns);
-                self.place(frame.sequence)?;
+                let placed = self.place(frame.sequence);
+                if let (Some(playout), Ok(()) | Err(RejectReason::Late(_))) = (&mut self.playout, &placed) {
+                    playout.waiting.arrived(frame.sequence, frame.sent_ns, now_ns, *frame);
+                }
+                placed?;
                 false
             }
             Some(newest) if now_ns.saturating_sub(newest.arrived_ns) < self.lease_ns => {
@@ -272,6 +327,13 @@ impl FrameLink {
                 self.arrivals.mark(frame.sequence);
                 self.path.begin();
                 self.path.arrived(frame.sequence, frame.sent_ns, by_ns);
+                self.epoch = 0;
+                if let Some(playout) = &mut self.playout {
+                    // The settings were valid before.
+                    let _ = playout.waiting.restart(playout.settings);
+                    playout.now = None;
+                    playout.waiting.arrived(frame.sequence, frame.sent_ns, now_ns, *frame);
+                }
                 true
             }
         };
@@ -286,6 +348,9 @@ impl FrameLink {
             None => self.newest = Some(Newest { frame: *frame, arrived_ns: now_ns, by_ns }),
         }
         self.count_missing(frame.sequence);
+        if frame.message.epoch != 0 {
+            self.epoch = frame.message.epoch;
+        }
         let echo = frame.echo.filter(|echo| echo.run_id == self.run_id);
         self.path.newest(frame.sent_ns, echo.as_ref(), now_ns, by_ns);
         if let Some(echo) = echo {

@@ -7,6 +7,8 @@ use crate::path::{BILLION, difference, share_up};
 pub struct PlayoutSettings {
     /// Wait in ns of a packet with the smallest delay: the jitter that is removed.
     pub delay_ns: u64,
+    /// True if the wait is the largest jitter in the window, up to `delay_ns`.
+    pub adapts: bool,
     /// Maximum number of waiting sequences, missing ones included: above delay times rate.
     pub capacity: usize,
     /// Window in ns of the minimum delay.
@@ -28,6 +30,7 @@ impl PlayoutSettings {
     pub const fn new(delay_ns: u64) -> Self {
         Self {
             delay_ns,
+            adapts: false,
             capacity: 1024,
             window_ns: 10_000_000_000,
             warm_up_ns: 1_000_000_000,
@@ -277,6 +280,8 @@ impl<T: Copy> Playout<T> {
 struct Timeline {
     settings: PlayoutSettings,
     least: WindowMinimum,
+    /// Minimum of the negative transit.
+    most: WindowMinimum,
     shift_ns: Option<i64>,
     began_ns: u64,
     moved_ns: u64,
@@ -300,6 +305,7 @@ impl Timeline {
         Self {
             settings,
             least: WindowMinimum::new(settings.window_ns),
+            most: WindowMinimum::new(settings.window_ns),
             shift_ns: None,
             began_ns: 0,
             moved_ns: 0,
@@ -342,6 +348,7 @@ impl Timeline {
 
     fn learn(&mut self, now_ns: u64, transit: i64) {
         self.least.add(now_ns, transit);
+        self.most.add(now_ns, transit.saturating_neg());
         if self.shift_ns.is_none() || self.is_warming(now_ns) {
             self.shift_ns = self.target_ns();
         }
@@ -352,8 +359,10 @@ impl Timeline {
     }
 
     fn target_ns(&self) -> Option<i64> {
+        let least = self.least.least()?;
         let delay = i64::try_from(self.settings.delay_ns).unwrap_or(i64::MAX);
-        Some(self.least.least()?.saturating_add(delay))
+        let jitter = self.most.least().map_or(0, |most| most.saturating_neg().saturating_sub(least));
+        Some(least.saturating_add(if self.settings.adapts { jitter.min(delay) } else { delay }))
     }
 
     /// Advances to `now_ns`. Returns the sender's time that is due, and the shift.

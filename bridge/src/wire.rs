@@ -60,7 +60,7 @@ use zerocopy::{
 
 use crate::{
     SideKind,
-    coupling::{CouplingKind, GripperState, RotationState, SlaveSends, canonical, checked, is_canonical},
+    coupling::{CouplingKind, GripperState, RotationState, Sends, canonical, checked, is_canonical},
     fault_text::{PIECE, TextPiece},
     port::{CouplingMessage, MAX_ENERGY_J, PortEnergy, PortState},
 };
@@ -827,18 +827,23 @@ impl Frame {
     fn check_message(&self) -> Result<(), WireError> {
         let Self { sequence, role, coupling, message, .. } = self;
         let CouplingMessage { epoch, vector, turned, sums } = message;
-        let (bound, turn_bound) = match (coupling.slave_sends(), role, *epoch) {
-            (None, _, _) | (_, _, 0) => (0.0, 0.0),
-            (Some(SlaveSends::Force), Role::Slave, _) => {
-                (Signal::EnvironmentForce.bound(), Signal::EnvironmentTorque.bound())
-            }
-            (Some(_), _, _) => (Signal::Position.bound(), std::f64::consts::PI),
+        let (bound, turn_bound) = match (coupling.sends(*role), *epoch) {
+            (None, _) | (_, 0) => (0.0, 0.0),
+            (Some(Sends::Force), _) => (Signal::EnvironmentForce.bound(), Signal::EnvironmentTorque.bound()),
+            (Some(Sends::Motion), _) => (Signal::Position.bound(), std::f64::consts::PI),
+            (Some(Sends::Wave), _) => (MAX_ENERGY_J, MAX_ENERGY_J),
         };
+        let sum_bound = if *epoch != 0 && coupling.sends_energy() { MAX_ENERGY_J } else { 0.0 };
+        let rises = sums.iter().all(|sum| sum.is_sign_positive());
         let within = |values: &[f64], bound: f64| {
             let zero = |value: &f64| value.to_bits() == 0;
             values.iter().all(|value| if bound == 0.0 { zero(value) } else { value.abs() <= bound })
         };
-        if within(vector.as_slice(), bound) && within(turned.as_slice(), turn_bound) && within(sums, 0.0) {
+        if within(vector.as_slice(), bound)
+            && within(turned.as_slice(), turn_bound)
+            && within(sums, sum_bound)
+            && rises
+        {
             return Ok(());
         }
         Err(WireError::Message { sequence: *sequence, coupling: *coupling, message: *message })

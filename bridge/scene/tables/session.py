@@ -139,6 +139,16 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """K in N m/rad of the rotation for kind "pose"; by default K at `safety.rotation.lever_m`."""
     rotational_damping: NonNegative | None = None
     """B in N m s/rad of the same."""
+    impedance: Positive | None = None
+    """b in N s/m (N m s/rad) of `wave`, and d0 of `tdpa`, the damping of the master's port that counts as energy; by
+    default that of the coupling. At most 0.3 M/T of the device.
+    """
+    start_energy_j: NonNegative | None = None
+    """E_0 in J that each side has at the engagement, of `tdpa` and `pspm`. At most a quarter of M (0.3 m/s)^2."""
+    spread_s: NonNegative | None = None
+    """Time in s over which `wave` spreads a wave; more is smoother, and adds to the delay."""
+    play_out_s: NonNegative | None = None
+    """Longest wait in s of a frame that `wave` plays with a constant delay; 0 for none. By default 0.06."""
     tool_mass_kg: Positive | None = None
     """M_v of the virtual tool, which turns the coupling's force into a motion of the arm:
     `M_v a = F_c + F_e - B_v v`. By default `K_max / (0.4 w)^2`, with the stiffest wall of the scene and w of the arm.

@@ -47,6 +47,12 @@ impl<const N: usize> Mapping<N> {
         &self.change.map
     }
 
+    /// Map a force of the device in N to the slave's frame, where a force of this size would have requested it.
+    pub(super) fn coupled_force(&self, of_device: &Axes<N>) -> Axes<N> {
+        let Changing { force, ref map, .. } = self.change;
+        if force > 0.0 { map.to_slave(of_device) / force } else { Axes::zeros() }
+    }
+
     /// Map a displacement of the slave in m to the master's frame. Fades of a changing map do not apply.
     pub(super) fn back(&self, of_slave: &Axes<N>) -> Axes<N> {
         self.change.map.to_master(of_slave) / self.change.unfaded_motion()

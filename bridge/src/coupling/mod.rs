@@ -26,9 +26,11 @@ pub use error::CouplingError;
 pub use frame_map::FrameMap;
 pub use gripper::{GripperFollower, GripperState};
 pub use mapping::Mapping;
-pub(crate) use method::{CoupledMaster, CoupledMasterTurn, CoupledSlave, CoupledSlaveTurn, capped};
+pub(crate) use method::{
+    CoupledMaster, CoupledMasterTurn, CoupledSlave, CoupledSlaveTurn, HandMotion, OfMaster, capped,
+};
 pub use method::{
-    CouplingAbout, CouplingKind, CouplingMatrix, Gains, MethodSettings, SlaveSends, VirtualToolSettings,
+    CouplingAbout, CouplingKind, CouplingMatrix, Gains, MethodSettings, Sends, VirtualToolSettings,
     coupling_matrix,
 };
 pub use orientation::{MAX_NORM_ERROR, RotationState, canonical, checked, is_canonical, measured, quat_wxyz};

@@ -28,6 +28,8 @@ pub(crate) struct MasterState<'a, const N: usize> {
     pub(crate) rotation: Option<&'a RotationState>,
     /// Numbers of its half of the coupling.
     pub(crate) message: &'a CouplingMessage,
+    /// Newest epoch of that half in any frame.
+    pub(crate) epoch: u16,
 }
 
 /// Inputs of a tick beside the measurements of the arm.
@@ -263,7 +265,8 @@ impl<const N: usize> Arm<N> {
         let of_master = newest.as_ref().map(|master| [&master.position, &master.velocity]);
         let input = TranslationInput { state, stale_ns, newest: of_master };
         let led = if let Some(coupled) = &mut self.coupled {
-            let message = newest.as_ref().map_or(&CouplingMessage::ZERO, |master| master.message);
+            let message =
+                newest.as_ref().map_or((&CouplingMessage::ZERO, 0), |master| (master.message, master.epoch));
             let pushed =
                 self.translation.push(now_ns, [position, environment_force], &input, coupled, message);
             pushed.map(|(led, work_j)| {
@@ -281,8 +284,9 @@ impl<const N: usize> Arm<N> {
             if let (Some(rotation), Some(master), Some(measured), Some(newest)) =
                 (&mut self.rotation, newest.and_then(|master| master.rotation), &reading.rotation, &newest)
             {
-                let times = (elapsed_s, 0.5 * self.max_step_s);
-                let pushed = rotation.push(master, newest.message, measured, times, &mut limited);
+                let times = (elapsed_s, 0.5 * self.max_step_s, state == LadderState::Stale);
+                let message = (newest.message, newest.epoch);
+                let pushed = rotation.push(master, message, measured, times, &mut limited);
                 angular_velocity = if let Some((velocity, work_j)) = pushed {
                     outgoing.energy.add(-work_j);
                     velocity
@@ -329,9 +333,13 @@ impl<const N: usize> Arm<N> {
             return;
         }
         if let Some(coupled) = &self.coupled {
-            outgoing.message.vector = coupled.sent().map_or(Padded::zeros(), padded);
             let turning = self.rotation.as_ref().and_then(|rotation| rotation.coupled.as_ref());
-            outgoing.message.turned = turning.and_then(|one| one.sent()).copied().unwrap_or_default();
+            let (vector, energy_j) =
+                coupled.sent().map_or((Padded::zeros(), 0.0), |(sent, sum)| (padded(sent), sum));
+            let (turned, turn_j) =
+                turning.and_then(|one| one.sent()).map_or((Axes::zeros(), 0.0), |(sent, sum)| (*sent, sum));
+            let message = &mut outgoing.message;
+            (message.vector, message.turned, message.sums) = (vector, turned, [energy_j, turn_j]);
         }
         let SlaveReading { position, velocity, environment_force: force, rotation } = *reading;
         outgoing.report(&position, &velocity, &force, rotation);
@@ -466,6 +474,7 @@ mod tests {
                 velocity: Axes::zeros(),
                 rotation: master.rotation.as_ref(),
                 message: &CouplingMessage::ZERO,
+                epoch: 0,
             });
             let input = ArmInput { state, turns: false, stale_ns: 0, newest };
             self.arm.tick(now_ns, &taken, None, &input, &mut PortState::default());

@@ -14,6 +14,7 @@ use crate::{
         thresholds,
     },
     link::{FrameHead, FrameLink, LinkStatistics, LinkTime, RejectReason, Status},
+    playout::PlayoutError,
     port::{PortEnergy, PortState},
     wire::{Frame, FrameLayout, MAX_FRAME, Role},
 };
@@ -166,6 +167,11 @@ impl Exchange {
         self.link.set_layout(FrameLayout { coupling, ..self.link.layout() });
     }
 
+    /// Let frames for the coupling wait for at most `most_ns`, until their delay is constant.
+    pub(crate) fn set_play_out(&mut self, most_ns: u64) -> Result<(), PlayoutError> {
+        self.link.set_play_out(most_ns)
+    }
+
     /// Energies through the port of this side since its engagement.
     #[inline]
     pub(crate) fn energy(&self) -> PortEnergy {
@@ -244,6 +250,7 @@ impl Exchange {
     /// was last heard.
     #[inline(always)] // once per tick of each side
     pub(crate) fn advance(&mut self, now_ns: u64, clutch: bool) -> (LadderState, Option<u64>) {
+        self.link.play(now_ns);
         let age_ns = self.link.age_ns(now_ns);
         let expected_age_ns = self.interval_ns.or(self.first_interval_ns).unwrap_or(self.period_ns);
         let newest = self.link.newest().map(|frame| self.peer_frame(now_ns, frame));

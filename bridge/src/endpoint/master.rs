@@ -19,7 +19,7 @@ use crate::{
     SideKind,
     command::OperatorCommand,
     coupling::{
-        CHANGE_FACTOR, CoupledMaster, CoupledMasterTurn, CouplingError, Mapping, MethodSettings,
+        CHANGE_FACTOR, CoupledMaster, CoupledMasterTurn, CouplingError, HandMotion, Mapping, MethodSettings,
         RotationCoupling, RotationLock, RotationState, ScaleRange, ScaleRanges,
     },
     ladder::{LAYERS, LadderSettings, LadderState, Observed, ROTATION, TRANSLATION, TRIGGER},
@@ -306,20 +306,26 @@ impl<const N: usize> MasterEndpoint<N> {
         reading: &MasterReading<N>,
         input: &mut HandInput<N>,
     ) -> (SafetyTick<N>, Option<SafetyTick<3>>) {
-        let (Some(coupled), Some(newest)) = (&mut self.coupled, self.exchange.link.newest()) else {
+        let (Some(coupled), Some(peer)) = (&mut self.coupled, self.exchange.link.coupled()) else {
             return self.hand.tick(reading, input);
         };
         let (mapping, gain) = (&self.mapping, input.gain);
         let is_coupled = self.exchange.ladder.state().is_coupled();
+        // A frame that waited may be of an engagement that has ended.
+        let epoch = self.exchange.link.newest().map_or(0, |newest| newest.message.epoch);
+        let dt = self.period_s * (input.missed + 1) as f64;
+        let (exerted, exerted_torque) = self.hand.exerted();
         let (mut force, mut torque) = (Axes::zeros(), Axes::zeros());
         let request = |at: &Coupled<'_, N>| {
-            force = coupled.request(mapping, (at.position, at.velocity), gain, is_coupled, newest);
+            let hand = HandMotion { at: at.position, velocity: at.velocity, exerted: &exerted, gain, dt };
+            force = coupled.request(mapping, &hand, is_coupled, (peer, epoch));
             force
         };
         let request_torque = |at: &CoupledTurn<'_>| {
             if let (Some(turning), Some(map)) = (&mut self.turning, &self.rotation) {
-                let motion = (at.orientation, &at.angular_velocity);
-                torque = turning.request(map, motion, gain, is_coupled, newest);
+                let velocity = &at.angular_velocity;
+                let hand = HandMotion { at: at.orientation, velocity, exerted: &exerted_torque, gain, dt };
+                torque = turning.request(map, &hand, is_coupled, (peer, epoch));
             }
             torque
         };
@@ -393,11 +399,12 @@ impl<const N: usize> MasterEndpoint<N> {
         let outgoing = &mut self.exchange.outgoing;
         outgoing.message.epoch = epoch;
         if let Some(coupled) = &self.coupled {
-            outgoing.message = coupled.message(epoch, &position);
+            outgoing.message = coupled.message(epoch != 0, &position);
             if let (Some(turning), Some(turned)) = (&self.turning, &taken.rotation)
                 && outgoing.message.epoch != 0
+                && let Some((turned, energy_j)) = turning.sent(&turned.orientation)
             {
-                outgoing.message.turned = turning.turned(&turned.orientation).unwrap_or_default();
+                (outgoing.message.turned, outgoing.message.sums[1]) = (turned, energy_j);
             }
         }
         outgoing.report(&position, &velocity, &safety.device_force, rotation);

@@ -6,7 +6,7 @@ use nalgebra::UnitQuaternion;
 use crate::{
     coupling::{
         ALIGNED_RAD, Alignment, AlignmentSettings, AlignmentStep, CoupledSlaveTurn, CouplingError, Limited,
-        RotationBounds, RotationCoupling, RotationLock, RotationState, SETTLED_S, turned_within,
+        OfMaster, RotationBounds, RotationCoupling, RotationLock, RotationState, SETTLED_S, turned_within,
     },
     ladder::AlignmentState,
     port::CouplingMessage,
@@ -198,15 +198,16 @@ impl SlaveRotation {
     pub(super) fn push(
         &mut self,
         master: &RotationState,
-        message: &CouplingMessage,
+        (message, epoch): (&CouplingMessage, u16),
         measured: &RotationState,
-        (elapsed_s, dt): (f64, f64),
+        (elapsed_s, dt, is_stale): (f64, f64, bool),
         limited: &mut Limited,
     ) -> Option<(Axes<3>, f64)> {
         let home = self.home.unwrap_or(measured.orientation);
         let from = self.command.unwrap_or(measured.orientation);
-        let peer = (message, &master.angular_velocity);
-        let wanted = self.coupled.as_mut()?.step(&mut self.coupling, &from, &measured.torque, peer, dt);
+        let RotationState { orientation: ref at, angular_velocity: ref velocity, .. } = *master;
+        let master = OfMaster { at, velocity, message, epoch, is_stale };
+        let wanted = self.coupled.as_mut()?.step(&mut self.coupling, &from, &measured.torque, &master, dt);
         let (command, acted) = self.bound(elapsed_s, [&home, &from, &wanted], limited);
         let coupled = self.coupled.as_mut()?;
         if acted.any() {

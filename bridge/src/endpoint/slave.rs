@@ -172,11 +172,12 @@ impl<const N: usize> SlaveEndpoint<N> {
         }
         let step = alignment.and_then(|(_, step)| step);
         let (state, age_ns) = exchange.advance(now_ns, false);
-        let newest = exchange.link.newest().map(|frame| MasterState {
+        let newest = exchange.link.coupled().map(|frame| MasterState {
             position: unpadded(&frame.position),
             velocity: unpadded(&frame.velocity),
             rotation: frame.rotation.as_ref(),
             message: &frame.message,
+            epoch: exchange.link.epoch(),
         });
         let turns = exchange.ladder.turns();
         let input = ArmInput { state, turns, stale_ns: exchange.ladder.stale_ns(), newest };

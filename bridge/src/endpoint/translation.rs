@@ -7,7 +7,7 @@ use nalgebra::SimdBool as _;
 
 use super::{Arm, EndpointError, SlaveSettings, check_period, period_s};
 use crate::{
-    coupling::{CoupledSlave, Mapping, bounded, capped, decayed},
+    coupling::{CoupledSlave, Mapping, OfMaster, bounded, capped, decayed},
     ladder::LadderState,
     port::CouplingMessage,
 };
@@ -99,11 +99,11 @@ impl<const N: usize> SlaveTranslation<N> {
         [position, environment_force]: [&Axes<N>; 2],
         input: &TranslationInput<'_, N>,
         coupled: &mut CoupledSlave<N>,
-        message: &CouplingMessage,
+        (message, epoch): (&CouplingMessage, u16),
     ) -> Option<(CommandMotion<N>, f64)> {
         let (elapsed_s, home) = self.begin(now_ns, position);
         let TranslationInput { state, newest, .. } = *input;
-        let (LadderState::Engaged | LadderState::Stale, Some([_, velocity])) = (state, newest) else {
+        let (LadderState::Engaged | LadderState::Stale, Some([at, velocity])) = (state, newest) else {
             self.coupling.disengage();
             coupled.disengage();
             return None;
@@ -111,7 +111,8 @@ impl<const N: usize> SlaveTranslation<N> {
         let from = self.command.unwrap_or(*position);
         // A late loop must not make the spring unstable: the tool then moves for one period.
         let dt = self.period_s;
-        let wanted = coupled.step(&mut self.coupling, &from, environment_force, (message, velocity), dt);
+        let master = OfMaster { at, velocity, message, epoch, is_stale: state == LadderState::Stale };
+        let wanted = coupled.step(&mut self.coupling, &from, environment_force, &master, dt);
         let bounds @ [max_speed, _] = self.bounds();
         let (command, limited @ [hurries, leaves]) = bounded(bounds, elapsed_s, &home, &from, &wanted);
         if hurries || leaves {

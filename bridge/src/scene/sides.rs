@@ -9,8 +9,8 @@ use haptether_slave::{ArmSettings, ContactLawKind, ControlKind, SimulatedSlave, 
 use super::{
     aims::{is_aimed_by_person, master_commands},
     assemble::{
-        SceneError, device_model, driven_clutch, environment, exact_master, limiter, live_clutch, period_ns,
-        simulated_trigger, trigger_feedback,
+        SceneError, contradiction, device_model, driven_clutch, environment, exact_master, limiter,
+        live_clutch, ns, period_ns, simulated_trigger, trigger_feedback,
     },
     coupling::commands,
     pose,
@@ -22,7 +22,7 @@ use crate::{
     DrivenMaster, DrivenSlave, EndpointError, MasterEndpoint, MasterPlant, MasterRotation, MasterSettings,
     MasterSide, SideKind, SlaveEndpoint, SlaveGripper, SlaveRotation, SlaveSettings, SlaveSide, Trigger,
     coupling::{CouplingError, Gains, Mapping, MethodSettings, ScaleRange, ScaleRanges, VirtualToolSettings},
-    endpoint::{Arm, Hand, TOOL_LEVER_M, period_s},
+    endpoint::{Arm, Exchange, Hand, TOOL_LEVER_M, period_s},
 };
 
 /// Deceleration in m/s² of a driven arm that no longer follows, unless the scene bounds its acceleration.
@@ -89,8 +89,13 @@ fn method<const N: usize>(scene: &SceneSpec<N>) -> Result<Option<MethodSettings>
     let Some(default) = kind.default_gains() else {
         return refuse_springs(coupling).map(|()| None);
     };
-    let gains = Gains::new(stiffness.unwrap_or(default.stiffness), damping.unwrap_or(default.damping));
-    let (gains, tool) = gains
+    let stated = Gains {
+        stiffness: stiffness.unwrap_or(default.stiffness),
+        damping: damping.unwrap_or(default.damping),
+        ..limited_gains(scene, coupling, default)?
+    };
+    let (gains, tool) = stated
+        .checked()
         .and_then(|gains| Ok((gains, virtual_tool(scene, arm, coupling)?)))
         .map_err(EndpointError::from)?;
     let is_pose = scene.master.kind == SideKind::Pose;
@@ -107,9 +112,75 @@ fn method<const N: usize>(scene: &SceneSpec<N>) -> Result<Option<MethodSettings>
     Ok(Some(settings))
 }
 
+/// Largest b and largest damping that the master adds, in units of M/T: more, held for a tick, turns a motion around.
+const MOST_IMPEDANCE: f64 = 0.3;
+const MOST_ADDED: f64 = 0.2;
+/// Speed in m/s of a device with the energies that both sides have at the engagement.
+const START_SPEED: f64 = 0.3;
+
+/// Return the numbers of a coupling beside its spring, within what the device bears.
+fn limited_gains<const N: usize>(
+    scene: &SceneSpec<N>,
+    coupling: &CouplingSpec,
+    default: Gains,
+) -> Result<Gains, SceneError> {
+    let CouplingSpec { kind, impedance, start_energy_j, spread_s, play_out_s, position_scale, .. } =
+        *coupling;
+    let name = kind.name();
+    for (key, stated, used) in [
+        ("impedance", impedance, default.impedance > 0.0),
+        ("start_energy_j", start_energy_j, kind.sends_energy() && default.spread_s == 0.0),
+        ("spread_s", spread_s, default.spread_s > 0.0),
+        ("play_out_s", play_out_s, kind.plays_out()),
+    ] {
+        if let (Some(seen), false) = (stated, used) {
+            return contradiction(format!("coupling.{key} = {seen}: {name} does not use it; leave it out"));
+        }
+    }
+    // As the slave's frame sees the device.
+    let mass = scene.master.device.mass_kg.min() / (coupling.force_scale * position_scale);
+    let per_period = mass / scene.run.period_s.max(f64::MIN_POSITIVE);
+    let most_j = 0.25 * mass * (position_scale * START_SPEED).powi(2);
+    for (key, stated, most, why) in [
+        ("impedance", impedance, MOST_IMPEDANCE * per_period, "0.3 M/T of the device"),
+        ("start_energy_j", start_energy_j, most_j, "a quarter of M (0.3 m/s)² of the device"),
+    ] {
+        if let Some(seen) = stated.filter(|seen| *seen > most) {
+            return contradiction(format!("coupling.{key} = {seen}: must be at most {most:.3e}, {why}"));
+        }
+    }
+    Ok(Gains {
+        impedance: impedance.unwrap_or(default.impedance.min(MOST_IMPEDANCE * per_period)),
+        start_j: start_energy_j.unwrap_or(default.start_j.min(most_j)),
+        spread_s: spread_s.unwrap_or(default.spread_s),
+        most_damping: default.most_damping.min(MOST_ADDED * per_period),
+        ..default
+    })
+}
+
+/// Longest wait in ns in the play-out of a scene that states none.
+const PLAY_OUT_S: f64 = 0.06;
+
+/// Let the frames for a coupling that needs it pass a play-out.
+fn play_out<const N: usize>(scene: &SceneSpec<N>, exchange: &mut Exchange) -> Result<(), SceneError> {
+    let (_, coupling) = scene.coupled()?;
+    let most_s = coupling.play_out_s.unwrap_or(PLAY_OUT_S);
+    if !(0.0..=1.0).contains(&most_s) {
+        return contradiction(format!("coupling.play_out_s = {most_s}: must be between 0 and 1 s"));
+    }
+    if coupling.kind.plays_out() && most_s > 0.0 {
+        exchange.set_play_out(ns(most_s)).map_err(|error| SceneError::Contradiction(error.to_string()))?;
+    }
+    Ok(())
+}
+
 /// Return an error for numbers of springs in the table of position-force, which has none.
 fn refuse_springs(coupling: &CouplingSpec) -> Result<(), SceneError> {
     let numbers = [
+        ("impedance", coupling.impedance),
+        ("start_energy_j", coupling.start_energy_j),
+        ("spread_s", coupling.spread_s),
+        ("play_out_s", coupling.play_out_s),
         ("stiffness", coupling.stiffness),
         ("damping", coupling.damping),
         ("rotational_stiffness", coupling.rotational_stiffness),
@@ -199,6 +270,7 @@ pub(super) fn master_endpoint<const N: usize>(
     let mut endpoint = endpoint.with_ranges(ranges).with_samples(master_samples(scene));
     if let Some(method) = method(scene)? {
         endpoint = endpoint.with_coupling(&method);
+        play_out(scene, &mut endpoint.exchange)?;
     }
     endpoint.exchange.set_kind(scene.master.kind);
     if let Some(trigger) = trigger_feedback(scene, arm)? {
@@ -260,6 +332,7 @@ pub(super) fn slave_endpoint<const N: usize>(
     let mut endpoint = endpoint.with_ranges(ranges).with_samples(slave_samples(scene));
     if let Some(method) = method(scene)? {
         endpoint = endpoint.with_coupling(&method);
+        play_out(scene, &mut endpoint.exchange)?;
     }
     endpoint.exchange.set_kind(scene.master.kind);
     if scene.master.buttons.is_some() {

@@ -327,6 +327,18 @@ pub struct CouplingSpec {
     /// B in N s/m; by default that of the coupling.
     #[serde(default)]
     pub damping: Option<f64>,
+    /// b in N s/m: impedance of a wave, or damping `d0` of the master's port.
+    #[serde(default)]
+    pub impedance: Option<f64>,
+    /// `E_0` in J of each side at the engagement.
+    #[serde(default)]
+    pub start_energy_j: Option<f64>,
+    /// Time in s over which waves are spread.
+    #[serde(default)]
+    pub spread_s: Option<f64>,
+    /// Longest wait in s of a frame in the play-out; 0 for none.
+    #[serde(default)]
+    pub play_out_s: Option<f64>,
     /// `M_v` in kg of the virtual tool; by default that of a stiff wall.
     #[serde(default)]
     pub tool_mass_kg: Option<f64>,

@@ -295,11 +295,12 @@ fn refusals_name_what_was_seen() {
 /// Return a message as an engaged side of that coupling may send it, or with numbers out of range.
 fn drawn_message(coupling: CouplingKind, epoch: u16, vector: Axes<3>) -> CouplingMessage {
     let idle = CouplingMessage { epoch, ..CouplingMessage::ZERO };
-    if coupling.slave_sends().is_none() || epoch == 0 {
+    if coupling.sends(Role::Master).is_none() || epoch == 0 {
         return idle;
     }
     let turned = vector.map(|x| x.clamp(-3.0, 3.0));
-    CouplingMessage { vector: padded(&vector), turned, ..idle }
+    let sums = if coupling.sends_energy() { [vector[0].abs(), vector[1].abs()] } else { [0.0; 2] };
+    CouplingMessage { vector: padded(&vector), turned, sums, ..idle }
 }
 
 proptest! {

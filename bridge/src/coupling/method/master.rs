@@ -2,12 +2,58 @@
 
 use haptether_safety::Axes;
 
-use super::{Half, Local, MethodSettings, Peer};
+use super::{Half, Local, MethodSettings, Peer, Sends, Space};
 use crate::{
-    coupling::Mapping,
+    coupling::{CouplingKind, Mapping},
     port::CouplingMessage,
-    wire::{Frame, padded, unpadded},
+    wire::{Frame, Role, padded, unpadded},
 };
+
+/// State of the hand at a tick: x is a position or an orientation.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct HandMotion<'a, X, const N: usize> {
+    /// Position in m, or orientation.
+    pub(crate) at: &'a X,
+    /// Velocity in m/s (rad/s).
+    pub(crate) velocity: &'a Axes<N>,
+    /// Force in N (N m) of the coupling that the device has exerted since the last tick.
+    pub(crate) exerted: &'a Axes<N>,
+    /// Gain of the ladder.
+    pub(crate) gain: f64,
+    /// Time in s since the last tick.
+    pub(crate) dt: f64,
+}
+
+/// Engagements of a half at the master.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Engagements {
+    kind: CouplingKind,
+    /// Engagement of the slave to which the newest of this half belongs.
+    peer: u16,
+    /// Count of the engagements of this half, which frames carry.
+    pub(super) own: u16,
+}
+
+impl Engagements {
+    pub(super) fn new(kind: CouplingKind) -> Self {
+        Self { kind, peer: 0, own: 0 }
+    }
+
+    /// Return whether an engaged half goes on with the slave's engagement `peer`.
+    pub(super) fn goes_on(&self, peer: u16) -> bool {
+        peer == self.peer
+    }
+
+    /// Begin an engagement with the slave's engagement `peer`; return false if that has ended. Energy of an engagement must
+    /// not count twice.
+    pub(super) fn begin(&mut self, peer: u16) -> bool {
+        if self.kind.sends_energy() && peer == self.peer {
+            return false;
+        }
+        (self.peer, self.own) = (peer, self.own.checked_add(1).unwrap_or(1));
+        true
+    }
+}
 
 /// Half of a coupling at the master, with its state since the engagement.
 ///
@@ -15,13 +61,16 @@ use crate::{
 /// master engages once the slave has, at `p = s'`, so that `F_v` is 0 at that tick.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CoupledMaster<const N: usize> {
-    half: Half,
+    half: Half<N>,
+    /// The half before any tick.
+    fresh: Half<N>,
+    engagements: Engagements,
     /// `lambda_p` of the scene.
     position_scale: f64,
     /// Position in m of the hand at which its motion is zero; None while not engaged.
     origin: Option<Axes<N>>,
-    /// Engagement of the slave to which this one belongs.
-    peer_epoch: u16,
+    /// Position in m at the last tick.
+    last: Axes<N>,
     /// Force in N of the last engaged tick, which fades with the ladder's gain.
     force: Axes<N>,
 }
@@ -30,61 +79,75 @@ impl<const N: usize> CoupledMaster<N> {
     /// Build the half. None for position-force, whose force follows from the newest frame alone.
     pub(crate) fn new(settings: &MethodSettings) -> Option<Self> {
         let MethodSettings { kind, gains, position_scale, .. } = *settings;
-        let half = Half::new::<N>(kind, gains)?;
-        Some(Self { half, position_scale, origin: None, peer_epoch: 0, force: Axes::zeros() })
+        let half = Half::new(kind, gains, Space::Translation)?;
+        let [last, force] = [Axes::zeros(); 2];
+        let engagements = Engagements::new(kind);
+        Some(Self { half, fresh: half, engagements, position_scale, origin: None, last, force })
     }
 
-    /// Return `F_v` in N before the ladder's gain, from x in m and V in m/s.
+    /// Return `F_v` in N before the ladder's gain.
     ///
     /// The half is stepped while the sides are coupled. Otherwise the last force stays, and the gain fades it.
     #[inline(never)]
     pub(crate) fn request(
         &mut self,
         map: &Mapping<N>,
-        (position, velocity): (&Axes<N>, &Axes<N>),
-        gain: f64,
+        hand: &HandMotion<'_, Axes<N>, N>,
         is_coupled: bool,
-        peer: &Frame,
+        (peer, newest_epoch): (&Frame, u16),
     ) -> Axes<N> {
-        let CouplingMessage { epoch, ref vector, .. } = peer.message;
+        let CouplingMessage { epoch, ref vector, sums, .. } = peer.message;
         if !is_coupled {
             // The springs lose their energy.
             self.origin = None;
             return self.force;
         }
-        if epoch == 0 {
+        if epoch == 0 || epoch != newest_epoch {
             // The gain may rise before the slave has engaged: no force of an earlier engagement may rise with it.
             (self.origin, self.force) = (None, Axes::zeros());
             return self.force;
         }
+        let HandMotion { at: position, velocity, exerted, gain, dt } = *hand;
         let sent: Axes<N> = unpadded(vector);
         let sends_motion = peer.sends_motion();
         let of_slave = if sends_motion { sent } else { Axes::zeros() };
+        let last = std::mem::replace(&mut self.last, *position);
         let origin = match self.origin {
-            Some(origin) if epoch == self.peer_epoch => origin,
+            Some(origin) if self.engagements.goes_on(epoch) => origin,
             _ => {
                 // Each engagement begins without force.
-                self.origin = Some(position - of_slave);
-                (self.peer_epoch, self.force) = (epoch, Axes::zeros());
+                self.origin = self.engagements.begin(epoch).then(|| position - of_slave);
+                (self.half, self.force) = (self.fresh, Axes::zeros());
                 return self.force;
             }
         };
         let frame = map.map();
         let to_slave = |of_master: &Axes<N>| frame.to_slave(of_master) * self.position_scale;
         let of_peer: Axes<N> = unpadded(&peer.velocity);
-        let own = Local { position: &to_slave(&(position - origin)), velocity: &to_slave(velocity), gain };
+        let own = Local {
+            position: &to_slave(&(position - origin)),
+            velocity: &to_slave(velocity),
+            moved: &to_slave(&(position - last)),
+            exerted: &-map.coupled_force(exerted),
+            gain,
+            dt,
+        };
         let peer = Peer {
             position: &to_slave(&of_slave),
             velocity: &of_peer,
-            force: &if sends_motion { Axes::zeros() } else { sent },
+            vector: &if sends_motion { Axes::zeros() } else { sent },
+            sum: sums[0],
         };
         self.force = -map.rendered_force(&self.half.master(&own, &peer));
         self.force
     }
 
-    /// Numbers for the next frame: the motion in m since the engagement; zeros while not engaged.
-    pub(crate) fn message(&self, epoch: u16, position: &Axes<N>) -> CouplingMessage {
-        let Some(origin) = self.origin.filter(|_| epoch != 0) else { return CouplingMessage::ZERO };
-        CouplingMessage { epoch, vector: padded(&(position - origin)), ..CouplingMessage::ZERO }
+    /// Numbers for the next frame; zeros while not engaged.
+    pub(crate) fn message(&self, is_coupled: bool, position: &Axes<N>) -> CouplingMessage {
+        let Some(origin) = self.origin.filter(|_| is_coupled) else { return CouplingMessage::ZERO };
+        let Engagements { kind, own: epoch, .. } = self.engagements;
+        let (wave, energy_j) = self.half.sent();
+        let vector = if kind.sends(Role::Master) == Some(Sends::Wave) { wave } else { position - origin };
+        CouplingMessage { epoch, vector: padded(&vector), sums: [energy_j, 0.0], ..CouplingMessage::ZERO }
     }
 }

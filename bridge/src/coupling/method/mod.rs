@@ -3,21 +3,23 @@
 mod master;
 mod registry;
 mod slave;
+mod space;
 mod tool;
 mod turn;
 
 use haptether_safety::Axes;
 
-pub(crate) use master::CoupledMaster;
+pub(crate) use master::{CoupledMaster, HandMotion};
 pub use registry::CouplingKind;
 pub(crate) use registry::Half;
-pub(crate) use slave::CoupledSlave;
+pub(crate) use slave::{CoupledSlave, OfMaster};
+use space::Space;
 pub use tool::VirtualToolSettings;
 pub(crate) use tool::{VirtualTool, capped};
 pub(crate) use turn::{CoupledMasterTurn, CoupledSlaveTurn};
 
 use super::{CouplingError, mapping::check};
-use crate::command::OperatorCommand;
+use crate::{command::OperatorCommand, wire::Role};
 
 #[cfg(test)]
 mod tests;
@@ -33,32 +35,54 @@ pub struct CouplingAbout {
     pub source: &'static str,
 }
 
-/// Value of the N numbers that a slave sends beside position, velocity and force.
+/// Value of the N numbers that a half sends beside position, velocity and force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SlaveSends {
+pub enum Sends {
     /// Motion in m since the engagement, in the master's frame.
     Motion,
-    /// `F_c` in N, in the slave's frame.
+    /// `F_c` in N, in the slave's frame; only of a slave.
     Force,
+    /// Integral of a wave in (J s)^(1/2) since the engagement, in the slave's frame.
+    Wave,
 }
 
-/// Spring and damper of a coupling.
+/// Numbers of a coupling. A coupling does not use those that are 0 in its defaults.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gains {
     /// K in N/m (N m/rad).
     pub stiffness: f64,
     /// B in N s/m (N m s/rad).
     pub damping: f64,
+    /// b in N s/m (N m s/rad): impedance of a wave, or the damping `d0` at the master's port.
+    pub impedance: f64,
+    /// `E_0` in J, energy that each side has at the engagement.
+    pub start_j: f64,
+    /// Time in s over which a wave is spread.
+    pub spread_s: f64,
+    /// Largest damping in N s/m (N m s/rad) that the master may add.
+    pub most_damping: f64,
 }
 
 impl Gains {
-    /// Check both gains: K above 0, B at least 0.
-    pub fn new(stiffness: f64, damping: f64) -> Result<Self, CouplingError> {
-        check("stiffness", "K", stiffness)?;
-        if !(damping >= 0.0 && damping.is_finite()) {
-            return Err(CouplingError::Negative { name: "damping", symbol: "B", seen: damping });
+    /// Return spring and damper alone.
+    pub const fn spring(stiffness: f64, damping: f64) -> Self {
+        Self { stiffness, damping, impedance: 0.0, start_j: 0.0, spread_s: 0.0, most_damping: 0.0 }
+    }
+
+    /// Check all numbers: K above 0, the others at least 0.
+    pub fn checked(self) -> Result<Self, CouplingError> {
+        check("stiffness", "K", self.stiffness)?;
+        let rest = [
+            ("damping", "B", self.damping),
+            ("impedance", "b", self.impedance),
+            ("start_energy_j", "E_0", self.start_j),
+            ("spread_s", "spread", self.spread_s),
+            ("most_damping", "alpha_max", self.most_damping),
+        ];
+        match rest.into_iter().find(|(_, _, seen)| !(*seen >= 0.0 && seen.is_finite())) {
+            Some((name, symbol, seen)) => Err(CouplingError::Negative { name, symbol, seen }),
+            None => Ok(self),
         }
-        Ok(Self { stiffness, damping })
     }
 }
 
@@ -90,7 +114,7 @@ impl MethodSettings {
                 fixed("position_scale", false)
             }
             OperatorCommand::RotationScale(_) if self.rotation.is_some() => fixed("rotation_scale", false),
-            OperatorCommand::Frame { .. } if self.kind.slave_sends().is_some() && !is_open => {
+            OperatorCommand::Frame { .. } if self.kind.sends(Role::Slave).is_some() && !is_open => {
                 fixed("quat_wxyz", true)
             }
             _ => Ok(()),
@@ -98,41 +122,58 @@ impl MethodSettings {
     }
 }
 
-/// Motion of a half's own device at this tick, in the slave's frame.
+/// State of a half's own device at this tick, in the slave's frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Local<'a, const N: usize> {
     /// Position in m.
     pub(crate) position: &'a Axes<N>,
     /// Velocity in m/s.
     pub(crate) velocity: &'a Axes<N>,
+    /// Way in m since the last tick.
+    pub(crate) moved: &'a Axes<N>,
+    /// `F_m` or `F_c` in N that was really exerted over that way.
+    pub(crate) exerted: &'a Axes<N>,
     /// Share of the damping in effect, 0 to 1: the gain of the ladder at the master, 1 at the slave.
     pub(crate) gain: f64,
+    /// Time in s since the last tick.
+    pub(crate) dt: f64,
 }
 
-/// State of the other side in its newest frame, in the slave's frame.
+/// State of the other side in its newest frame, or in the frame that is played now, in the slave's frame.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Peer<'a, const N: usize> {
     /// Position in m, from the same origin as the own position.
     pub(crate) position: &'a Axes<N>,
     /// Velocity in m/s.
     pub(crate) velocity: &'a Axes<N>,
-    /// `F_c` in N of the slave; zero at the slave, and if the slave sends its motion.
-    pub(crate) force: &'a Axes<N>,
+    /// Its own numbers, if they are a force in N or the integral of a wave; else zero.
+    pub(crate) vector: &'a Axes<N>,
+    /// Its energy in J, which only rises; 0 for a coupling that sends none.
+    pub(crate) sum: f64,
 }
 
 /// Two pure halves of a coupling. Frame map, scales, anchors and locks stand outside, in [`CoupledMaster`] and
 /// [`CoupledSlave`].
 ///
-/// Neither half is stepped while the sides are not engaged. Both motions are zero at the engagement.
+/// Neither half is stepped while the sides are not engaged. Both motions are zero at the engagement, and each engagement
+/// begins with a new half.
 pub(crate) trait Method<const N: usize> {
     const ABOUT: CouplingAbout;
-    /// Gains of a scene that states none.
+    /// Numbers of a scene that states none.
     const DEFAULT: Gains;
-    const SLAVE_SENDS: SlaveSends;
+    /// Numbers that each half sends.
+    const MASTER_SENDS: Sends = Sends::Motion;
+    const SLAVE_SENDS: Sends;
+    /// True if each half sends an energy, so that frames of another engagement must not count.
+    const SENDS_ENERGY: bool = false;
+    /// True if constant delay improves the coupling, so that frames pass a play-out.
+    const PLAYS_OUT: bool = false;
+    /// True if each half is a linear function of the motions at one tick.
+    const IS_LINEAR: bool = true;
     /// True if the push on a released stylus may grow, so that no bound may assume the force at the release.
     const PUSH_MAY_GROW: bool;
 
-    fn new(gains: Gains) -> Self;
+    fn new(gains: Gains, space: Space) -> Self;
 
     /// Return the least B in N s/m with which the coupling is passive at a round trip and a tick in s. None if it claims no
     /// passivity.
@@ -140,11 +181,21 @@ pub(crate) trait Method<const N: usize> {
         None
     }
 
+    /// Return C in m/N, the compliance in series between hand and tool at rest, at a round trip and a tick in s.
+    fn compliance(gains: &Gains, _round_trip_s: f64, _period_s: f64) -> f64 {
+        1.0 / gains.stiffness
+    }
+
     /// Return `F_m` in N against the hand, in the slave's frame: the hand feels `F_v = -lambda_f R' L F_m`.
     fn master(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N>;
 
     /// Return `F_c` in N on the slave.
     fn slave(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N>;
+
+    /// Return the own numbers and the energy in J for the next frame.
+    fn sent(&self) -> (Axes<N>, f64) {
+        (Axes::zeros(), 0.0)
+    }
 }
 
 /// Coefficients of both halves, which are linear: of `F_m` in `x_m, v_m, x_s', v_s', F_c'`, and of `F_c` in
@@ -157,16 +208,24 @@ pub struct CouplingMatrix {
     pub slave: [f64; 4],
 }
 
-/// Return the coefficients of a coupling, by its halves. None for position-force, whose slave commands a motion.
+/// Return the coefficients of a linear coupling, by its halves. None for position-force, whose slave commands a motion.
 pub fn coupling_matrix(kind: CouplingKind, gains: Gains) -> Option<CouplingMatrix> {
-    let mut half = Half::new::<1>(kind, gains)?;
+    let mut half = Half::<1>::new(kind, gains, Space::Translation).filter(|_| kind.is_linear())?;
     let axes = Axes::<1>::new;
     let one = |index: usize, at: usize| axes(f64::from(u8::from(index == at)));
     let inputs = |at: usize| [0, 1, 2, 3, 4].map(|index| one(index, at));
+    let zero = Axes::zeros();
     let mut step = |at: usize, is_master: bool| {
-        let [x, v, peer_x, peer_v, peer_force] = inputs(at);
-        let own = Local { position: &x, velocity: &v, gain: 1.0 };
-        let peer = Peer { position: &peer_x, velocity: &peer_v, force: &peer_force };
+        let [position, velocity, peer_position, peer_velocity, vector] = inputs(at);
+        let own = Local {
+            position: &position,
+            velocity: &velocity,
+            moved: &zero,
+            exerted: &zero,
+            gain: 1.0,
+            dt: 1e-3,
+        };
+        let peer = Peer { position: &peer_position, velocity: &peer_velocity, vector: &vector, sum: 0.0 };
         if is_master { half.master(&own, &peer)[0] } else { half.slave(&own, &peer)[0] }
     };
     let master = [0, 1, 2, 3, 4].map(|at| step(at, true));

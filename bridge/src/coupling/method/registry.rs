@@ -4,7 +4,8 @@ use haptether_safety::Axes;
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use super::{CouplingAbout, Gains, Local, Method, Peer, SlaveSends};
+use super::{CouplingAbout, Gains, Local, Method, Peer, Sends, Space};
+use crate::wire::Role;
 
 /// Declare every item that depends on the set of couplings; each line is `Kind = code: file;`.
 macro_rules! couplings {
@@ -29,7 +30,7 @@ macro_rules! couplings {
             pub const fn about(self) -> CouplingAbout {
                 match self {
                     Self::$measured => MEASURED,
-                    $(Self::$kind => <$file::$kind as Method<1>>::ABOUT,)+
+                    $(Self::$kind => <$file::$kind<1> as Method<1>>::ABOUT,)+
                 }
             }
 
@@ -37,15 +38,49 @@ macro_rules! couplings {
             pub const fn default_gains(self) -> Option<Gains> {
                 match self {
                     Self::$measured => None,
-                    $(Self::$kind => Some(<$file::$kind as Method<1>>::DEFAULT),)+
+                    $(Self::$kind => Some(<$file::$kind<1> as Method<1>>::DEFAULT),)+
                 }
             }
 
-            /// Return the meaning of the slave's numbers. None for a coupling that sends none.
-            pub const fn slave_sends(self) -> Option<SlaveSends> {
+            /// Return the meaning of a side's numbers. None for a coupling that sends none.
+            pub const fn sends(self, role: Role) -> Option<Sends> {
+                match (self, role) {
+                    (Self::$measured, _) => None,
+                    $((Self::$kind, Role::Master) => Some(<$file::$kind<1> as Method<1>>::MASTER_SENDS),
+                    (Self::$kind, Role::Slave) => Some(<$file::$kind<1> as Method<1>>::SLAVE_SENDS),)+
+                }
+            }
+
+            /// Return whether both sides send an energy.
+            pub const fn sends_energy(self) -> bool {
+                match self {
+                    Self::$measured => false,
+                    $(Self::$kind => <$file::$kind<1> as Method<1>>::SENDS_ENERGY,)+
+                }
+            }
+
+            /// Return whether frames pass a play-out.
+            pub const fn plays_out(self) -> bool {
+                match self {
+                    Self::$measured => false,
+                    $(Self::$kind => <$file::$kind<1> as Method<1>>::PLAYS_OUT,)+
+                }
+            }
+
+            /// Return whether both halves are linear.
+            pub const fn is_linear(self) -> bool {
+                match self {
+                    Self::$measured => false,
+                    $(Self::$kind => <$file::$kind<1> as Method<1>>::IS_LINEAR,)+
+                }
+            }
+
+            /// Return C in m/N in series between hand and tool at rest. None for position-force, whose slave commands a
+            /// motion.
+            pub fn compliance(self, gains: &Gains, round_trip_s: f64, period_s: f64) -> Option<f64> {
                 match self {
                     Self::$measured => None,
-                    $(Self::$kind => Some(<$file::$kind as Method<1>>::SLAVE_SENDS),)+
+                    $(Self::$kind => Some(<$file::$kind<1> as Method<1>>::compliance(gains, round_trip_s, period_s)),)+
                 }
             }
 
@@ -54,7 +89,7 @@ macro_rules! couplings {
             pub fn least_damping(self, stiffness: f64, round_trip_s: f64, period_s: f64) -> Option<f64> {
                 match self {
                     Self::$measured => None,
-                    $(Self::$kind => <$file::$kind as Method<1>>::least_damping(stiffness, round_trip_s, period_s),)+
+                    $(Self::$kind => <$file::$kind<1> as Method<1>>::least_damping(stiffness, round_trip_s, period_s),)+
                 }
             }
 
@@ -62,35 +97,41 @@ macro_rules! couplings {
             pub const fn push_may_grow(self) -> bool {
                 match self {
                     Self::$measured => false,
-                    $(Self::$kind => <$file::$kind as Method<1>>::PUSH_MAY_GROW,)+
+                    $(Self::$kind => <$file::$kind<1> as Method<1>>::PUSH_MAY_GROW,)+
                 }
             }
         }
 
         /// Half of a coupling, of either side.
         #[derive(Clone, Copy, Debug)]
-        pub(crate) enum Half {
-            $($kind($file::$kind),)+
+        pub(crate) enum Half<const N: usize> {
+            $($kind($file::$kind<N>),)+
         }
 
-        impl Half {
+        impl<const N: usize> Half<N> {
             /// Build the half of a coupling. None for position-force, whose halves are those of
             /// [`Mapping`](crate::coupling::Mapping).
-            pub(crate) fn new<const N: usize>(kind: CouplingKind, gains: Gains) -> Option<Self> {
+            pub(super) fn new(kind: CouplingKind, gains: Gains, space: Space) -> Option<Self> {
                 Some(match kind {
                     CouplingKind::$measured => return None,
-                    $(CouplingKind::$kind => Self::$kind(<$file::$kind as Method<N>>::new(gains)),)+
+                    $(CouplingKind::$kind => Self::$kind(Method::<N>::new(gains, space)),)+
                 })
             }
 
             #[inline]
-            pub(super) fn master<const N: usize>(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
+            pub(super) fn master(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
                 match self { $(Self::$kind(half) => half.master(own, peer),)+ }
             }
 
             #[inline]
-            pub(super) fn slave<const N: usize>(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
+            pub(super) fn slave(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
                 match self { $(Self::$kind(half) => half.slave(own, peer),)+ }
+            }
+
+            /// Return the own numbers and the energy in J for the next frame.
+            #[inline]
+            pub(super) fn sent(&self) -> (Axes<N>, f64) {
+                match self { $(Self::$kind(half) => Method::<N>::sent(half),)+ }
             }
         }
     };
@@ -112,6 +153,12 @@ couplings! {
     PositionPosition = 2: position_position;
     /// Positions both ways, with a damper at each side.
     PdDamped = 3: pd_damped;
+    /// Waves: motion and force combined, so that delay only stores energy.
+    Wave = 4: wave;
+    /// Time-domain passivity: as computed force, with observers of energy at both sides.
+    Tdpa = 5: tdpa;
+    /// Set positions modulated by energy.
+    Pspm = 6: pspm;
 }
 
 impl CouplingKind {
@@ -123,7 +170,7 @@ impl CouplingKind {
 
     /// Return whether each side compares its motion with that of the other.
     pub const fn compares_motions(self) -> bool {
-        matches!(self.slave_sends(), Some(SlaveSends::Motion))
+        matches!(self.sends(Role::Slave), Some(Sends::Motion))
     }
 
     /// Return the kind of a code.
@@ -149,7 +196,7 @@ mod tests {
             assert_eq!(CouplingKind::from_code(kind.code()), Some(*kind));
             assert!(kind.code() < 15, "{kind:?}: 15 is reserved");
             assert_eq!(
-                Half::new::<1>(*kind, Gains { stiffness: 1.0, damping: 1.0 }).is_none(),
+                Half::<1>::new(*kind, Gains::spring(1.0, 1.0), Space::Translation).is_none(),
                 kind.code() == 0
             );
         }

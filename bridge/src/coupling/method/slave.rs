@@ -2,8 +2,60 @@
 
 use haptether_safety::Axes;
 
-use super::{Half, Local, MethodSettings, Peer, SlaveSends, VirtualTool};
-use crate::{coupling::Mapping, port::CouplingMessage, wire::unpadded};
+use super::{Half, Local, MethodSettings, Peer, Sends, Space, VirtualTool};
+use crate::{
+    coupling::{CouplingKind, Mapping},
+    port::CouplingMessage,
+    wire::{Role, unpadded},
+};
+
+/// Engagement of the master, as the half at the slave sees it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MasterEngagement {
+    kind: CouplingKind,
+    /// Newest engagement of the master that is older than this one of the slave, or 0.
+    stale: u16,
+    /// Engagement of the master that belongs to this one of the slave; 0 before it begins.
+    present: u16,
+}
+
+impl MasterEngagement {
+    pub(super) fn new(kind: CouplingKind) -> Self {
+        Self { kind, stale: 0, present: 0 }
+    }
+
+    /// Begin an engagement of the slave; `epoch` is the newest of the master in any frame.
+    pub(super) fn begin(&mut self, epoch: u16) {
+        (self.stale, self.present) = (epoch, 0);
+    }
+
+    /// Return whether a frame with `epoch` belongs to this engagement. If frames carry energies, only one engagement of the
+    /// master does.
+    pub(super) fn takes(&mut self, epoch: u16) -> bool {
+        if !self.kind.sends_energy() || epoch == 0 {
+            return epoch != 0;
+        }
+        if self.present == 0 && epoch.wrapping_sub(self.stale).cast_signed() > 0 {
+            self.present = epoch;
+        }
+        epoch == self.present
+    }
+}
+
+/// State of the master in a frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct OfMaster<'a, X, const N: usize> {
+    /// Position in m, or orientation.
+    pub(crate) at: &'a X,
+    /// Velocity in m/s (rad/s).
+    pub(crate) velocity: &'a Axes<N>,
+    /// Numbers of its half.
+    pub(crate) message: &'a CouplingMessage,
+    /// Newest epoch of that half in any frame.
+    pub(crate) epoch: u16,
+    /// True while the frame is old.
+    pub(crate) is_stale: bool,
+}
 
 /// Half of a coupling at the slave, with its state since the engagement.
 ///
@@ -11,13 +63,21 @@ use crate::{coupling::Mapping, port::CouplingMessage, wire::unpadded};
 /// the slave.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CoupledSlave<const N: usize> {
-    half: Half,
-    sends: SlaveSends,
+    half: Half<N>,
+    /// The half before any tick.
+    fresh: Half<N>,
+    kind: CouplingKind,
     tool: VirtualTool<N>,
     /// True while engaged.
     engaged: bool,
+    master: MasterEngagement,
+    /// Position in m of the master at which its motion is zero, if it sends waves.
+    origin: Option<Axes<N>>,
     /// Motion in m of the master in its last engaged frame.
     moved: Axes<N>,
+    /// Integral of a wave, and energy in J, in that frame.
+    wave: Axes<N>,
+    energy_j: f64,
     /// Numbers for the next frame.
     sent: Axes<N>,
     /// `F_c` in N since the last tick, and the position in m of the tool before it.
@@ -29,10 +89,26 @@ impl<const N: usize> CoupledSlave<N> {
     /// Build the half. None for position-force, which commands the motion of the master itself.
     pub(crate) fn new(settings: &MethodSettings) -> Option<Self> {
         let MethodSettings { kind, gains, tool, .. } = *settings;
-        let (half, sends) = (Half::new::<N>(kind, gains)?, kind.slave_sends()?);
+        let half = Half::new(kind, gains, Space::Translation)?;
         let tool = VirtualTool::new(tool);
-        let [moved, sent, force, before] = [Axes::zeros(); 4];
-        Some(Self { half, sends, tool, engaged: false, moved, sent, force, before })
+        let [moved, wave, sent, force, before] = [Axes::zeros(); 5];
+        let (engaged, master) = (false, MasterEngagement::new(kind));
+        let (origin, energy_j, fresh) = (None, 0.0, half);
+        Some(Self {
+            half,
+            fresh,
+            kind,
+            tool,
+            engaged,
+            master,
+            origin,
+            moved,
+            wave,
+            energy_j,
+            sent,
+            force,
+            before,
+        })
     }
 
     /// Step an engaged tick of `dt` s at the command `from` in m; return the command that the coupling requests, in m.
@@ -42,32 +118,51 @@ impl<const N: usize> CoupledSlave<N> {
         map: &mut Mapping<N>,
         from: &Axes<N>,
         environment_force: &Axes<N>,
-        peer: (&CouplingMessage, &Axes<N>),
+        master: &OfMaster<'_, Axes<N>, N>,
         dt: f64,
     ) -> Axes<N> {
+        let OfMaster { at, velocity, message, epoch, is_stale } = *master;
         if !self.engaged {
             // Each engagement begins at rest and without force: the anchor couples this position with zero motion.
             self.tool.rest_at(from);
             map.disengage();
             map.commanded_position(&Axes::zeros(), from);
-            [self.moved, self.sent, self.force] = [Axes::zeros(); 3];
+            [self.moved, self.wave, self.sent, self.force] = [Axes::zeros(); 4];
+            (self.half, self.origin, self.energy_j) = (self.fresh, None, 0.0);
+            self.master.begin(epoch);
             (self.engaged, self.before) = (true, *from);
             return *from;
         }
-        let (message, velocity) = peer;
         // A master that is not engaged rests where it was, at first at zero.
-        let is_engaged = message.epoch != 0;
+        let is_engaged = self.master.takes(message.epoch);
         if is_engaged {
-            self.moved = unpadded(&message.vector);
+            let numbers = unpadded(&message.vector);
+            if self.kind.sends(Role::Master) == Some(Sends::Wave) {
+                self.moved = at - *self.origin.get_or_insert(*at);
+                self.wave = numbers;
+            } else {
+                self.moved = numbers;
+            }
+            self.energy_j = self.energy_j.max(message.sums[0]);
         }
-        let velocity = if is_engaged { map.commanded_velocity(velocity) } else { Axes::zeros() };
+        // A half that keeps a ledger does not extrapolate.
+        let moves = is_engaged && !(is_stale && self.kind.sends_energy());
+        let velocity = if moves { map.commanded_velocity(velocity) } else { Axes::zeros() };
         let target = map.commanded_position(&self.moved, from);
-        let own = Local { position: self.tool.position(), velocity: self.tool.velocity(), gain: 1.0 };
-        let peer = Peer { position: &target, velocity: &velocity, force: &Axes::zeros() };
+        let own = Local {
+            position: self.tool.position(),
+            velocity: self.tool.velocity(),
+            moved: &(self.tool.position() - self.before),
+            exerted: &self.force,
+            gain: 1.0,
+            dt,
+        };
+        let peer = Peer { position: &target, velocity: &velocity, vector: &self.wave, sum: self.energy_j };
         self.force = self.half.slave(&own, &peer);
-        self.sent = match self.sends {
-            SlaveSends::Motion => self.moved + map.back(&(self.tool.position() - target)),
-            SlaveSends::Force => self.force,
+        self.sent = match self.kind.sends(Role::Slave) {
+            Some(Sends::Motion) => self.moved + map.back(&(self.tool.position() - target)),
+            Some(Sends::Force) => self.force,
+            Some(Sends::Wave) | None => self.half.sent().0,
         };
         self.before = *self.tool.position();
         self.tool.step(&self.force, environment_force, dt)
@@ -83,9 +178,9 @@ impl<const N: usize> CoupledSlave<N> {
         self.force.dot(&(self.tool.position() - self.before))
     }
 
-    /// Numbers for the next frame; None while not engaged.
-    pub(crate) fn sent(&self) -> Option<&Axes<N>> {
-        self.engaged.then_some(&self.sent)
+    /// Numbers and energy in J for the next frame; None while not engaged.
+    pub(crate) fn sent(&self) -> Option<(&Axes<N>, f64)> {
+        self.engaged.then(|| (&self.sent, self.half.sent().1))
     }
 
     /// End the engagement; the springs lose their energy.

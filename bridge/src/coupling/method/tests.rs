@@ -64,58 +64,67 @@ fn oldest_s(path: &[Option<usize>]) -> f64 {
     path.iter().enumerate().map(|(now, sent)| (now - sent.unwrap_or(0)) as f64 * T).fold(0.0, f64::max)
 }
 
-/// Result of a run: the lowest `E_m - E_s` in J, and `F_m` in N at the end.
+/// Result of a run: the lowest `E_m - E_s` in J, and `F_m` in N and `x_m - x_s` in m at the end.
 struct Ledger {
     lowest_j: f64,
     force: f64,
+    apart: f64,
 }
+
+/// Message of a side: motion, velocity, own numbers and energy.
+#[derive(Clone, Copy, Default)]
+struct Message([f64; 4]);
 
 /// Couple two plants over two paths for as long as these are; `targets` are those of hand and slave at a tick.
 fn run(
-    mut halves: [Half; 2],
+    mut halves: [Half<1>; 2],
     mut plants: [Plant; 2],
     paths: [&[Option<usize>]; 2],
     targets: impl Fn(usize) -> [f64; 2],
 ) -> Ledger {
-    let zero = Axes::<1>::zeros();
+    let axes = Axes::<1>::new;
     let starts = plants.map(|plant| plant.x);
-    let mut sent: Vec<[(f64, f64); 2]> = Vec::new();
-    let mut forces = Vec::new();
-    let mut ledger = Ledger { lowest_j: 0.0, force: 0.0 };
-    let mut energy = 0.0;
+    let mut sent: Vec<[Message; 2]> = Vec::new();
+    let mut ledger = Ledger { lowest_j: 0.0, force: 0.0, apart: 0.0 };
+    let (mut energy, mut forces, mut ways) = (0.0, [0.0; 2], [0.0; 2]);
     for (now, path) in paths[0].iter().zip(paths[1]).enumerate() {
         let moved = [0, 1].map(|side| plants[side].x - starts[side]);
-        sent.push([(moved[0], plants[0].v), (moved[1], plants[1].v)]);
-        // Before the first message the other side rests at its start.
-        let heard = |path: &Option<usize>, from: usize| path.map_or((0.0, 0.0), |tick| sent[tick][from]);
-        let ([x_m, v_m], [x_s, v_s]) =
-            (<[f64; 2]>::from(heard(path.0, 0)), <[f64; 2]>::from(heard(path.1, 1)));
-        let axes = Axes::<1>::new;
-        let own = [0, 1].map(|side| (axes(moved[side]), axes(plants[side].v)));
-        let of_master = (axes(x_m), axes(v_m));
-        let f_c = halves[1].slave(
-            &Local { position: &own[1].0, velocity: &own[1].1, gain: 1.0 },
-            &Peer { position: &of_master.0, velocity: &of_master.1, force: &zero },
-        )[0];
-        forces.push(f_c);
-        let force_back = path.1.map_or(0.0, |tick| forces[tick]);
-        let of_slave = (axes(x_s), axes(v_s), axes(force_back));
-        let f_m = halves[0].master(
-            &Local { position: &own[0].0, velocity: &own[0].1, gain: 1.0 },
-            &Peer { position: &of_slave.0, velocity: &of_slave.1, force: &of_slave.2 },
-        )[0];
-        let [of_hand, of_arm] = targets(now);
-        let in_j = f_m * plants[0].step(-f_m, of_hand);
-        let out_j = f_c * plants[1].step(f_c, of_arm);
-        energy += in_j - out_j;
+        sent.push([0, 1].map(|side| Message([moved[side], plants[side].v, 0.0, 0.0])));
+        for side in [1, 0] {
+            // Before the first message the other side rests at its start.
+            let heard = if side == 1 { path.0 } else { path.1 };
+            let Message([x, v, vector, sum]) =
+                heard.map_or_else(Message::default, |tick| sent[tick][1 - side]);
+            let [own_x, own_v, way, exerted] =
+                [moved[side], plants[side].v, ways[side], forces[side]].map(axes);
+            let own = Local {
+                position: &own_x,
+                velocity: &own_v,
+                moved: &way,
+                exerted: &exerted,
+                gain: 1.0,
+                dt: T,
+            };
+            let [x, v, vector] = [x, v, vector].map(axes);
+            let peer = Peer { position: &x, velocity: &v, vector: &vector, sum };
+            let half = &mut halves[side];
+            forces[side] = if side == 1 { half.slave(&own, &peer) } else { half.master(&own, &peer) }[0];
+            let (numbers, energy_j) = half.sent();
+            let is_force = matches!(half, Half::PositionForceComputed(_) | Half::Tdpa(_));
+            let numbers = if side == 1 && is_force { forces[1] } else { numbers[0] };
+            sent[now][side].0[2..].copy_from_slice(&[numbers, energy_j]);
+        }
+        let target = targets(now);
+        ways = [0, 1].map(|side| plants[side].step([-forces[0], forces[1]][side], target[side]));
+        energy += forces[0] * ways[0] - forces[1] * ways[1];
         ledger.lowest_j = ledger.lowest_j.min(energy);
-        ledger.force = f_m;
+        (ledger.force, ledger.apart) = (forces[0], moved[0] - moved[1]);
     }
     ledger
 }
 
-fn half(kind: CouplingKind, stiffness: f64, damping: f64) -> Half {
-    Half::new::<1>(kind, Gains::new(stiffness, damping).unwrap()).unwrap()
+fn half(kind: CouplingKind, gains: Gains) -> Half<1> {
+    Half::new(kind, gains.checked().unwrap(), Space::Translation).unwrap()
 }
 
 /// Draw a passive plant that a tick of 1 ms resolves: the square root of K / m is below 0.2 / T. It does not start inside
@@ -157,7 +166,7 @@ proptest! {
         // A damper that is held for a tick must not turn the motion around.
         let most = 0.3 / T * plants[0].mass.min(plants[1].mass) / per_stiffness;
         let stiffness = share * most.min(2000.0);
-        let halves = [half(CouplingKind::PdDamped, stiffness, per_stiffness * stiffness); 2];
+        let halves = [half(CouplingKind::PdDamped, Gains::spring(stiffness, per_stiffness * stiffness)); 2];
         let targets = |now: usize| [0, 1].map(|side| {
             swing[side] * (now as f64 * std::f64::consts::TAU / periods[side] as f64).sin()
         });
@@ -173,8 +182,9 @@ fn the_ledger_sees_a_spring_without_damping() {
     let draws = vec![(0.0, 0.5); 4000];
     let path = newest(50, 0, 0.0, &draws);
     let targets = |now: usize| [0.05 * (now as f64 * 0.02).sin(), 0.0];
-    let run =
-        |damping| run([half(CouplingKind::PdDamped, 300.0, damping); 2], [plant; 2], [&path; 2], targets);
+    let run = |damping| {
+        run([half(CouplingKind::PdDamped, Gains::spring(300.0, damping)); 2], [plant; 2], [&path; 2], targets)
+    };
     assert!(run(0.0).lowest_j < -1e-3, "{}", run(0.0).lowest_j);
     assert!(run(0.0).lowest_j < run(20.0).lowest_j && run(20.0).lowest_j >= 0.0);
 }
@@ -200,7 +210,13 @@ fn contacts_settle_at_their_closed_form() {
                 _ => true,
             };
             if is_stable {
-                let force = run([half(kind, stiffness, damping); 2], [master, slave], [&path; 2], ramp).force;
+                let force = run(
+                    [half(kind, Gains::spring(stiffness, damping)); 2],
+                    [master, slave],
+                    [&path; 2],
+                    ramp,
+                )
+                .force;
                 let expected = series(stiffness);
                 assert!((force / expected - 1.0).abs() < 2e-3, "{kind:?}, {delay} ms: {force}, {expected} N");
             }
@@ -209,8 +225,7 @@ fn contacts_settle_at_their_closed_form() {
 }
 
 fn settings(kind: CouplingKind) -> MethodSettings {
-    let (gains, tool) =
-        (Gains::new(100.0, 2.0).unwrap(), VirtualToolSettings::new(1.4, Some(14.0), 0.02).unwrap());
+    let (gains, tool) = (Gains::spring(100.0, 2.0), VirtualToolSettings::new(1.4, Some(14.0), 0.02).unwrap());
     MethodSettings { kind, gains, tool, position_scale: 1.0, rotation: None }
 }
 
@@ -225,7 +240,9 @@ fn a_second_engagement_begins_without_the_force_of_the_first() {
     let mut master = CoupledMaster::<1>::new(&settings(CouplingKind::PdDamped)).unwrap();
     let map = Mapping::new(1.0, 1.0).unwrap();
     let mut request = |x: f64, is_coupled: bool, frame: &Frame| {
-        master.request(&map, (&Axes::<1>::new(x), &Axes::zeros()), 1.0, is_coupled, frame)[0]
+        let zero = Axes::zeros();
+        let hand = HandMotion { at: &Axes::<1>::new(x), velocity: &zero, exerted: &zero, gain: 1.0, dt: T };
+        master.request(&map, &hand, is_coupled, (frame, frame.message.epoch))[0]
     };
     assert_eq!(request(0.0, true, &of_slave(3, 0.0)), 0.0);
     assert_eq!(request(0.05, true, &of_slave(3, 0.0)), -5.0);
@@ -245,7 +262,8 @@ fn a_master_that_is_not_engaged_rests_where_it_was() {
     let (zero, mut at) = (Axes::<1>::zeros(), Axes::<1>::new(0.4));
     let mut step = |epoch: u16, motion: f64| {
         let message = of_slave(epoch, motion).message;
-        at = slave.step(&mut map, &at, &zero, (&message, &zero), T);
+        let master = OfMaster { at: &zero, velocity: &zero, message: &message, epoch, is_stale: false };
+        at = slave.step(&mut map, &at, &zero, &master, T);
         slave.tool().position()[0]
     };
     assert_eq!(step(0, 0.0), 0.4);
@@ -306,4 +324,45 @@ fn both_sides_keep_what_they_compare() {
         refused.to_string(),
         "position_scale: coupling pd-damped keeps that of the scene; set coupling.position_scale in the scene"
     );
+}
+
+/// The reference's scenario: hand, slave and wall of its section 4.5.
+fn reference() -> [Plant; 2] {
+    [
+        Plant { mass: 0.1, damper: 1.7, spring: 40.0, wall: 0.0, wall_at: 0.0, x: 0.0, v: 0.0 },
+        Plant { mass: 0.5, damper: 0.5, spring: 0.0, wall: 2000.0, wall_at: 0.03, x: 0.0, v: 0.0 },
+    ]
+}
+
+fn defaults(kind: CouplingKind) -> Gains {
+    kind.default_gains().unwrap()
+}
+
+/// Waves: `C = 1/K + (T1 + T2 + 2 (spread - T)) / (2 b)`; TDPA and PSPM: `C = 1/K`.
+#[test]
+fn energy_couplings_settle_at_their_closed_form() {
+    let ramp = |now: usize| [0.06 * (now as f64 / 500.0).min(1.0), 0.0];
+    for (forth, back) in [(5, 5), (25, 25), (50, 50), (100, 20), (20, 100), (250, 250)] {
+        let ticks = 8000 + 60 * (forth + back);
+        let paths = [forth, back].map(|delay| newest(delay, 0, 0.0, &vec![(0.0, 0.5); ticks]));
+        let round_s = (forth + back) as f64 * T;
+        let waves = [2.0, 4.0, 10.0].into_iter().flat_map(|impedance| {
+            [T, 0.01].map(|spread_s| Gains { impedance, spread_s, ..defaults(CouplingKind::Wave) })
+        });
+        let cases = waves.map(|gains| (CouplingKind::Wave, gains));
+        let cases = cases.chain([CouplingKind::Tdpa, CouplingKind::Pspm].map(|kind| (kind, defaults(kind))));
+        for (kind, gains) in cases {
+            let seen = run([half(kind, gains); 2], reference(), [&paths[0], &paths[1]], ramp);
+            let series = 1.0 / 40.0 + kind.compliance(&gains, round_s, T).unwrap() + 1.0 / 2000.0;
+            println!(
+                "{kind:?} b {} spread {} {forth}/{back}: {} {} N, ratio {}, lowest {}",
+                gains.impedance,
+                gains.spread_s,
+                seen.force,
+                0.03 / series,
+                seen.force * series / 0.03,
+                seen.lowest_j
+            );
+        }
+    }
 }

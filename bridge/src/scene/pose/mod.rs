@@ -163,15 +163,20 @@ pub(super) fn coupled_rotation<const N: usize>(
         return contradiction("safety.rotation: is missing, kind = \"pose\" needs it");
     };
     let lever = lever_m * lever_m;
-    let stiffness = coupling.rotational_stiffness.unwrap_or(gains.stiffness * lever);
-    let damping = coupling.rotational_damping.unwrap_or(gains.damping * lever);
+    let scaled = Gains {
+        stiffness: coupling.rotational_stiffness.unwrap_or(gains.stiffness * lever),
+        damping: coupling.rotational_damping.unwrap_or(gains.damping * lever),
+        impedance: gains.impedance * lever,
+        most_damping: gains.most_damping * lever,
+        ..*gains
+    };
     let (w, lag_s) = match &arm.tool {
         Some(tool) => ((tool.rotational_stiffness / tool.inertia_kg_m2.max()).sqrt(), 0.0),
         None => arm_response(arm),
     };
     let inertia = stiffest_wall(scene) * lever / (0.4 * w).powi(2);
     let lead_s = coupling.tool_lead_s.unwrap_or(lag_s);
-    let gains = Gains::new(stiffness, damping);
+    let gains = scaled.checked();
     let tool = VirtualToolSettings::new(inertia, None, lead_s);
     Ok(gains.and_then(|gains| Ok((gains, tool?))).map_err(EndpointError::from)?)
 }

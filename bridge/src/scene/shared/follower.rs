@@ -546,6 +546,7 @@ impl<const N: usize> SlavePart<N> {
         let newest = step.newest().map(|tick| master.of(tick));
         self.heard = step.newest().unwrap_or(0);
         let newest = newest.map(|Sent { position, velocity, .. }| MasterState {
+            epoch: 0,
             position: *position,
             velocity: *velocity,
             rotation: None,

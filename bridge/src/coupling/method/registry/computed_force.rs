@@ -2,7 +2,7 @@
 
 use haptether_safety::Axes;
 
-use super::super::{CouplingAbout, Gains, Local, Method, Peer, SlaveSends, spring_damper};
+use super::super::{CouplingAbout, Gains, Local, Method, Peer, Sends, Space, spring_damper};
 
 /// Position forward, the force of the slave's controller back.
 ///
@@ -12,26 +12,26 @@ use super::super::{CouplingAbout, Gains, Local, Method, Peer, SlaveSends, spring
 ///
 /// Source: Hannaford 1989; Lawrence 1993; Daniel and `McAree` 1998.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct PositionForceComputed {
+pub(crate) struct PositionForceComputed<const N: usize> {
     gains: Gains,
 }
 
-impl<const N: usize> Method<N> for PositionForceComputed {
+impl<const N: usize> Method<N> for PositionForceComputed<N> {
     const ABOUT: CouplingAbout = CouplingAbout {
         name: "position-force-computed",
         title: "position forward, force of the slave's controller back",
         source: "Hannaford 1989; Lawrence 1993; Daniel and McAree 1998",
     };
-    const DEFAULT: Gains = Gains { stiffness: 300.0, damping: 8.0 };
-    const SLAVE_SENDS: SlaveSends = SlaveSends::Force;
+    const DEFAULT: Gains = Gains::spring(300.0, 8.0);
+    const SLAVE_SENDS: Sends = Sends::Force;
     const PUSH_MAY_GROW: bool = true;
 
-    fn new(gains: Gains) -> Self {
+    fn new(gains: Gains, _space: Space) -> Self {
         Self { gains }
     }
 
     fn master(&mut self, _own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
-        *peer.force
+        *peer.vector
     }
 
     fn slave(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {

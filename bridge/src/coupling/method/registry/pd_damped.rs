@@ -2,7 +2,7 @@
 
 use haptether_safety::Axes;
 
-use super::super::{CouplingAbout, Gains, Local, Method, Peer, SlaveSends};
+use super::super::{CouplingAbout, Gains, Local, Method, Peer, Sends, Space};
 
 /// Spring between the sides, and a damper to ground at each side.
 ///
@@ -13,21 +13,21 @@ use super::super::{CouplingAbout, Gains, Local, Method, Peer, SlaveSends};
 ///
 /// Source: Lee and Spong 2006; Nuno, Basanez and Ortega 2011; sampled: Colgate and Schenkel 1997.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct PdDamped {
+pub(crate) struct PdDamped<const N: usize> {
     gains: Gains,
 }
 
-impl<const N: usize> Method<N> for PdDamped {
+impl<const N: usize> Method<N> for PdDamped<N> {
     const ABOUT: CouplingAbout = CouplingAbout {
         name: "pd-damped",
         title: "a spring between both positions, and a damper at each side",
         source: "Lee and Spong 2006; Nuno, Basanez and Ortega 2011",
     };
-    const DEFAULT: Gains = Gains { stiffness: 100.0, damping: 3.0 };
-    const SLAVE_SENDS: SlaveSends = SlaveSends::Motion;
+    const DEFAULT: Gains = Gains::spring(100.0, 3.0);
+    const SLAVE_SENDS: Sends = Sends::Motion;
     const PUSH_MAY_GROW: bool = true;
 
-    fn new(gains: Gains) -> Self {
+    fn new(gains: Gains, _space: Space) -> Self {
         Self { gains }
     }
 

@@ -2,7 +2,7 @@
 
 use haptether_safety::Axes;
 
-use super::super::{CouplingAbout, Gains, Local, Method, Peer, SlaveSends, spring_damper};
+use super::super::{CouplingAbout, Gains, Local, Method, Peer, Sends, Space, spring_damper};
 
 /// Spring and damper between the sides, at each side.
 ///
@@ -11,21 +11,21 @@ use super::super::{CouplingAbout, Gains, Local, Method, Peer, SlaveSends, spring
 ///
 /// Source: Lawrence 1993 (position-position).
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct PositionPosition {
+pub(crate) struct PositionPosition<const N: usize> {
     gains: Gains,
 }
 
-impl<const N: usize> Method<N> for PositionPosition {
+impl<const N: usize> Method<N> for PositionPosition<N> {
     const ABOUT: CouplingAbout = CouplingAbout {
         name: "position-position",
         title: "a spring and a damper between both positions",
         source: "Lawrence 1993",
     };
-    const DEFAULT: Gains = Gains { stiffness: 100.0, damping: 2.0 };
-    const SLAVE_SENDS: SlaveSends = SlaveSends::Motion;
+    const DEFAULT: Gains = Gains::spring(100.0, 2.0);
+    const SLAVE_SENDS: Sends = Sends::Motion;
     const PUSH_MAY_GROW: bool = true;
 
-    fn new(gains: Gains) -> Self {
+    fn new(gains: Gains, _space: Space) -> Self {
         Self { gains }
     }
 

@@ -4,25 +4,39 @@ use haptether_safety::Axes;
 use nalgebra::{Unit, UnitQuaternion};
 
 use super::{
-    super::{Half, Local, MethodSettings, Peer, SlaveSends, VirtualToolSettings, capped},
+    super::{
+        Half, Local, MethodSettings, OfMaster, Peer, Sends, Space, VirtualToolSettings, capped,
+        slave::MasterEngagement,
+    },
     stretch,
 };
-use crate::{coupling::RotationCoupling, port::CouplingMessage};
+use crate::{
+    coupling::{CouplingKind, RotationCoupling},
+    wire::Role,
+};
 
 /// Half of a coupling at the slave for the rotation, as [`CoupledSlave`](super::super::CoupledSlave).
 ///
 /// The virtual tool is a ball: `I_v w' = tau_c + tau_e - b_v w`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CoupledSlaveTurn {
-    half: Half,
-    sends: SlaveSends,
+    half: Half<3>,
+    /// The half before any tick.
+    fresh: Half<3>,
+    kind: CouplingKind,
     tool: VirtualToolSettings,
     /// Orientation and angular velocity in rad/s of the tool.
     orientation: UnitQuaternion<f64>,
     velocity: Axes<3>,
     engaged: bool,
+    master: MasterEngagement,
+    /// Orientation of the master at which its turn is zero, if it sends waves.
+    origin: Option<UnitQuaternion<f64>>,
     /// Turn in rad of the master in its last engaged frame.
     moved: Axes<3>,
+    /// Integral of a wave, and energy in J, in that frame.
+    wave: Axes<3>,
+    energy_j: f64,
     sent: Axes<3>,
     /// `tau_c` in N m since the last tick, and the orientation of the tool before it.
     torque: Axes<3>,
@@ -37,52 +51,87 @@ impl CoupledSlaveTurn {
     /// Build the half. None for position-force, and for a scene that does not turn.
     pub(crate) fn new(settings: &MethodSettings) -> Option<Self> {
         let (gains, tool) = settings.rotation?;
-        let (half, sends) = (Half::new::<3>(settings.kind, gains)?, settings.kind.slave_sends()?);
-        let orientation = UnitQuaternion::identity();
-        let [velocity, moved, sent, torque] = [Axes::zeros(); 4];
-        let (engaged, before) = (false, orientation);
-        Some(Self { half, sends, tool, orientation, velocity, engaged, moved, sent, torque, before })
+        let kind = settings.kind;
+        let half = Half::new(kind, gains, Space::Rotation)?;
+        let (fresh, orientation) = (half, UnitQuaternion::identity());
+        let [velocity, moved, wave, sent, torque] = [Axes::zeros(); 5];
+        let (engaged, before, master) = (false, orientation, MasterEngagement::new(kind));
+        let (origin, energy_j) = (None, 0.0);
+        Some(Self {
+            half,
+            fresh,
+            kind,
+            tool,
+            orientation,
+            velocity,
+            engaged,
+            master,
+            origin,
+            moved,
+            wave,
+            energy_j,
+            sent,
+            torque,
+            before,
+        })
     }
 
-    /// Step an engaged tick of `dt` s at the command `from`; return the command that the coupling requests.
-    ///
-    /// `peer` has the master's numbers and its angular velocity in rad/s, `torque` is `tau_e` in N m.
+    /// Step an engaged tick of `dt` s at the command `from`; return the command that the coupling requests. `torque` is
+    /// `tau_e` in N m.
     #[inline(never)]
     pub(crate) fn step(
         &mut self,
         map: &mut RotationCoupling,
         from: &UnitQuaternion<f64>,
         torque: &Axes<3>,
-        peer: (&CouplingMessage, &Axes<3>),
+        master: &OfMaster<'_, UnitQuaternion<f64>, 3>,
         dt: f64,
     ) -> UnitQuaternion<f64> {
+        let OfMaster { at, velocity, message, epoch, is_stale } = *master;
         if !self.engaged {
             (self.orientation, self.velocity) = (*from, Axes::zeros());
             map.clear_anchor();
             map.commanded_orientation(&UnitQuaternion::identity(), from);
-            [self.moved, self.sent, self.torque] = [Axes::zeros(); 3];
+            [self.moved, self.wave, self.sent, self.torque] = [Axes::zeros(); 4];
+            (self.half, self.origin, self.energy_j) = (self.fresh, None, 0.0);
+            self.master.begin(epoch);
             (self.engaged, self.before) = (true, *from);
             return *from;
         }
-        let (message, velocity) = peer;
-        let is_engaged = message.epoch != 0;
+        let is_engaged = self.master.takes(message.epoch);
         if is_engaged {
-            self.moved = message.turned;
+            if self.kind.sends(Role::Master) == Some(Sends::Wave) {
+                self.moved = (at * self.origin.get_or_insert(*at).inverse()).scaled_axis();
+                self.wave = message.turned;
+            } else {
+                self.moved = message.turned;
+            }
+            self.energy_j = self.energy_j.max(message.sums[1]);
         }
         let turned = UnitQuaternion::from_scaled_axis(self.moved);
         let target = map.commanded_orientation(&turned, from);
-        let velocity = if is_engaged { map.commanded_velocity(velocity) } else { Axes::zeros() };
-        let own = Local { position: &Axes::zeros(), velocity: &self.velocity, gain: 1.0 };
+        // A half that keeps a ledger does not extrapolate.
+        let moves = is_engaged && !(is_stale && self.kind.sends_energy());
+        let velocity = if moves { map.commanded_velocity(velocity) } else { Axes::zeros() };
+        let own = Local {
+            position: &Axes::zeros(),
+            velocity: &self.velocity,
+            moved: &(self.orientation * self.before.inverse()).scaled_axis(),
+            exerted: &self.torque,
+            gain: 1.0,
+            dt,
+        };
         let phi = stretch(&self.orientation, &target);
-        let peer = Peer { position: &phi, velocity: &velocity, force: &Axes::zeros() };
+        let peer = Peer { position: &phi, velocity: &velocity, vector: &self.wave, sum: self.energy_j };
         let coupled = self.half.slave(&own, &peer);
-        self.sent = match self.sends {
+        self.sent = match self.kind.sends(Role::Slave) {
             // The turn beyond the target, in the frame of the master.
-            SlaveSends::Motion => {
+            Some(Sends::Motion) => {
                 let beyond = map.frame().inverse() * (self.orientation * target.inverse()) * map.frame();
                 (beyond * turned).scaled_axis()
             }
-            SlaveSends::Force => coupled,
+            Some(Sends::Force) => coupled,
+            Some(Sends::Wave) | None => self.half.sent().0,
         };
         let VirtualToolSettings { mass, damping, lead_s } = self.tool;
         self.velocity = (self.velocity + (coupled + torque) * (dt / mass)) / (1.0 + dt * damping / mass);
@@ -119,9 +168,9 @@ impl CoupledSlaveTurn {
         self.torque.dot(&(self.orientation * self.before.inverse()).scaled_axis())
     }
 
-    /// Numbers for the next frame; None while not engaged.
-    pub(crate) fn sent(&self) -> Option<&Axes<3>> {
-        self.engaged.then_some(&self.sent)
+    /// Numbers and energy in J for the next frame; None while not engaged.
+    pub(crate) fn sent(&self) -> Option<(&Axes<3>, f64)> {
+        self.engaged.then(|| (&self.sent, self.half.sent().1))
     }
 
     /// End the engagement; the spring loses its energy.

@@ -41,7 +41,7 @@ fn frame(kind: CouplingKind, turned: Axes<3>, angular_velocity: Axes<3>) -> Fram
 
 /// A ball of a hand, held by a spring, and a tool in a spring of the world. Returns the torque on the hand at rest.
 fn rest(kind: CouplingKind, delay: usize, target: UnitQuaternion<f64>, wall: UnitQuaternion<f64>) -> Axes<3> {
-    let gains = Gains::new(K, 0.02 + 1.3 * K * T * (delay as f64 + 1.0)).unwrap();
+    let gains = Gains::spring(K, 0.02 + 1.3 * K * T * (delay as f64 + 1.0));
     let tool = VirtualToolSettings::new(2e-3, Some(0.08), 0.0).unwrap();
     let rotation = Some((gains, tool));
     let settings = MethodSettings { kind, gains, tool, position_scale: 1.0, rotation };
@@ -62,15 +62,18 @@ fn rest(kind: CouplingKind, delay: usize, target: UnitQuaternion<f64>, wall: Uni
         // The world is there once the sides have engaged: the hand's turn begins at that of the tool.
         let stiffness = if tick > 2 * delay { K_WALL } else { 0.0 };
         let measured = log(&wall, &command) * stiffness;
-        let message: (CouplingMessage, Axes<3>) =
+        let (message, velocity): (CouplingMessage, Axes<3>) =
             if forth.len() > delay { forth.pop_front().unwrap() } else { Default::default() };
-        command = slave.step(&mut of_slave, &command, &measured, (&message.0, &message.1), T);
-        back.push_back(frame(kind, *slave.sent().unwrap(), *slave.velocity()));
+        let (at, epoch) = (&UnitQuaternion::identity(), message.epoch);
+        let master_state = OfMaster { at, velocity: &velocity, message: &message, epoch, is_stale: false };
+        command = slave.step(&mut of_slave, &command, &measured, &master_state, T);
+        back.push_back(frame(kind, *slave.sent().unwrap().0, *slave.velocity()));
         if back.len() > delay {
             let newest = back.pop_front().unwrap();
-            torque = master.request(&of_master, (&hand, &w), 1.0, true, &newest);
+            let motion = HandMotion { at: &hand, velocity: &w, exerted: &Axes::zeros(), gain: 1.0, dt: T };
+            torque = master.request(&of_master, &motion, true, (&newest, newest.message.epoch));
         }
-        let turned = master.turned(&hand);
+        let turned = master.sent(&hand).map(|(turned, _)| turned);
         if turned.is_some() {
             w += (log(&(target * start), &hand) * K_HAND - w * 0.02 + torque) * (T / 1e-3);
             hand = UnitQuaternion::from_scaled_axis(w * T) * hand;

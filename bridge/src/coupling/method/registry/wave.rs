@@ -1,0 +1,164 @@
+//! Waves: scattering variables with their integrals and energies in the frames.
+
+use haptether_safety::Axes;
+
+use super::super::{CouplingAbout, Gains, Local, Method, Peer, Sends, Space, capped};
+
+/// Rate in 1/s at which the slave removes a drift, and its largest speed in small distances per second.
+const DRIFT_PER_S: f64 = 5.0;
+const DRIFT_SPEED: f64 = 150.0;
+
+/// Wave coupling of impedance b.
+///
+/// `u = (b v_m + F_m) / (2b)^(1/2)` goes to the slave, `w = (b v_sd - F_s) / (2b)^(1/2)` comes back, so
+/// `F_m v_m - F_s v_sd = (u² - w²)/2 - (u'² - w'²)/2`: a constant delay only stores energy. A spring K and a damper B hold
+/// the tool at `x_sd`: `F_s = K (x_sd - x_s) + B (v_sd - v_s)`, solved with `v_sd` of the same tick. In series it has the
+/// compliance `1/K + (T1 + T2 + 2 (spread - dT)) / (2 b)`.
+///
+/// A frame has the integral of the wave and its energy. The receiver plays what it has not played, over `spread`, and never
+/// more energy than has arrived. So neither loss nor jitter nor order creates energy, and no motion is lost. Each sender
+/// pays its wave from the energy that its port has really received: force exerted times way.
+///
+/// While the spring is free, the slave moves `x_sd` towards the position of the master, and pays it from what the waves
+/// left.
+///
+/// Source: Anderson and Spong 1989; Niemeyer and Slotine 1991, 2004; energy: Chopra, Berestesky and Spong 2003.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Wave<const N: usize> {
+    gains: Gains,
+    space: Space,
+    outgoing: Outgoing<N>,
+    incoming: Incoming<N>,
+    /// Energy in J that the port has received and the wave has not taken.
+    budget_j: f64,
+    /// `x_sd - x_s` in m of the slave.
+    stretch: Axes<N>,
+}
+
+/// Wave that a half sends: what its budget cannot pay waits.
+#[derive(Clone, Copy, Debug)]
+struct Outgoing<const N: usize> {
+    waiting: Axes<N>,
+    sent: Axes<N>,
+    energy_j: f64,
+}
+
+impl<const N: usize> Outgoing<N> {
+    /// Send as much of `amount`, a wave times dt, and of what waits as the budget in J pays.
+    fn send(&mut self, amount: &Axes<N>, dt: f64, budget_j: &mut f64) {
+        self.waiting += amount;
+        let wave = capped(&(self.waiting / dt), (2.0 * budget_j.max(0.0) / dt).sqrt());
+        let energy_j = 0.5 * dt * wave.norm_squared();
+        self.waiting -= wave * dt;
+        self.sent += wave * dt;
+        self.energy_j += energy_j;
+        *budget_j -= energy_j;
+    }
+}
+
+/// Wave that a half plays, from the integral and the energy of its peer.
+#[derive(Clone, Copy, Debug)]
+struct Incoming<const N: usize> {
+    played: Axes<N>,
+    energy_j: f64,
+}
+
+impl<const N: usize> Incoming<N> {
+    /// Return the wave of this tick.
+    fn play(&mut self, peer: &Peer<'_, N>, spread_s: f64, dt: f64) -> Axes<N> {
+        let left = peer.vector - self.played;
+        let wave = capped(&(left / spread_s.max(dt)), (2.0 * (peer.sum - self.energy_j).max(0.0) / dt).sqrt());
+        self.played += wave * dt;
+        self.energy_j += 0.5 * dt * wave.norm_squared();
+        wave
+    }
+}
+
+impl<const N: usize> Wave<N> {
+    fn root(&self) -> f64 {
+        (2.0 * self.gains.impedance).sqrt()
+    }
+
+    /// Move `x_sd` towards the position of the master while the spring is free; the energy that has arrived and was not
+    /// played pays for it.
+    fn correct_drift(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>, force: &Axes<N>) {
+        let small = self.space.small();
+        let free = 1.0 - self.stretch.norm() / small;
+        if free <= 0.0 {
+            return;
+        }
+        let target = self.space.left(&(peer.position - own.position), &self.stretch);
+        let step = capped(&(target * (DRIFT_PER_S * free)), DRIFT_SPEED * small) * own.dt;
+        let cost_j = step.dot(force) + self.gains.stiffness * step.norm_squared();
+        if cost_j <= peer.sum - self.incoming.energy_j {
+            self.incoming.energy_j += cost_j.max(0.0);
+            self.stretch = self.space.advanced(&self.stretch, &step);
+        }
+    }
+}
+
+impl<const N: usize> Method<N> for Wave<N> {
+    const ABOUT: CouplingAbout = CouplingAbout {
+        name: "wave",
+        title: "waves of motion and force, whose delay only stores energy",
+        source: "Niemeyer and Slotine 1991, 2004; Chopra, Berestesky and Spong 2003",
+    };
+    const DEFAULT: Gains = Gains { impedance: 4.0, spread_s: 0.004, ..Gains::spring(300.0, 8.0) };
+    const MASTER_SENDS: Sends = Sends::Wave;
+    const SLAVE_SENDS: Sends = Sends::Wave;
+    const SENDS_ENERGY: bool = true;
+    const PLAYS_OUT: bool = true;
+    const IS_LINEAR: bool = false;
+    const PUSH_MAY_GROW: bool = true;
+
+    fn new(gains: Gains, space: Space) -> Self {
+        let zero = Axes::zeros();
+        let outgoing = Outgoing { waiting: zero, sent: zero, energy_j: 0.0 };
+        let incoming = Incoming { played: zero, energy_j: 0.0 };
+        Self { gains, space, outgoing, incoming, budget_j: 0.0, stretch: zero }
+    }
+
+    /// `K dT`: the spring of the slave is sampled.
+    fn least_damping(stiffness: f64, _round_trip_s: f64, period_s: f64) -> Option<f64> {
+        Some(stiffness * period_s)
+    }
+
+    fn compliance(gains: &Gains, round_trip_s: f64, period_s: f64) -> f64 {
+        let spread_s = 2.0 * (gains.spread_s - period_s).max(0.0);
+        1.0 / gains.stiffness + (round_trip_s + spread_s) / (2.0 * gains.impedance)
+    }
+
+    fn master(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
+        let (b, root) = (self.gains.impedance, self.root());
+        self.budget_j += own.exerted.dot(own.moved);
+        self.outgoing.send(&((own.moved * b + own.exerted * own.dt) / root), own.dt, &mut self.budget_j);
+        if own.gain < 1.0 {
+            // The motion of a force that fades in stays behind.
+            self.outgoing.waiting = Axes::zeros();
+        }
+        let wave = self.incoming.play(peer, self.gains.spread_s, own.dt);
+        self.budget_j += 0.5 * own.dt * wave.norm_squared();
+        own.velocity * (b * own.gain) - wave * root
+    }
+
+    fn slave(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
+        let Gains { stiffness, damping, impedance: b, spread_s, .. } = self.gains;
+        let (root, dt) = (self.root(), own.dt);
+        self.stretch = self.space.left(&self.stretch, own.moved);
+        let wave = self.incoming.play(peer, spread_s, dt);
+        let at_rest = self.stretch * stiffness - own.velocity * damping;
+        let per_speed = stiffness * dt + damping;
+        let velocity = (wave * root - at_rest) / (b + per_speed);
+        let force = at_rest + velocity * per_speed;
+        self.stretch = self.space.advanced(&self.stretch, &(velocity * dt));
+        let back = (velocity * b - force) / root;
+        self.budget_j += 0.5 * dt * wave.norm_squared() - dt * force.dot(&velocity);
+        self.outgoing.send(&(back * dt), dt, &mut self.budget_j);
+        self.correct_drift(own, peer, &force);
+        force
+    }
+
+    fn sent(&self) -> (Axes<N>, f64) {
+        (self.outgoing.sent, self.outgoing.energy_j)
+    }
+}
