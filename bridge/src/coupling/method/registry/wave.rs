@@ -5,22 +5,25 @@ use haptether_safety::Axes;
 use super::super::{CouplingAbout, Gains, Local, Method, Peer, Sends, Space, capped};
 
 /// Rate in 1/s at which the slave removes a drift, and its largest speed in small distances per second.
-const DRIFT_PER_S: f64 = 5.0;
+const DRIFT_PER_S: f64 = 2.0;
 const DRIFT_SPEED: f64 = 150.0;
+/// Damping of the master in units of b, which pays for the damper b: it is held for a tick and takes less than it should.
+const PAYING: f64 = 0.05;
 
 /// Wave coupling of impedance b.
 ///
 /// `u = (b v_m + F_m) / (2b)^(1/2)` goes to the slave, `w = (b v_sd - F_s) / (2b)^(1/2)` comes back, so
 /// `F_m v_m - F_s v_sd = (u² - w²)/2 - (u'² - w'²)/2`: a constant delay only stores energy. A spring K and a damper B hold
 /// the tool at `x_sd`: `F_s = K (x_sd - x_s) + B (v_sd - v_s)`, solved with `v_sd` of the same tick. In series it has the
-/// compliance `1/K + (T1 + T2 + 2 (spread - dT)) / (2 b)`.
+/// compliance `1/K + (T1 + T2 + dT + 2 (spread - dT)) / (2 b)`: a wave of the master describes the last tick.
 ///
 /// A frame has the integral of the wave and its energy. The receiver plays what it has not played, over `spread`, and never
 /// more energy than has arrived. So neither loss nor jitter nor order creates energy, and no motion is lost. Each sender
-/// pays its wave from the energy that its port has really received: force exerted times way.
+/// pays its wave from the energy that its port has really received: force exerted times way. A damping of 5 % of b at the
+/// master pays for the damper b, which is held for a tick.
 ///
-/// While the spring is free, the slave moves `x_sd` towards the position of the master, and pays it from what the waves
-/// left.
+/// While both sides rest without force, the slave moves `x_sd` towards the position of the master, and pays it from what the
+/// waves left.
 ///
 /// Source: Anderson and Spong 1989; Niemeyer and Slotine 1991, 2004; energy: Chopra, Berestesky and Spong 2003.
 #[derive(Clone, Copy, Debug)]
@@ -31,6 +34,8 @@ pub(crate) struct Wave<const N: usize> {
     incoming: Incoming<N>,
     /// Energy in J that the port has received and the wave has not taken.
     budget_j: f64,
+    /// Force in N of the damping that pays, over the last tick of the master.
+    paying: Axes<N>,
     /// `x_sd - x_s` in m of the slave.
     stretch: Axes<N>,
 }
@@ -79,11 +84,12 @@ impl<const N: usize> Wave<N> {
         (2.0 * self.gains.impedance).sqrt()
     }
 
-    /// Move `x_sd` towards the position of the master while the spring is free; the energy that has arrived and was not
-    /// played pays for it.
-    fn correct_drift(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>, force: &Axes<N>) {
+    /// Move `x_sd` towards the position of the master while spring and wave are small; the energy that has arrived and was
+    /// not played pays for it.
+    fn correct_drift(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>, [force, wave]: [&Axes<N>; 2]) {
         let small = self.space.small();
-        let free = 1.0 - self.stretch.norm() / small;
+        let stretched = self.stretch.norm().max(self.root() * wave.norm() / self.gains.stiffness);
+        let free = 1.0 - stretched / small;
         if free <= 0.0 {
             return;
         }
@@ -115,7 +121,7 @@ impl<const N: usize> Method<N> for Wave<N> {
         let zero = Axes::zeros();
         let outgoing = Outgoing { waiting: zero, sent: zero, energy_j: 0.0 };
         let incoming = Incoming { played: zero, energy_j: 0.0 };
-        Self { gains, space, outgoing, incoming, budget_j: 0.0, stretch: zero }
+        Self { gains, space, outgoing, incoming, budget_j: 0.0, paying: zero, stretch: zero }
     }
 
     /// `K dT`: the spring of the slave is sampled.
@@ -124,21 +130,23 @@ impl<const N: usize> Method<N> for Wave<N> {
     }
 
     fn compliance(gains: &Gains, round_trip_s: f64, period_s: f64) -> f64 {
-        let spread_s = 2.0 * (gains.spread_s - period_s).max(0.0);
+        let spread_s = period_s + 2.0 * (gains.spread_s - period_s).max(0.0);
         1.0 / gains.stiffness + (round_trip_s + spread_s) / (2.0 * gains.impedance)
     }
 
     fn master(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
         let (b, root) = (self.gains.impedance, self.root());
         self.budget_j += own.exerted.dot(own.moved);
-        self.outgoing.send(&((own.moved * b + own.exerted * own.dt) / root), own.dt, &mut self.budget_j);
+        let of_wave = own.exerted - self.paying;
+        self.outgoing.send(&((own.moved * b + of_wave * own.dt) / root), own.dt, &mut self.budget_j);
         if own.gain < 1.0 {
             // The motion of a force that fades in stays behind.
             self.outgoing.waiting = Axes::zeros();
         }
         let wave = self.incoming.play(peer, self.gains.spread_s, own.dt);
         self.budget_j += 0.5 * own.dt * wave.norm_squared();
-        own.velocity * (b * own.gain) - wave * root
+        self.paying = own.velocity * (PAYING * b * own.gain);
+        own.velocity * (b * own.gain) + self.paying - wave * root
     }
 
     fn slave(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
@@ -154,7 +162,7 @@ impl<const N: usize> Method<N> for Wave<N> {
         let back = (velocity * b - force) / root;
         self.budget_j += 0.5 * dt * wave.norm_squared() - dt * force.dot(&velocity);
         self.outgoing.send(&(back * dt), dt, &mut self.budget_j);
-        self.correct_drift(own, peer, &force);
+        self.correct_drift(own, peer, [&force, &wave]);
         force
     }
 
