@@ -1,7 +1,7 @@
 """Emulated servos on a bus for real clients; `haptether dynamixel-emulator` runs them as a process."""
 
 from haptether.dynamixel.emulator.bus import Answer, Bus, Faults
-from haptether.dynamixel.emulator.control import ControlLine, stops_of
+from haptether.dynamixel.emulator.control import ControlLine, set_stops
 from haptether.dynamixel.emulator.joint import HeldBy, Joint, JointSettings
 from haptether.dynamixel.emulator.load import ArmLoad, mounted, servos_of
 from haptether.dynamixel.emulator.server import Server
@@ -25,5 +25,5 @@ __all__ = [
     "UnixLine",
     "mounted",
     "servos_of",
-    "stops_of",
+    "set_stops",
 ]

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from haptether.dynamixel.emulator.bus import Bus
+    from haptether.dynamixel.emulator.joint import Joint
     from haptether.dynamixel.emulator.server import Server
     from haptether.dynamixel.emulator.servo import Servo
 
@@ -144,7 +145,7 @@ class ControlLine(CommandLine):
     def _stops(self, arguments: list[str], now_s: float) -> None:
         servo = self._servo(arguments)
         servo.advance(now_s)
-        servo.joint.stops = None if arguments[1:] == ["off"] else stops_of(arguments[1:])
+        set_stops(servo.joint, arguments[1:])
 
     def _hand(self, arguments: list[str], now_s: float) -> None:
         if arguments == ["off"]:
@@ -202,16 +203,22 @@ class ControlLine(CommandLine):
         return self._bus.servo(int(arguments[0][:6]))
 
 
-def stops_of(ends: list[str]) -> tuple[float, float]:
-    """Parse two angles in rad, in either order, as end stops.
+def set_stops(joint: "Joint", given: list[str]) -> None:
+    """Set end stops from two angles in rad, in either order, and a stiffness in N m/rad; without it they are rigid.
 
     Raises:
-        ValueError: The angles are invalid.
+        ValueError: The angles or the stiffness are invalid.
     """
-    low, high = sorted(numbers(ends, 2))
+    if given == ["off"]:
+        joint.stops = None
+        return
+    low, high = sorted(numbers(given[:2], 2))
     if not (low < high and max(-low, high) <= MAX_STOP_RAD):
         refuse(f"{low:g} {high:g}: must be two angles within {MAX_STOP_RAD:g} rad")
-    return low, high
+    (stiffness,) = numbers(given[2:], 1) if given[2:] else (joint.rigid,)
+    if not 0.0 < stiffness <= joint.rigid:
+        refuse(f"{stiffness:g}: stiffness must be above 0 and at most {joint.rigid:g} N m/rad, that of a rigid stop")
+    joint.stops, joint.stop_stiffness = (low, high), stiffness
 
 
 def _path(path: Path) -> tuple[tuple[float, ...], dict[int, tuple[float, ...]]]:

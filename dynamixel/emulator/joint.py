@@ -13,10 +13,8 @@ MAX_CATCH_UP_S: Final = 0.5
 """Longest pause in s that is integrated; the rest is dropped."""
 POSITION_BANDWIDTH: Final = 25.0
 """Bandwidth of the position loop in rad/s, critically damped."""
-STOP_STIFFNESS: Final = 5e5
+RIGID: Final = 5e5
 """Stiffness of a rigid stop divided by the inertia, in 1/s^2: 1e-3 kg m^2 yields 1e-3 rad at 0.5 N m."""
-STOP_DAMPING: Final = 1e3
-"""Damping of a rigid stop divided by the inertia, in 1/s."""
 VELOCITY_BANDWIDTH: Final = 50.0
 """Bandwidth of the velocity loop in 1/s."""
 
@@ -110,7 +108,11 @@ class Joint:
         self.load_nm = 0.0
         """Load torque in N m."""
         self.stops: tuple[float, float] | None = None
-        """Angles in rad of the rigid end stops."""
+        """Angles in rad of the end stops."""
+        self.rigid = RIGID * settings.inertia
+        """Stiffness of a rigid end stop in N m/rad."""
+        self.stop_stiffness = self.rigid
+        """K of the end stops in N m/rad; their damping ratio with J is 0.7."""
         self.hand: HeldBy | None = None
         self.hand_nm = 0.0
         """Hand torque in the last step in N m."""
@@ -155,8 +157,8 @@ class Joint:
             torque += stretched
             b += hand.damping + STEP_S * hand.stiffness
         if self.stops is not None and (deep := self._deep(self.stops)) != 0.0:
-            torque -= J * STOP_STIFFNESS * deep
-            b += J * (STOP_DAMPING + STEP_S * STOP_STIFFNESS)
+            torque -= self.stop_stiffness * deep
+            b += math.sqrt(2.0 * J * self.stop_stiffness) + STEP_S * self.stop_stiffness
         w = before + STEP_S / J * torque
         # J (w' - w) / dt = torque - b w' - c sign(w'): dry friction brakes at most to standstill.
         self.velocity_rad_s = math.copysign(max(abs(w) - STEP_S / J * c, 0.0) / (1.0 + STEP_S * b / J), w)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from haptether.dynamixel import SERVO_MODELS, OperatingMode
 from haptether.dynamixel.control_table import RAD_PER_TICK
-from haptether.dynamixel.emulator import HardwareError, JointSettings, Servo
+from haptether.dynamixel.emulator import HardwareError, JointSettings, Servo, set_stops
 from haptether.dynamixel.emulator.protocol import ErrorNumber
 
 NONE, ACCESS, RANGE = ErrorNumber.NONE, ErrorNumber.ACCESS, ErrorNumber.DATA_RANGE
@@ -142,18 +142,19 @@ def test_a_profile_goes_to_a_position_at_its_speed(mode: OperatingMode) -> None:
     assert world.value("Present Position") == pytest.approx(3048, abs=3)
 
 
+@pytest.mark.parametrize("stiffness", [None, 2.0])
 @pytest.mark.parametrize("goal", [3000, 1000])
-def test_something_rigid_stops_it_with_the_current_of_its_cap(goal: int) -> None:
+def test_a_stop_bears_the_current_of_its_cap(goal: int, stiffness: float | None) -> None:
     world = World("XL330-M288")
     joint = world.servo.joint
-    joint.stops = -0.2, 0.2
+    set_stops(joint, ["-0.2", "0.2", *([] if stiffness is None else [str(stiffness)])])
     world.torque_on(OperatingMode.CURRENT_BASED_POSITION)
     assert world.write("Goal Current", 300) == NONE
     assert world.write("Goal Position", goal) == NONE
     world.run(1.0)
     sign = 1 if goal > 2048 else -1
     # J = 2e-3 s^2 times the stall torque; friction takes a part of the pressing torque.
-    deep = 0.3 * joint.constant_nm_per_a / (5e5 * joint.settings.inertia)
+    deep = 0.3 * joint.constant_nm_per_a / (stiffness or 5e5 * joint.settings.inertia)
     assert sign * joint.position_rad == pytest.approx(0.2 + deep, abs=0.2 * deep)
     assert world.value("Present Current") == sign * 300
     assert joint.velocity_rad_s == pytest.approx(0.0, abs=1e-3)

@@ -1,6 +1,7 @@
 """The panel of a live side: its content from telemetry, and its layout."""
 
 import io
+import json
 import math
 import re
 from typing import Any
@@ -19,9 +20,13 @@ from haptether.bridge import (
     TelemetryLost,
     TelemetrySample,
     TelemetrySignal,
+    load_scene,
+    scene_json,
 )
 from haptether.bridge.flight import Step
 from haptether.view import SideState, headline, panel
+from haptether.view.console.summary import summary
+from haptether.view.terminal.panel import MARGIN
 
 KINDS = {
     "position": "axes", "velocity": "axes", "rendered_force": "axes", "device_force": "axes", "safety_force": "axes",
@@ -206,6 +211,62 @@ def test_loss_is_the_share_of_the_last_second(
         state.take(structs.replace(sample(time_s), link=link))
     assert state.loss() == (None if loss is None else pytest.approx(loss))
     assert ("frames lost [%]" in shown(state)) == (loss is not None)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        (
+            ["coupling.kind=pd-damped", "coupling.stiffness=100", "coupling.damping=3"],
+            3.0 / (100.0 * (0.041 / 2 + 1e-3)),
+        ),
+        (
+            ["coupling.kind=pd-damped", "coupling.stiffness=100", "coupling.damping=2"],
+            2.0 / (100.0 * (0.041 / 2 + 1e-3)),
+        ),
+        (["coupling.kind=position-position"], None),
+        ([], None),
+    ],
+)
+def test_the_margin_is_that_of_the_longest_round_trip_of_the_last_second(
+    overrides: list[str], expected: float | None
+) -> None:
+    """B over `K ((T1 + T2) / 2 + dT)`, with one period more of the round trip."""
+    scene = json.loads(scene_json(load_scene("remote_push", overrides)))
+    state = SideState(hello(scene=scene))
+    assert state.passivity_margin() is None, "no round trip yet"
+    state.take(sample(0.0, round_trip_s=[0.01, 0.04, 0.02]))
+    margin = state.passivity_margin()
+    values = {value["label"]: value["values"] for value in summary(state, "", "")["values"]}
+    if expected is None:
+        assert margin is None
+        assert MARGIN not in shown(state)
+        assert MARGIN not in values
+        return
+    assert margin == pytest.approx(expected)
+    assert values[MARGIN] == [margin]
+    assert f"{expected:.2f}" in next(line for line in shown(state).splitlines() if MARGIN in line)
+
+
+@pytest.mark.parametrize(("stiffness", "expected"), [(None, 1.0), (0.5, 0.5), (0.1, 1.0)])
+def test_the_margin_of_a_pose_is_the_smaller_of_translation_and_rotation(
+    stiffness: float | None, expected: float
+) -> None:
+    gains = ["coupling.kind=pd-damped", "coupling.stiffness=100", "coupling.damping=3"]
+    # At a lever of 50 mm, 100 N/m are 0.25 N m/rad.
+    gains += [] if stiffness is None else [f"coupling.rotational_stiffness={stiffness}"]
+    state = SideState(hello(scene=json.loads(scene_json(load_scene("valve", gains))), axes=3))
+    state.take(sample(0.0, axes=3, round_trip_s=[0.04, 0.04, 0.04]))
+    assert state.passivity_margin() == pytest.approx(expected * 3.0 / (100.0 * (0.041 / 2 + 1e-3)))
+
+
+@pytest.mark.parametrize(
+    "coupling", [None, {}, [], {"kind": 3}, {"kind": "pd-damped", "stiffness": "K", "damping": {}}]
+)
+def test_a_margin_of_odd_settings_is_not_shown(coupling: object) -> None:
+    state = SideState(hello(scene={"coupling": coupling, "run": {"period_s": 1e-3}, "slave": {"period_s": 1e-3}}))
+    state.take(sample(0.0, round_trip_s=[0.04, 0.04, 0.04]))
+    assert state.passivity_margin() is None
 
 
 @pytest.mark.parametrize("height", [None, 60, 14])

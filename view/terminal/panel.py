@@ -28,6 +28,7 @@ BAR = 20
 EIGHTHS = " ▏▎▍▌▋▊▉"
 EVENTS = 5
 """Latest events shown."""
+MARGIN = "damping B over the least that is passive"
 FORCES = {
     "rendered_force": "requested F_v",
     "safety_force": "of the controllers F_c",
@@ -139,6 +140,8 @@ def _values(state: SideState) -> Table:
         table.add_row(Text(f"{label} [{unit}]"), _vector(state, name, 2), "" if peak is None else f"1 s: {peak:.2f}")
     if (put := state.last("port_in_j")) is not None and (drawn := state.last("port_out_j")) is not None:
         table.add_row(Text("energy in, out [J]"), f"{put:.3f}, {drawn:.3f}", "")
+    if (margin := state.passivity_margin()) is not None:
+        table.add_row(Text(MARGIN), Text(f"{margin:.2f}", style="" if margin > 1.0 else "bold red"), "")
     if outliers := state.last("outliers"):
         table.add_row(Text("samples replaced"), f"{outliers}", "")
     if (renewal := state.last("renewal")) is not None:

@@ -19,6 +19,7 @@ from haptether.bridge import (
     TelemetryLost,
     TelemetryMessage,
     TelemetrySample,
+    coupling_facts,
     trip_thresholds,
     tripped_names,
 )
@@ -202,6 +203,34 @@ class SideState:
                 )
             )
         return found
+
+    def passivity_margin(self) -> float | None:
+        """Return B over the least B with which the coupling is passive, at the longest round trip of the last second.
+
+        One period is added to the round trip, as in `check-link`. A pose has the smaller ratio of translation and
+        rotation. None without a scene or a round trip, and for a coupling that claims no passivity.
+        """
+        scene, round_trip_s = self.hello.scene or {}, self.peak("round_trip_s")
+        try:
+            table, period_s = scene["coupling"], max(scene["run"]["period_s"], scene["slave"]["period_s"])
+            facts = coupling_facts(
+                table["kind"], stiffness=table["stiffness"], damping=table["damping"],
+                round_trip_s=round_trip_s + period_s, period_s=period_s,
+            )  # fmt: skip
+            if facts.least_damping is None or facts.stiffness is None or facts.damping is None:
+                return None
+            per = facts.least_damping / facts.stiffness
+            margin = facts.damping / facts.least_damping
+            if scene["master"]["kind"] == "pose":
+                square = scene["safety"]["rotation"]["lever_m"] ** 2
+                stiffness, damping = table["rotational_stiffness"], table["rotational_damping"]
+                stiffness = facts.stiffness * square if stiffness is None else stiffness
+                damping = facts.damping * square if damping is None else damping
+                margin = min(margin, damping / (stiffness * per))
+        except (ArithmeticError, KeyError, TypeError, ValueError):
+            # A sender may leave settings out.
+            return None
+        return margin
 
     def signal_of(self, controller: str) -> str:
         """Return the signal that a controller observes."""
