@@ -2136,6 +2136,10 @@ class LinkStatistics:
     def least_round_trip_s(self) -> float:
         """Least round trip in s; 0 before any."""
 
+    @property
+    def play_out_s(self) -> float:
+        """Wait in s that the play-out adds to the fastest frames; 0 without one."""
+
 @final
 class PathReport:
     """Effects of the path on the peer's frames in a run, and knowledge of the peer's clock."""
@@ -2830,13 +2834,25 @@ class CouplingFacts:
         """B in N s/m."""
     @property
     def master(self) -> list[float] | None:
-        """Coefficients of F_m in x_m, v_m, x_s', v_s', F_c' (N/m, N s/m, and 1 for a force)."""
+        """Coefficients of F_m in x_m, v_m, x_s', v_s', F_c' (N/m, N s/m, and 1 for a force); None if not linear."""
     @property
     def slave(self) -> list[float] | None:
-        """Coefficients of F_c in x_s, v_s, x_m', v_m'."""
+        """Coefficients of F_c in x_s, v_s, x_m', v_m'; None if not linear."""
+    @property
+    def impedance(self) -> float | None:
+        """b in N s/m of waves, or d0 of the master's port; None if the coupling has none."""
+    @property
+    def start_energy_j(self) -> float | None:
+        """E_0 in J of each side at the engagement; None for a coupling that keeps no ledger of energy."""
     @property
     def least_damping(self) -> float | None:
         """Least B in N s/m with which it is passive; None if it claims no passivity."""
+    @property
+    def compliance(self) -> float | None:
+        """C in m/N in series between hand and tool at rest; None for position-force, whose arm stands for it."""
+    @property
+    def keeps_ledger(self) -> bool:
+        """True if both sides count their energy, so that any delay, jitter and loss create none."""
     @property
     def push_may_grow(self) -> bool:
         """True if the push on a released stylus may grow."""
@@ -2846,6 +2862,8 @@ def coupling_facts(
     *,
     stiffness: float | None = None,
     damping: float | None = None,
+    impedance: float | None = None,
+    spread_s: float | None = None,
     round_trip_s: float = 0.0,
     period_s: float = 1e-3,
 ) -> CouplingFacts:
@@ -2855,7 +2873,9 @@ def coupling_facts(
         name: Name in `COUPLINGS`.
         stiffness: K in N/m; by default that of the coupling.
         damping: B in N s/m; by default that of the coupling.
-        round_trip_s: Round trip T1 + T2 in s, for the least damping.
+        impedance: b in N s/m, or d0; by default that of the coupling.
+        spread_s: Time in s over which waves are spread; by default that of the coupling.
+        round_trip_s: Round trip T1 + T2 in s, for the least damping and the compliance.
         period_s: Tick in s, for the same.
 
     Raises:

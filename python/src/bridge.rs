@@ -33,17 +33,25 @@ struct PyCouplingFacts {
     damping: Option<f64>,
     master: Option<[f64; 5]>,
     slave: Option<[f64; 4]>,
+    impedance: Option<f64>,
+    start_energy_j: Option<f64>,
     least_damping: Option<f64>,
+    compliance: Option<f64>,
+    keeps_ledger: bool,
     push_may_grow: bool,
 }
 
 #[documented]
 #[pyfunction]
-#[pyo3(signature = (name, *, stiffness=None, damping=None, round_trip_s=0.0, period_s=1e-3))]
+#[pyo3(signature = (
+    name, *, stiffness=None, damping=None, impedance=None, spread_s=None, round_trip_s=0.0, period_s=1e-3
+))]
 fn coupling_facts(
     name: &str,
     stiffness: Option<f64>,
     damping: Option<f64>,
+    impedance: Option<f64>,
+    spread_s: Option<f64>,
     round_trip_s: f64,
     period_s: f64,
 ) -> PyResult<PyCouplingFacts> {
@@ -52,7 +60,14 @@ fn coupling_facts(
     let kind =
         kind.ok_or_else(|| PyValueError::new_err(format!("coupling {name:?}: must be one of {}", names())))?;
     let gains = kind.default_gains().map(|default| {
-        Gains::new(stiffness.unwrap_or(default.stiffness), damping.unwrap_or(default.damping))
+        Gains {
+            stiffness: stiffness.unwrap_or(default.stiffness),
+            damping: damping.unwrap_or(default.damping),
+            impedance: impedance.unwrap_or(default.impedance),
+            spread_s: spread_s.unwrap_or(default.spread_s),
+            ..default
+        }
+        .checked()
     });
     let gains = gains.transpose().map_err(|error| PyValueError::new_err(error.to_string()))?;
     let matrix = gains.and_then(|gains| coupling_matrix(kind, gains));
@@ -61,6 +76,10 @@ fn coupling_facts(
         damping: gains.map(|gains| gains.damping),
         master: matrix.map(|matrix| matrix.master),
         slave: matrix.map(|matrix| matrix.slave),
+        impedance: gains.map(|gains| gains.impedance).filter(|impedance| *impedance > 0.0),
+        start_energy_j: gains.map(|gains| gains.start_j).filter(|_| kind.sends_energy()),
+        compliance: gains.and_then(|gains| kind.compliance(&gains, round_trip_s, period_s)),
+        keeps_ledger: kind.sends_energy(),
         least_damping: gains.and_then(|gains| kind.least_damping(gains.stiffness, round_trip_s, period_s)),
         push_may_grow: kind.push_may_grow(),
     })

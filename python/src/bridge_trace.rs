@@ -122,6 +122,7 @@ pub(crate) struct PyLinkStatistics {
     missing: u64,
     round_trip_s: f64,
     least_round_trip_s: f64,
+    play_out_s: f64,
 }
 
 impl From<LinkStatistics> for PyLinkStatistics {
@@ -135,6 +136,7 @@ impl From<LinkStatistics> for PyLinkStatistics {
             missing: of.missing,
             round_trip_s: seconds(of.round_trip_ns),
             least_round_trip_s: seconds(of.min_round_trip_ns),
+            play_out_s: seconds(of.play_out_ns),
         }
     }
 }

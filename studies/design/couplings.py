@@ -6,7 +6,7 @@ from typing import Any
 
 from msgspec import Struct
 
-from haptether.bridge import COUPLINGS, Scene, SceneError, coupling_facts, override_scene
+from haptether.bridge import COUPLINGS, CouplingFacts, Scene, SceneError, coupling_facts, override_scene
 from haptether.studies.design.contact import contacts, largest_force_n, largest_scale, scene_numbers, touched
 from haptether.studies.design.coupled import coupled_delays, coupled_loops, virtual_tool
 from haptether.studies.design.delay import largest_delay_s, stable_together
@@ -60,6 +60,24 @@ def has_halves(spec: dict[str, Any]) -> bool:
     return spec["slave"] is not None and coupling_facts(spec["coupling"]["kind"]).stiffness is not None
 
 
+def facts_of(spec: dict[str, Any], round_trip_s: float = 0.0) -> CouplingFacts:
+    """Return the facts of a scene's coupling at a round trip in s, with the gains of the scene."""
+    coupling = spec["coupling"]
+    return coupling_facts(
+        coupling["kind"],
+        stiffness=coupling["stiffness"],
+        damping=coupling["damping"],
+        impedance=coupling["impedance"],
+        spread_s=coupling["spread_s"],
+        round_trip_s=round_trip_s,
+        period_s=_period_s(spec),
+    )
+
+
+def _period_s(spec: dict[str, Any]) -> float:
+    return float(max(spec["run"]["period_s"], spec["slave"]["period_s"]))
+
+
 def bearable_delays(scene: Scene, up_to_s: float, wall_stiffness: float | None = None) -> tuple[float, Intervals]:
     """Return the smallest sum of both delays in s at which a scene's loop oscillates, and the stable intervals.
 
@@ -68,7 +86,10 @@ def bearable_delays(scene: Scene, up_to_s: float, wall_stiffness: float | None =
         up_to_s: Largest delay in s that is examined; without oscillation up to it the first result is infinite.
         wall_stiffness: Stiffness in N/m that replaces the scene's contact.
     """
-    if has_halves(scene_numbers(scene)):
+    spec = scene_numbers(scene)
+    if has_halves(spec):
+        if facts_of(spec).keeps_ledger:
+            return inf, ((0.0, up_to_s),)
         stable = coupled_delays(coupled_loops(scene, wall_stiffness), up_to_s)
         return _margin_s(stable, up_to_s), stable
     loops = scene_loops(scene, wall_stiffness)
@@ -88,6 +109,11 @@ def coupling_findings(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Ite
         yield Finding(name="coupling", state="not judged", text=text)
         return
     coupling, units, delays = spec["coupling"], Units.of(spec), link_delays_s(spec)
+    if facts_of(spec).keeps_ledger:
+        yield _ledger(spec, units)
+        yield from _felt(scene, spec, units, delays)
+        yield from _push(spec)
+        return
     kind, beyond = coupling["kind"], "; ".join(touched(scene, spec).beyond)
     loops = coupled_loops(scene)
     stable = coupled_delays(loops, up_to_s)
@@ -116,7 +142,13 @@ def coupling_findings(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Ite
             text = f"a device that nobody holds is {intervals_text(free, up_to_s)}"
             yield Finding(name="let go", state="note", text=text, value=least_s, unit="s")
     yield from _passive(spec, units, delays)
-    yield from _felt(scene, spec, units)
+    yield from _felt(scene, spec, units, delays)
+    yield from _push(spec)
+
+
+def _push(spec: dict[str, Any]) -> Iterator[Finding]:
+    """Report that HSC claims no bound where the push may grow."""
+    kind = spec["coupling"]["kind"]
     if coupling_facts(kind).push_may_grow and "hsc" in spec["safety"]["controllers"]:
         yield Finding(
             name="push", state="note", text=f"with {kind} the push may grow after a release, as the spring pulls to"
@@ -128,9 +160,23 @@ def _who(spec: dict[str, Any]) -> str:
     return "nobody holds" if spec["operator"] is None else "held"
 
 
+def _ledger(spec: dict[str, Any], units: Units) -> Finding:
+    """Check the damper of a coupling that counts its energy: it must outweigh the sampled spring."""
+    kind, (stiffness, damping) = spec["coupling"]["kind"], _gains(spec)
+    least = _least(kind, stiffness, 0.0, spec)
+    assert least is not None
+    claim = f"{kind} counts its energy: delay, jitter and loss create none, for any hand and tool"
+    if kind == "tdpa":
+        claim += ", but for a deficit that the master takes back with a bounded damping"
+    return Finding(
+        name="passivity", state="good" if damping > least else "warning", text=f"{claim}; the sampled spring of"
+        f" {stiffness:g} {units.stiffness} needs B above {least:.3g} {units.damping}, it has {damping:g}",
+        value=least, limit=damping, unit=units.damping,
+    )  # fmt: skip
+
+
 def _gains(spec: dict[str, Any]) -> tuple[float, float]:
-    coupling = spec["coupling"]
-    facts = coupling_facts(coupling["kind"], stiffness=coupling["stiffness"], damping=coupling["damping"])
+    facts = facts_of(spec)
     assert facts.stiffness is not None, "position-force has no gains"
     assert facts.damping is not None
     return facts.stiffness, facts.damping
@@ -138,8 +184,8 @@ def _gains(spec: dict[str, Any]) -> tuple[float, float]:
 
 def _least(kind: str, stiffness: float, delay_s: float, spec: dict[str, Any]) -> float | None:
     """Return the least B with which a coupling is passive."""
-    period_s = max(spec["run"]["period_s"], spec["slave"]["period_s"])
-    return coupling_facts(kind, stiffness=stiffness, round_trip_s=delay_s, period_s=period_s).least_damping
+    facts = coupling_facts(kind, stiffness=stiffness, round_trip_s=delay_s, period_s=_period_s(spec))
+    return facts.least_damping
 
 
 def _passive(spec: dict[str, Any], units: Units, delays: tuple[float, float] | None) -> Iterator[Finding]:
@@ -159,23 +205,36 @@ def _passive(spec: dict[str, Any], units: Units, delays: tuple[float, float] | N
     )  # fmt: skip
 
 
-def _felt(scene: Scene, spec: dict[str, Any], units: Units) -> Iterator[Finding]:
+def _felt(scene: Scene, spec: dict[str, Any], units: Units, delays: tuple[float, float] | None) -> Iterator[Finding]:
     """Report the stiffness that the hand feels and how far the arm stays behind at rest, for each contact."""
-    stiffness, _ = _gains(spec)
+    compliance = facts_of(spec, delays[0] if delays else 0.0).compliance
+    assert compliance is not None
     arm = scene_loops(scene, 0.0)[0].follower if scene_loops(scene, 0.0) else None
     springs, walls = contacts(spec)
     found = sorted({contact for contact, _ in (*springs, *walls) if contact > 0.0})
     if arm is None or not found or arm.stiffness == 0.0:
         return
-    behind = 1.0 / stiffness + 1.0 / arm.stiffness
+    behind = compliance + 1.0 / arm.stiffness
     shares = [1.0 / (1.0 + contact * behind) for contact in found]
     each = ", ".join(f"{share:.2g} of {contact:g}" for share, contact in zip(shares, found, strict=True))
     length = "mrad" if units.stiffness == "N m/rad" else "mm"
+    series = "C" if _is_wave(spec) else "1/K"
     yield Finding(
-        name="felt stiffness", state="note", value=min(shares), text=f"at rest, at any delay, the hand feels {each}"
-        f" {units.stiffness} (1/K + 1/K_arm in series), and the arm stays {behind * 1e3:.3g} {length} behind per"
-        f" {units.force}; a stiffer coupling.stiffness feels more",
+        name="felt stiffness", state="note", value=min(shares), text=f"at rest{_delay(spec, delays)} the hand feels"
+        f" {each} {units.stiffness} ({series} + 1/K_arm in series), and the arm stays {behind * 1e3:.3g} {length}"
+        f" behind per {units.force}; a stiffer coupling.stiffness feels more",
     )  # fmt: skip
+
+
+def _is_wave(spec: dict[str, Any]) -> bool:
+    return facts_of(spec, 1.0).compliance != facts_of(spec, 0.0).compliance
+
+
+def _delay(spec: dict[str, Any], delays: tuple[float, float] | None) -> str:
+    """Return the delay for which a compliance holds."""
+    if not _is_wave(spec):
+        return ", at any delay,"
+    return f", at a round trip of {delays[0] * 1e3 if delays else 0.0:.0f} ms,"
 
 
 def advised_coupling(scene: Scene, up_to_s: float, kinds: tuple[str, ...] = ()) -> AdvisedCoupling | None:
@@ -194,16 +253,11 @@ def advised_coupling(scene: Scene, up_to_s: float, kinds: tuple[str, ...] = ()) 
     delays = link_delays_s(spec)
     if delays is None or spec["master"]["kind"] == "pose":
         return None
-    scale = largest_scale(spec, "force_scale") * largest_scale(spec, "position_scale")
-    period_s = max(spec["run"]["period_s"], spec["slave"]["period_s"])
-    speed = DRAG_SPEED_OF_JOINTS if spec["master"]["kind"] == "joints" else DRAG_SPEED
-    drag_n = min(DRAG_N, 0.25 * largest_force_n(spec) * largest_scale(spec, "force_scale"))
-    mass_kg = min(min(spec["master"]["mass_kg"]) / scale, virtual_tool(spec).mass_kg)
-    most = min(MOST_DAMPING * mass_kg / period_s, drag_n / speed / scale)
+    most = _most_damping(spec, virtual_tool(spec).mass_kg)
     best: AdvisedCoupling | None = None
     for name, *_ in COUPLINGS:
         per = _least(name, 1.0, delays[1], spec)
-        if per is None or (kinds and name not in kinds):
+        if per is None or coupling_facts(name).keeps_ledger or (kinds and name not in kinds):
             continue
         stiffness = rounded_down(most / (DAMPING_MARGIN * per))
         for _ in range(STEPS):
@@ -222,6 +276,30 @@ def advised_coupling(scene: Scene, up_to_s: float, kinds: tuple[str, ...] = ()) 
     return best
 
 
+def _most_damping(spec: dict[str, Any], tool_kg: float = inf) -> float:
+    """Return the largest damping in N s/m that the device, and a tool, bear and that a hand tolerates."""
+    scale = largest_scale(spec, "force_scale") * largest_scale(spec, "position_scale")
+    speed = DRAG_SPEED_OF_JOINTS if spec["master"]["kind"] == "joints" else DRAG_SPEED
+    drag_n = min(DRAG_N, 0.25 * largest_force_n(spec) * largest_scale(spec, "force_scale"))
+    mass_kg = min(min(spec["master"]["mass_kg"]) / scale, tool_kg)
+    return float(min(MOST_DAMPING * mass_kg / _period_s(spec), drag_n / speed / scale))
+
+
+def advised_waves(scene: Scene) -> tuple[float, float] | None:
+    """Return the largest impedance b of waves that a device bears, in N s/m, and their stiffness 1/C in N/m; or None.
+
+    Args:
+        scene: Scene with a [slave], not of kind "pose".
+    """
+    spec = scene_numbers(scene)
+    delays = link_delays_s(spec)
+    if delays is None or spec["master"]["kind"] == "pose":
+        return None
+    impedance = rounded_down(_most_damping(spec))
+    facts = coupling_facts("wave", impedance=impedance, round_trip_s=delays[0], period_s=_period_s(spec))
+    return impedance, 1.0 / (facts.compliance or inf)
+
+
 def _stable(scene: Scene, up_to_s: float) -> Intervals:
     return coupled_delays([*coupled_loops(scene), *coupled_loops(scene, held=False)], up_to_s)
 
@@ -229,8 +307,16 @@ def _stable(scene: Scene, up_to_s: float) -> Intervals:
 def coupling_advice(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Iterator[Finding]:
     """Report the coupling that a device pair and its round trip allow, with the lines of its table."""
     advised, delays, units = advised_coupling(scene, up_to_s), link_delays_s(spec), Units.of(spec)
+    waves = advised_waves(scene)
     if advised is None or delays is None:
         return
+    if waves is not None and waves[1] > advised.stiffness:
+        yield Finding(
+            name="waves", state="note", text=f"over {delays[0] * 1e3:.0f} ms waves are stiffer at rest:"
+            f" {waves[1]:.3g} {units.stiffness} instead of {advised.stiffness:g}, passive for any hand and tool, delay"
+            f" and loss: [coupling] kind = \"wave\", impedance = {waves[0]:g}",
+            value=waves[1], unit=units.stiffness,
+        )  # fmt: skip
     yield Finding(
         name="coupling", state="note", text=f"over {delays[1] * 1e3:.0f} ms this pair bears {advised.kind} with K ="
         f" {advised.stiffness:g} {units.stiffness}, passive for any hand and tool; held"

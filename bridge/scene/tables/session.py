@@ -130,7 +130,7 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """`[coupling]`: coupling of master and slave; `haptether list` has the kinds with their sources."""
 
     kind: CouplingName = "position-force"
-    """Coupling; by default position forth, measured force back."""
+    """Coupling; by default position forward, measured force back."""
     stiffness: Positive | None = None
     """K in N/m (N m/rad for joints) of a coupling with a spring; by default that of the coupling."""
     damping: NonNegative | None = None

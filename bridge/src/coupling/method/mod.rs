@@ -196,6 +196,11 @@ pub(crate) trait Method<const N: usize> {
     fn sent(&self) -> (Axes<N>, f64) {
         (Axes::zeros(), 0.0)
     }
+
+    /// Return the energy in J that the half has given beyond what it had, and still has to take back.
+    fn deficit_j(&self) -> f64 {
+        0.0
+    }
 }
 
 /// Coefficients of both halves, which are linear: of `F_m` in `x_m, v_m, x_s', v_s', F_c'`, and of `F_c` in

@@ -10,7 +10,7 @@ use crate::wire::Role;
 /// Declare every item that depends on the set of couplings; each line is `Kind = code: file;`.
 macro_rules! couplings {
     ($(#[$doc:meta])* $measured:ident = $zero:literal; $($(#[$docs:meta])* $kind:ident = $code:literal: $file:ident;)+) => {
-        $(mod $file;)+
+        $(pub(super) mod $file;)+
 
         /// Kind of a coupling.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
@@ -132,6 +132,12 @@ macro_rules! couplings {
             #[inline]
             pub(super) fn sent(&self) -> (Axes<N>, f64) {
                 match self { $(Self::$kind(half) => Method::<N>::sent(half),)+ }
+            }
+
+            /// Return the energy in J that the half has given beyond what it had.
+            #[inline]
+            pub(super) fn deficit_j(&self) -> f64 {
+                match self { $(Self::$kind(half) => Method::<N>::deficit_j(half),)+ }
             }
         }
     };

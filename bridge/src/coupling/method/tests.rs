@@ -2,7 +2,7 @@
 
 use proptest::prelude::*;
 
-use super::*;
+use super::{registry::wave::Incoming, *};
 use crate::{
     coupling::Mapping,
     port::CouplingMessage,
@@ -64,9 +64,10 @@ fn oldest_s(path: &[Option<usize>]) -> f64 {
     path.iter().enumerate().map(|(now, sent)| (now - sent.unwrap_or(0)) as f64 * T).fold(0.0, f64::max)
 }
 
-/// Result of a run: the lowest `E_m - E_s` in J, and `F_m` in N and `x_m - x_s` in m at the end.
+/// Result of a run: the lowest `E_m - E_s` and the largest deficit of the master in J, and `F_m` in N and `x_m - x_s` in m at the end.
 struct Ledger {
     lowest_j: f64,
+    deficit_j: f64,
     force: f64,
     apart: f64,
 }
@@ -85,7 +86,7 @@ fn run(
     let axes = Axes::<1>::new;
     let starts = plants.map(|plant| plant.x);
     let mut sent: Vec<[Message; 2]> = Vec::new();
-    let mut ledger = Ledger { lowest_j: 0.0, force: 0.0, apart: 0.0 };
+    let mut ledger = Ledger { lowest_j: 0.0, deficit_j: 0.0, force: 0.0, apart: 0.0 };
     let (mut energy, mut forces, mut ways) = (0.0, [0.0; 2], [0.0; 2]);
     for (now, path) in paths[0].iter().zip(paths[1]).enumerate() {
         let moved = [0, 1].map(|side| plants[side].x - starts[side]);
@@ -118,6 +119,7 @@ fn run(
         ways = [0, 1].map(|side| plants[side].step([-forces[0], forces[1]][side], target[side]));
         energy += forces[0] * ways[0] - forces[1] * ways[1];
         ledger.lowest_j = ledger.lowest_j.min(energy);
+        ledger.deficit_j = ledger.deficit_j.max(halves[0].deficit_j());
         (ledger.force, ledger.apart) = (forces[0], moved[0] - moved[1]);
     }
     ledger
@@ -354,8 +356,19 @@ fn energy_couplings_settle_at_their_closed_form() {
         for (kind, gains) in cases {
             let seen = run([half(kind, gains); 2], reference(), [&paths[0], &paths[1]], ramp);
             let series = 1.0 / 40.0 + kind.compliance(&gains, round_s, T).unwrap() + 1.0 / 2000.0;
-            let ratio = seen.force * series / 0.03;
-            println!("{kind:?} {gains:?} {forth}/{back}: {} N, ratio {ratio}, lowest {}", seen.force, seen.lowest_j);
+            let expected = 0.03 / series;
+            // TDPA ripples above 100 ms, where alpha takes back what the master gave.
+            let tolerance = match kind {
+                CouplingKind::Tdpa if round_s > 0.2 => 0.06,
+                CouplingKind::Pspm => 1e-4,
+                _ => 2e-4,
+            };
+            let off = seen.force / expected - 1.0;
+            assert!(
+                off.abs() < tolerance,
+                "{kind:?} {gains:?}, {forth} and {back} ms: {} of {expected} N",
+                seen.force
+            );
         }
     }
 }
@@ -393,12 +406,16 @@ fn drawn() -> impl Strategy<Value = Drawn> {
     let hands = ([0.0..0.1f64, 0.0..0.1f64], [20..1000usize, 20..1000usize]);
     ([plant(), plant()], path, draws, hands, kind, prop::array::uniform4(0.0..1.0f64)).prop_map(
         |(plants, (delays, jitter, loss), draws, (swing, periods), kind, shares)| {
-            // What a damper that is held for a tick may be, and a spring for it.
+            // A damper that is held for a tick must not turn the motion around.
             let most = 0.3 / T * plants[0].mass.min(plants[1].mass);
             let damping = (0.02 + 0.98 * shares[0]) * most.min(30.0);
             let stiffness = (0.02 + 0.98 * shares[1]) * damping / (1.3 * T);
             let gains = Gains {
-                impedance: if defaults(kind).impedance > 0.0 { (0.1 + 0.9 * shares[2]) * most.min(30.0) } else { 0.0 },
+                impedance: if defaults(kind).impedance > 0.0 {
+                    (0.1 + 0.9 * shares[2]) * most.min(30.0)
+                } else {
+                    0.0
+                },
                 spread_s: if kind == CouplingKind::Wave { T + 0.04 * shares[3] } else { 0.0 },
                 start_j: if kind == CouplingKind::Pspm { 5e-3 * shares[3] } else { 0.0 },
                 most_damping: defaults(kind).most_damping.min(0.2 / T * plants[0].mass),
@@ -412,14 +429,84 @@ fn drawn() -> impl Strategy<Value = Drawn> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 1000, ..ProptestConfig::default() })]
 
+    /// Waves and PSPM give no energy beyond `2 E_0`, and TDPA at most the deficit that its master carries, over any delay,
+    /// jitter to 40 ms, loss to 20 %, reordering and copies: `E_m - E_s` of the plants at every tick.
     #[test]
     fn energy_couplings_create_no_energy(drawn in drawn()) {
         let ledger = drawn.run();
-        let given_j = 2.0 * drawn.gains.start_j;
-        let Drawn { kind, gains, delays, jitter, loss, plants, .. } = &drawn;
-        if *kind != CouplingKind::Tdpa && ledger.lowest_j < -given_j - 1e-9 {
-            println!("{kind:?} {} of {} {gains:?} {delays:?} {jitter} {loss} {plants:?}", ledger.lowest_j, -given_j);
-        }
-        if *kind == CouplingKind::Tdpa && ledger.lowest_j < -1e-3 { println!("tdpa {}", ledger.lowest_j); }
+        let given_j = 2.0 * drawn.gains.start_j + ledger.deficit_j;
+        prop_assert!(ledger.lowest_j >= -given_j - 1e-9, "{} J of {given_j} J", ledger.lowest_j);
+        let is_tdpa = drawn.kind == CouplingKind::Tdpa;
+        prop_assert!(is_tdpa || ledger.deficit_j == 0.0);
     }
+}
+
+/// Rule by which a receiver plays waves.
+type Rule = fn(&mut (f64, f64), [f64; 2], bool) -> f64;
+
+/// Energy in J of the waves that a rule plays, less the energy that was sent, at its highest over a path.
+fn played_beyond_sent(rule: Rule, waves: &[f64], path: &[Option<usize>]) -> f64 {
+    let (mut integral, mut energy, mut sent) = (0.0, 0.0, Vec::new());
+    let (mut state, mut out, mut highest) = ((0.0, 0.0), 0.0, f64::MIN);
+    for (now, heard) in path.iter().enumerate() {
+        integral += waves[now] * T;
+        energy += 0.5 * T * waves[now] * waves[now];
+        sent.push([integral, energy]);
+        let is_new = now == 0 || path[now - 1] != *heard;
+        let wave = rule(&mut state, heard.map_or([0.0; 2], |tick| sent[tick]), is_new);
+        out += 0.5 * T * wave * wave;
+        highest = highest.max(out - energy);
+    }
+    highest
+}
+
+/// The rule of the coupling, the whole difference at once, and the last wave held.
+const RULES: [Rule; 3] = [
+    |state, [integral, sum], _| {
+        let mut incoming = Incoming { played: Axes::<1>::new(state.0), energy_j: state.1 };
+        let (zero, vector) = (Axes::zeros(), Axes::<1>::new(integral));
+        let wave = incoming.play(&Peer { position: &zero, velocity: &zero, vector: &vector, sum }, T, T)[0];
+        *state = (incoming.played[0], incoming.energy_j);
+        wave
+    },
+    |state, [integral, _], _| {
+        let wave = (integral - state.0) / T;
+        state.0 = integral;
+        wave
+    },
+    |state, [integral, _], is_new| {
+        if is_new {
+            *state = (integral, (integral - state.0) / T);
+        }
+        state.1
+    },
+];
+
+proptest! {
+    #[test]
+    fn a_played_wave_has_no_energy_that_was_not_sent(
+        waves in prop::collection::vec(-3.0..3.0f64, 1500),
+        draws in prop::collection::vec((0.0..1.0f64, 0.0..1.0f64), 1500),
+        (delay, jitter, loss) in (0..100usize, 0..40usize, 0.0..0.2f64),
+    ) {
+        let path = newest(delay, jitter, loss, &draws);
+        let beyond = played_beyond_sent(RULES[0], &waves, &path);
+        prop_assert!(beyond <= 1e-9, "{beyond} J");
+    }
+}
+
+/// A constant wave over a path with gaps: the two other rules create energy, so the test above can fail.
+#[test]
+fn other_rules_for_waves_create_energy() {
+    let (waves, draws) = (vec![1.0; 3000], (0..3000).map(|n| (0.0, f64::from(u8::from(n % 10 == 0)) * 0.9)));
+    // Nine of ten frames are lost.
+    let path = newest(10, 0, 0.5, &draws.collect::<Vec<_>>());
+    let pulse = |now: usize| if now % 10 == 0 { 3.0 } else { 0.0 };
+    let pulses = (0..3000).map(pulse).collect::<Vec<_>>();
+    assert!(played_beyond_sent(RULES[0], &waves, &path) <= 1e-9);
+    assert!(played_beyond_sent(RULES[0], &pulses, &path) <= 1e-9);
+    let at_once = played_beyond_sent(RULES[1], &waves, &path);
+    assert!(at_once > 5.0 * 0.5 * 3000.0 * T, "{at_once} J");
+    let held = played_beyond_sent(RULES[2], &pulses, &path);
+    assert!(held > 0.1, "{held} J");
 }

@@ -9,11 +9,11 @@ const KEPT: f64 = 0.25;
 
 /// Spring K and damper B at each side towards a set position, which moves to the peer's as far as energy allows.
 ///
-/// `F = K (y - x) - B v`. At each tick y becomes the point nearest to the peer's position with
-/// `E + D - (K |y - x|² - K |y_before - x|²) / 2 >= 0`, which is `x + clip(x' - x, r)` with
-/// `r² = |y_before - x|² + 2 (E + D) / K`. D is what the damper has taken since the last tick: exactly the work of the plant
-/// less the change of the spring, so `(B - K dT/2) |dx|² / dT`. What E has above its bound goes to the peer. In series it
-/// has the compliance `1/K`.
+/// `F = K (y - x) - B v`. At each tick y moves to the point nearest to the peer's position that the energy E pays:
+/// `y = x + clip(x' - x, r)`, `r² = |y_before - x|² + 2 (E + D) / K`.
+///
+/// D is what the damper has taken since the last tick: the work of the plant less the change of the spring. It is
+/// `(B - K dT/2) |dx|² / dT`. What E has above its bound goes to the peer. In series it has the compliance `1/K`.
 ///
 /// Source: Lee and Huang 2010; the sampled spring: Colgate and Schenkel 1997.
 #[derive(Clone, Copy, Debug)]

@@ -9,14 +9,14 @@ const FOLLOW_PER_S: f64 = 20.0;
 
 /// Two-port with an exact passivity controller at each side.
 ///
-/// Slave: `F_s = K (x_sd - x_s) + B (v_sd - v_s) = P_0 + g v_sd`, with `g = K dT + B`. It would like
-/// `v_sd = v_m' + k_d (x_m' - x_sd)`, and takes the largest share s of it, from 0 to 1, with
-/// `dT s v (P_0 + g s v) <= W = E_0 + E_in,m' - E_out,s`. So W never falls below zero, nothing is divided by a force or a
-/// velocity, and the energy W itself pays for the correction of the drift.
+/// Slave: `F_s = K (x_sd - x_s) + B (v_sd - v_s) = P_0 + g v_sd`, with `g = K dT + B`. It wants
+/// `v = v_m' + k_d (x_m' - x_sd)`. It takes the largest share s of it, from 0 to 1, that its energy pays:
+/// `dT s v (P_0 + g s v) <= W`, `W = E_0 + E_in,m' - E_out,s`. W never falls below zero, nothing is divided by a force or a
+/// velocity, and W pays for the correction of the drift.
 ///
-/// Master: `F_m = F_s' + (d_0 + alpha) v`, with `alpha = -W_m / (dT v²)` up to a bound, where
-/// `W_m = E_0 + E_in,s' - E_out,m` plus what alpha has really taken. The rest of a deficit is carried. The damping `d_0`
-/// counts as energy of the hand: without it, and without `E_0`, the slave could never begin to move.
+/// Master: `F_m = F_s' + (d_0 + alpha) v`. `W_m = E_0 + E_in,s' - E_out,m` plus what alpha has really taken. Below zero,
+/// `alpha = -W_m / (dT v²)` up to a bound, and the rest of the deficit is carried. The damping `d_0` counts as energy of
+/// the hand. Without it and without `E_0` the slave never begins to move.
 ///
 /// Source: Ryu, Artigas and Preusche 2010; drift: Coelho et al. 2019; exact energies: Stramigioli et al. 2005.
 #[derive(Clone, Copy, Debug)]
@@ -27,6 +27,8 @@ pub(crate) struct Tdpa<const N: usize> {
     in_j: f64,
     /// Energy in J from the link into the plant, less what alpha has taken.
     out_j: f64,
+    /// Energy in J that the master has given beyond its W, which alpha has not taken yet.
+    deficit_j: f64,
     /// Force in N at the last tick, and its share by alpha.
     force: Axes<N>,
     taken: Axes<N>,
@@ -55,7 +57,7 @@ impl<const N: usize> Method<N> for Tdpa<N> {
 
     fn new(gains: Gains, space: Space) -> Self {
         let [force, taken, stretch] = [Axes::zeros(); 3];
-        Self { gains, space, in_j: 0.0, out_j: 0.0, force, taken, stretch }
+        Self { gains, space, in_j: 0.0, out_j: 0.0, deficit_j: 0.0, force, taken, stretch }
     }
 
     /// `K dT`: the spring of the slave is sampled.
@@ -71,9 +73,9 @@ impl<const N: usize> Method<N> for Tdpa<N> {
         self.out_j += (-port_j).max(0.0) - taken_j;
         self.in_j += port_j.max(0.0);
         let speed = own.velocity.norm_squared();
-        let deficit_j = -self.left_j(peer);
-        let alpha = if deficit_j > 0.0 && speed > 0.0 {
-            (deficit_j / (own.dt * speed)).min(self.gains.most_damping)
+        self.deficit_j = (-self.left_j(peer)).max(0.0);
+        let alpha = if self.deficit_j > 0.0 && speed > 0.0 {
+            (self.deficit_j / (own.dt * speed)).min(self.gains.most_damping)
         } else {
             0.0
         };
@@ -105,5 +107,9 @@ impl<const N: usize> Method<N> for Tdpa<N> {
 
     fn sent(&self) -> (Axes<N>, f64) {
         (self.force, self.in_j)
+    }
+
+    fn deficit_j(&self) -> f64 {
+        self.deficit_j
     }
 }

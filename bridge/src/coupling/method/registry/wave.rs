@@ -4,6 +4,8 @@ use haptether_safety::Axes;
 
 use super::super::{CouplingAbout, Gains, Local, Method, Peer, Sends, Space, capped};
 
+/// Time in s of rest after which the slave removes a drift: longer than the round trip, in which waves still come back.
+const QUIET_S: f64 = 1.0;
 /// Rate in 1/s at which the slave removes a drift, and its largest speed in small distances per second.
 const DRIFT_PER_S: f64 = 2.0;
 const DRIFT_SPEED: f64 = 150.0;
@@ -12,18 +14,19 @@ const PAYING: f64 = 0.05;
 
 /// Wave coupling of impedance b.
 ///
-/// `u = (b v_m + F_m) / (2b)^(1/2)` goes to the slave, `w = (b v_sd - F_s) / (2b)^(1/2)` comes back, so
-/// `F_m v_m - F_s v_sd = (u² - w²)/2 - (u'² - w'²)/2`: a constant delay only stores energy. A spring K and a damper B hold
-/// the tool at `x_sd`: `F_s = K (x_sd - x_s) + B (v_sd - v_s)`, solved with `v_sd` of the same tick. In series it has the
-/// compliance `1/K + (T1 + T2 + dT + 2 (spread - dT)) / (2 b)`: a wave of the master describes the last tick.
+/// `u = (b v_m + F_m) / (2b)^(1/2)` goes to the slave, and `w = (b v_sd - F_s) / (2b)^(1/2)` comes back. The power of a side
+/// is the difference of its waves: `F v = (u² - w²) / 2`. So a constant delay only stores energy.
+///
+/// A spring K and a damper B hold the tool at `x_sd`: `F_s = K (x_sd - x_s) + B (v_sd - v_s)`, solved with `v_sd` of the same
+/// tick. In series the coupling has the compliance `1/K + (T1 + T2 + dT + 2 (spread - dT)) / (2 b)`: a wave of the master describes the last tick.
 ///
 /// A frame has the integral of the wave and its energy. The receiver plays what it has not played, over `spread`, and never
 /// more energy than has arrived. So neither loss nor jitter nor order creates energy, and no motion is lost. Each sender
 /// pays its wave from the energy that its port has really received: force exerted times way. A damping of 5 % of b at the
 /// master pays for the damper b, which is held for a tick.
 ///
-/// While both sides rest without force, the slave moves `x_sd` towards the position of the master, and pays it from what the
-/// waves left.
+/// The slave moves `x_sd` towards the position of the master: across the force at all times, because an integral of twists
+/// is no orientation, and along it while both sides rest without force. It pays this from what the waves left.
 ///
 /// Source: Anderson and Spong 1989; Niemeyer and Slotine 1991, 2004; energy: Chopra, Berestesky and Spong 2003.
 #[derive(Clone, Copy, Debug)]
@@ -38,6 +41,8 @@ pub(crate) struct Wave<const N: usize> {
     paying: Axes<N>,
     /// `x_sd - x_s` in m of the slave.
     stretch: Axes<N>,
+    /// Time in s that spring and wave of the slave have been small.
+    quiet_s: f64,
 }
 
 /// Wave that a half sends: what its budget cannot pay waits.
@@ -63,14 +68,14 @@ impl<const N: usize> Outgoing<N> {
 
 /// Wave that a half plays, from the integral and the energy of its peer.
 #[derive(Clone, Copy, Debug)]
-struct Incoming<const N: usize> {
-    played: Axes<N>,
-    energy_j: f64,
+pub(in super::super) struct Incoming<const N: usize> {
+    pub(in super::super) played: Axes<N>,
+    pub(in super::super) energy_j: f64,
 }
 
 impl<const N: usize> Incoming<N> {
     /// Return the wave of this tick.
-    fn play(&mut self, peer: &Peer<'_, N>, spread_s: f64, dt: f64) -> Axes<N> {
+    pub(in super::super) fn play(&mut self, peer: &Peer<'_, N>, spread_s: f64, dt: f64) -> Axes<N> {
         let left = peer.vector - self.played;
         let wave = capped(&(left / spread_s.max(dt)), (2.0 * (peer.sum - self.energy_j).max(0.0) / dt).sqrt());
         self.played += wave * dt;
@@ -84,17 +89,22 @@ impl<const N: usize> Wave<N> {
         (2.0 * self.gains.impedance).sqrt()
     }
 
-    /// Move `x_sd` towards the position of the master while spring and wave are small; the energy that has arrived and was
-    /// not played pays for it.
+    /// Move `x_sd` towards the position of the master: across the force, which takes no power, and in all directions once
+    /// spring and wave have been small for a while. The energy that has arrived and was not played pays for it.
     fn correct_drift(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>, [force, wave]: [&Axes<N>; 2]) {
         let small = self.space.small();
         let stretched = self.stretch.norm().max(self.root() * wave.norm() / self.gains.stiffness);
         let free = 1.0 - stretched / small;
-        if free <= 0.0 {
-            return;
+        self.quiet_s = if free > 0.0 { self.quiet_s + own.dt } else { 0.0 };
+        let mut drift = self.space.left(&(peer.position - own.position), &self.stretch);
+        let squared = force.norm_squared();
+        if self.quiet_s < QUIET_S {
+            if N == 1 || squared == 0.0 {
+                return;
+            }
+            drift -= force * (force.dot(&drift) / squared);
         }
-        let target = self.space.left(&(peer.position - own.position), &self.stretch);
-        let step = capped(&(target * (DRIFT_PER_S * free)), DRIFT_SPEED * small) * own.dt;
+        let step = capped(&(drift * DRIFT_PER_S), DRIFT_SPEED * small) * own.dt;
         let cost_j = step.dot(force) + self.gains.stiffness * step.norm_squared();
         if cost_j <= peer.sum - self.incoming.energy_j {
             self.incoming.energy_j += cost_j.max(0.0);
@@ -121,7 +131,7 @@ impl<const N: usize> Method<N> for Wave<N> {
         let zero = Axes::zeros();
         let outgoing = Outgoing { waiting: zero, sent: zero, energy_j: 0.0 };
         let incoming = Incoming { played: zero, energy_j: 0.0 };
-        Self { gains, space, outgoing, incoming, budget_j: 0.0, paying: zero, stretch: zero }
+        Self { gains, space, outgoing, incoming, budget_j: 0.0, paying: zero, stretch: zero, quiet_s: 0.0 }
     }
 
     /// `K dT`: the spring of the slave is sampled.
