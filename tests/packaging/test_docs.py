@@ -43,6 +43,13 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert (page.parent / target).exists(), target
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_blocks_within_lists_are_where_every_renderer_sees_them(page: Path) -> None:
+    """Four spaces for a paragraph or a fence, eight for code: less ends the list in some renderers."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+    assert not re.findall(r"\n\n(?: {1,3}| {5,7})\S.*", text)
+
+
 def test_each_decision_has_a_number_and_is_listed_once() -> None:
     listed = re.findall(r"^- \[[^]]+\]\((\d{3}-[a-z0-9-]+\.md)\)", (DECISIONS / "README.md").read_text(), re.MULTILINE)
     assert sorted(listed) == sorted(page.name for page in DECISIONS.glob("*.md") if page.name != "README.md")
@@ -146,7 +153,9 @@ def test_the_page_of_commands_shows_every_command() -> None:
     assert network == set(GROUPS["netsim"])
 
 
-@pytest.mark.parametrize("page", ["README.md", *(f"docs/{name}.md" for name in ("commands", "first_finding", "install", "network"))])
+@pytest.mark.parametrize(
+    "page", ["README.md", *(f"docs/{name}.md" for name in ("commands", "first_finding", "install", "network"))]
+)
 def test_flags_of_shown_commands_exist(page: str, capsys: pytest.CaptureFixture[str]) -> None:
     for name, arguments in shown_commands(ROOT / page):
         flags = re.findall(r"--[a-z-]+", arguments)

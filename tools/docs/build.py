@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,12 @@ TRANSITION = re.compile(r"(\S+) --> (\S+): (.*)")
 ROOMS = ("safety", "netsim", "dynamixel", "master", "slave", "bridge", "studies", "view")
 PACKAGES = ("haptether", *(f"haptether.{room}" for room in ROOMS))
 DECISIONS = "docs/decisions/README.md"
-SCENE_FILES = (*(f"bridge/scene/tables/{name}.py" for name in ("session", "master", "slave")), "netsim/link/settings.py")
+SCENE_FILES = (
+    "bridge/scene/tables/session.py",
+    "bridge/scene/tables/master.py",
+    "bridge/scene/tables/slave.py",
+    "netsim/link/settings.py",
+)
 TABLE = re.compile(r"((?:`\[.+?\]`(?:, )?)*)(?:: )?(.*)", re.DOTALL)
 
 Navigation = list[dict[str, Any]]
@@ -54,12 +60,14 @@ def copy_documents() -> None:
                 copy.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(source, copy)
         text = re.sub(r"```mermaid\n(.*?)```", diagram_table, text, flags=re.DOTALL)
-        page.write_text(NAMED_BY_FILE.sub(lambda link: f"[{title(page.parent / link[1])}]({link[1]})", text), "utf-8")
+        text = re.sub(r"^\|.*", bare_bars, text, flags=re.MULTILINE)
+        page.write_text(NAMED_BY_FILE.sub(partial(titled, page.parent), text), "utf-8")
 
 
-def title(page: Path) -> str:
-    """Return the first heading of a page."""
-    return page.read_text("utf-8").partition("\n")[0].removeprefix("# ")
+def titled(folder: Path, link: re.Match[str]) -> str:
+    """Return a link with the title of its page in place of the file name."""
+    title = (folder / link[1]).read_text("utf-8").partition("\n")[0].removeprefix("# ")
+    return f"[{title}]({link[1]})"
 
 
 def diagram_table(diagram: re.Match[str]) -> str:
@@ -71,7 +79,8 @@ def diagram_table(diagram: re.Match[str]) -> str:
 def write_commands() -> None:
     """Write the help of every command."""
     os.environ["COLUMNS"] = "96"
-    names = [*(name for name in COMMANDS if name not in GROUPS), *(f"{of} {name}" for of in GROUPS for name in GROUPS[of])]
+    names = [name for name in COMMANDS if name not in GROUPS]
+    names += [f"{group} {name}" for group, commands in GROUPS.items() for name in commands]
     parts = ["# Options of every command", "`haptether help COMMAND` prints the same."]
     for name in names:
         printed = io.StringIO()
@@ -85,7 +94,7 @@ def write_keys() -> None:
     """Write the keys of a scene, a table each: types and ranges from the schema, the rest from the docstrings."""
     _, schemas = msgspec.json.schema_components([Scene], ref_template="{name}")
     classes = {name: found for file in SCENE_FILES for name, found in read(file).classes.items()}
-    parts = ["# Keys of a scene", "Ranges include their ends. Where no default is shown, the meaning says what an absent key does."]
+    parts = ["# Keys of a scene", "Ranges include their ends. If no default is shown, see the meaning."]
     for name, schema in schemas.items():
         docstring = classes[name].docstring
         table, text = TABLE.match(docstring.value if docstring else "").groups()  # type: ignore[union-attr]
@@ -139,6 +148,11 @@ def default_text(value: object) -> str:
 def in_cell(text: str) -> str:
     """Escape the bars of a text outside its code."""
     return "`".join(part if i % 2 else part.replace("|", "\\|") for i, part in enumerate(text.split("`")))
+
+
+def bare_bars(row: re.Match[str]) -> str:
+    """Return a row of a table without the escapes that code hosts need for the bars of its code."""
+    return "`".join(part.replace("\\|", "|") if i % 2 else part for i, part in enumerate(row[0].split("`")))
 
 
 def write_packages() -> None:
