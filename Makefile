@@ -25,6 +25,9 @@ export PYO3_PYTHON := $(CURDIR)/$(BIN)/python
 CRATES := numeric safety netsim dynamixel master slave bridge python python/documented
 RUST_SOURCES := Cargo.toml Cargo.lock $(wildcard $(CRATES:%=%/Cargo.toml)) \
     $(shell find $(CRATES:%=%/src) -type f) python/haptether/_core.pyi
+SITE := out/site/html/index.html
+SITE_SOURCES := $(wildcard *.md) $(shell find docs tools/docs -type f -not -name '*.pyc'; \
+    find -L python/haptether -name '*.py' -o -name '*.pyi')
 PYTHON_CODE := python/haptether \
     $(foreach folder,tests benches examples,$(if $(wildcard $(folder)/*.py),$(folder)))
 
@@ -55,7 +58,7 @@ LIVE_AT_ONCE := 5
 with_retries = $(BIN)/python -m tests.retry -m '$(2)' -- $(1)
 
 .PHONY: test
-test: $(EXTENSION) ## cargo test and pytest
+test: $(EXTENSION) $(SITE) ## cargo test and pytest
 	@rm -f out/retries.json
 	cargo test --locked --workspace --profile quick --tests
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m 'not live and not alone$(NOT_THOROUGH)'
@@ -128,6 +131,17 @@ faults: $(EXTENSION) ## every fault, what is expected, what was seen (about 8 mi
 	@$(USE_INDEX); "$(UV)" pip install --quiet --require-hashes --requirement tools/bench.txt
 	@touch $@
 
+.PHONY: docs
+docs: $(SITE) ## build the documents and the Python API as a site, out/site/html/index.html
+
+$(SITE): $(EXTENSION) .venv/.docs $(SITE_SOURCES)
+	$(BIN)/python tools/docs/build.py
+
+.venv/.docs: tools/docs.txt $(ENVIRONMENT)
+	@echo "installing tools/docs.txt into .venv"
+	@$(USE_INDEX); "$(UV)" pip install --quiet --require-hashes --requirement tools/docs.txt
+	@touch $@
+
 .PHONY: setup
 setup: $(EXTENSION) ## only make the environment in .venv and build the extension
 
@@ -142,6 +156,8 @@ lock: $(PINNED_UV) ## renew tools/*.txt (UPGRADE=--upgrade takes the newest vers
 	    $(COMPILE) --extra all --group dev --output-file tools/requirements.txt pyproject.toml
 	@$(USE_INDEX); set -x; \
 	    $(COMPILE) --group bench --constraint tools/requirements.txt --output-file tools/bench.txt
+	@$(USE_INDEX); set -x; \
+	    $(COMPILE) --group docs --constraint tools/requirements.txt --output-file tools/docs.txt
 	@$(USE_INDEX); set -x; $(COMPILE) --output-file tools/uv.txt tools/uv.in
 	@$(BIN)/python tools/sbom.py >python/haptether.cdx.json
 

@@ -135,6 +135,7 @@ _Message = (
 )
 _Sent = _Message | _Refused
 TelemetryMessage = _Message | TelemetryInvalid
+"""Message of a side, or a line that is none."""
 _CHANGED: dict[str, type] = {"bits": int, "name": str, "flag": bool}
 """Kinds of signals whose changes are sent, and the type of their values."""
 _OWNERS = frozenset({0, os.geteuid()})

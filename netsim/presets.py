@@ -229,3 +229,4 @@ PRESETS: MappingProxyType[str, Preset] = MappingProxyType({
         backward=_GEO,
     ),
 })  # fmt: skip
+"""Measured networks by name."""

@@ -34,10 +34,10 @@ if TYPE_CHECKING:
         Verdict,
         WorstRelease,
         draw_evaluation,
-        evaluate,
         evaluation_html,
         evaluation_markdown,
     )
+    from haptether.studies.evaluation.evaluate import evaluate
     from haptether.studies.falsifier import Falsified, Release, ReleaseBounds, falsify
     from haptether.studies.follow import FOLLOW_CONTROLLERS, FollowResult, FollowScene, draw_follow, run_follow
     from haptether.studies.link_summary import LinkSummary, LinkVerdict, judge_link, summarise_link
@@ -68,15 +68,8 @@ if TYPE_CHECKING:
         draw_trade_off,
         measure_thresholds,
     )
-    from haptether.studies.tuning import (
-        TUNED_FIELDS,
-        Boundary,
-        RocPoint,
-        TunedThreshold,
-        Tuning,
-        draw_tuning,
-        tune,
-    )
+    from haptether.studies.tuning import TUNED_FIELDS, Boundary, RocPoint, TunedThreshold, Tuning, draw_tuning
+    from haptether.studies.tuning.tune import tune
 
 __all__ = [
     "DEMO_CONTROLLERS",

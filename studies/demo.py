@@ -26,6 +26,7 @@ from haptether.view.style.figure import Columns, letter, new_figure, styled, wri
 from haptether.view.style.legend import legend_below
 
 DEMO_CONTROLLERS = ("none", "vfc", "hsc", "wsc")
+"""Controllers of the demonstration, a run each."""
 
 
 class DemoScene(msgspec.Struct, frozen=True, kw_only=True):

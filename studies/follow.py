@@ -30,6 +30,7 @@ from haptether.view.style.figure import Columns, letter, new_figure, styled, wri
 from haptether.view.style.legend import legend_above, legend_below
 
 FOLLOW_CONTROLLERS: Final = ("none", "hsc", "wsc")
+"""Controllers of the demonstration with servo arms, a run each."""
 JOINT: Final = 2
 """Pushed joint, counted from 1."""
 OBJECT: Final = 0.5

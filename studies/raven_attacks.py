@@ -81,3 +81,4 @@ RAVEN_ATTACKS = (
         because="refused at the door, before the sequence counts",
     ),
 )  # fmt: skip
+"""Attacks of `haptether raven`."""

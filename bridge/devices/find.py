@@ -15,9 +15,13 @@ if TYPE_CHECKING:
     from haptether.slave import Gripper, SlaveDevice
 
 MASTERS = "haptether.masters"
+"""Group of the entry points of haptic devices."""
 SLAVES = "haptether.slaves"
+"""Group of the entry points of arms."""
 GRIPPERS = "haptether.grippers"
+"""Group of the entry points of grippers."""
 RESEARCH_CONTROLLERS = "haptether.controllers"
+"""Group of the entry points of controllers in Python."""
 OWN_CONTROLLERS = (
     f"a controller of your own has a name once a package with an entry point of the group {RESEARCH_CONTROLLERS} is"
     " installed, or after register_controller in Python: docs/own_controller.md"

@@ -62,6 +62,7 @@ ROBOTIQ_MODELS: Final = {
         ),
     )
 }
+"""Grippers by name."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from haptether.studies.intervals import median_interval, poisson_interval, wilso
 from haptether.studies.task import Network
 
 Verdict: TypeAlias = Literal["diverged", "thrown", "not-engaged", "uncoupled", "trips", "not-measured", "safe"]
+"""Verdict on a cell, worst first."""
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 """Verdicts, worst first."""
 UNSAFE: frozenset[Verdict] = frozenset({"diverged", "thrown", "not-engaged", "not-measured"})

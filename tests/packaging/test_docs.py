@@ -15,30 +15,39 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 DECISIONS = ROOT / "docs" / "decisions"
 SNIPPETS = [
-    (page.name, snippet)
+    (page.name, snippet, shown)
     for page in PAGES
-    for snippet in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
+    for snippet, shown in re.findall(r"```python\n(.*?)```(?:\n\n```text\n(.*?)```)?", page.read_text(), re.DOTALL)
 ]
+"""Page, code and the output that is shown below the code, or nothing."""
 
 
 def test_there_are_snippets() -> None:
     assert len(SNIPPETS) >= 2
 
 
-@pytest.mark.parametrize(("page", "snippet"), SNIPPETS)
-def test_python_in_documents_runs(page: str, snippet: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("page", "snippet", "shown"), SNIPPETS)
+def test_python_in_documents_runs(page: str, snippet: str, shown: str, tmp_path: Path) -> None:
     ended = subprocess.run(
         [sys.executable, "-W", "error", "-c", snippet],
         cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert ended.returncode == 0, f"{page}: {ended.stderr}"
     assert ended.stdout
+    assert shown in {"", ended.stdout}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text()):
         assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_blocks_within_lists_are_where_every_renderer_sees_them(page: Path) -> None:
+    """Four spaces for a paragraph or a fence, eight for code: less ends the list in some renderers."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+    assert not re.findall(r"\n\n(?: {1,3}| {5,7})\S.*", text)
 
 
 def test_each_decision_has_a_number_and_is_listed_once() -> None:
@@ -144,7 +153,9 @@ def test_the_page_of_commands_shows_every_command() -> None:
     assert network == set(GROUPS["netsim"])
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/commands.md", "docs/network.md", "docs/install.md"])
+@pytest.mark.parametrize(
+    "page", ["README.md", *(f"docs/{name}.md" for name in ("commands", "first_finding", "install", "network"))]
+)
 def test_flags_of_shown_commands_exist(page: str, capsys: pytest.CaptureFixture[str]) -> None:
     for name, arguments in shown_commands(ROOT / page):
         flags = re.findall(r"--[a-z-]+", arguments)

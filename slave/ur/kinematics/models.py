@@ -175,6 +175,7 @@ UR_MODELS: Final[dict[str, UrModel]] = {
     name: _model(name)
     for name in ("ur3", "ur5", "ur10", "ur3e", "ur5e", "ur7e", "ur10e", "ur12e", "ur16e", "ur20", "ur30")
 }
+"""Arms by name."""
 
 
 MAX_PAYLOAD_KG: Final = {
