@@ -112,6 +112,8 @@ def _times(state: SideState) -> list[dict[str, Any]]:
         found.append({"label": "frames lost [%]", "values": [loss * 100.0], "digits": 1, "peak": None})
     if (put := state.last("port_in_j")) is not None and (drawn := state.last("port_out_j")) is not None:
         found.append({"label": "energy in, out [J]", "values": [put, drawn], "digits": 3, "peak": None})
+    if (left := state.last("left_j")) is not None:
+        found.append({"label": LEFT, "values": [left], "digits": 4, "peak": None})
     if (margin := state.passivity_margin()) is not None:
         found.append({"label": MARGIN, "values": [margin], "digits": 2, "peak": None})
     if outliers := state.last("outliers"):

@@ -140,6 +140,8 @@ def _values(state: SideState) -> Table:
         table.add_row(Text(f"{label} [{unit}]"), _vector(state, name, 2), "" if peak is None else f"1 s: {peak:.2f}")
     if (put := state.last("port_in_j")) is not None and (drawn := state.last("port_out_j")) is not None:
         table.add_row(Text("energy in, out [J]"), f"{put:.3f}, {drawn:.3f}", "")
+    if (left := state.last("left_j")) is not None:
+        table.add_row(Text(LEFT), Text(f"{left:.4f}", style="" if left >= 0.0 else "bold red"), "")
     if (margin := state.passivity_margin()) is not None:
         table.add_row(Text(MARGIN), Text(f"{margin:.2f}", style="" if margin > 1.0 else "bold red"), "")
     if outliers := state.last("outliers"):

@@ -348,6 +348,14 @@ impl<const N: usize> Arm<N> {
         }
     }
 
+    /// Energy in J that the coupling may still give; NaN for a coupling that counts none.
+    #[inline]
+    pub(crate) fn left_j(&self) -> f64 {
+        let turning = self.rotation.as_ref().and_then(|rotation| rotation.coupled.as_ref());
+        let turning = turning.map_or(f64::NAN, |turning| turning.left_j());
+        self.coupled.as_ref().map_or(f64::NAN, |coupled| coupled.left_j().min(turning))
+    }
+
     /// End the coupling: the next engagement starts from the positions at that time.
     pub(crate) fn disengage(&mut self) {
         self.translation.disengage();

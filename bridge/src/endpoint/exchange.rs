@@ -76,6 +76,8 @@ pub struct Exchange {
     pub(crate) outliers: u64,
     /// Share of the ticks with a new sample of the device; none before it is measured, and of a simulated device.
     pub(crate) renewal: Option<f64>,
+    /// Energy in J that the coupling may still give; NaN for a coupling that counts none.
+    pub(super) left_j: f64,
     pub(super) events: TickEvents,
     /// Count of the engagements.
     epoch: u16,
@@ -124,6 +126,7 @@ impl Exchange {
             limited_ticks: 0,
             outliers: 0,
             renewal: None,
+            left_j: f64::NAN,
             events: TickEvents::default(),
             epoch: 0,
             fault: 0,
@@ -176,6 +179,12 @@ impl Exchange {
     #[inline]
     pub(crate) fn energy(&self) -> PortEnergy {
         self.outgoing.energy
+    }
+
+    /// Energy in J that the coupling may still give; NaN for a coupling that counts none.
+    #[inline]
+    pub(crate) fn left_j(&self) -> f64 {
+        self.left_j
     }
 
     /// Count of the engagements of this side, from 1; 0 while it is not coupled.

@@ -399,6 +399,8 @@ impl<const N: usize> MasterEndpoint<N> {
         let outgoing = &mut self.exchange.outgoing;
         outgoing.message.epoch = epoch;
         if let Some(coupled) = &self.coupled {
+            let turning = self.turning.as_ref().map_or(f64::NAN, |turning| turning.left_j());
+            self.exchange.left_j = coupled.left_j().min(turning);
             outgoing.message = coupled.message(epoch != 0, &position);
             if let (Some(turning), Some(turned)) = (&self.turning, &taken.rotation)
                 && outgoing.message.epoch != 0

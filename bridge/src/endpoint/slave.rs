@@ -185,6 +185,7 @@ impl<const N: usize> SlaveEndpoint<N> {
         let outgoing = &mut exchange.outgoing;
         outgoing.message.epoch = epoch;
         let tick = arm.tick(now_ns, reading, step.as_ref(), &input, outgoing);
+        exchange.left_j = arm.left_j();
         exchange.limited_ticks += u64::from(tick.limited.any());
         let command = arm.last_command().unwrap_or(reading.position);
         let values = [&reading.position, &command, &reading.environment_force];

@@ -30,6 +30,7 @@ pub(crate) struct LadderSnapshot {
     outliers: u64,
     renewal: f32,
     port: PortEnergy,
+    left_j: f32,
 }
 
 /// Codes of a peer that has not been heard.
@@ -47,8 +48,9 @@ impl LadderSnapshot {
         let outliers = exchange.outliers;
         #[allow(clippy::cast_possible_truncation)] // it is shown, and nothing is computed from it
         let renewal = exchange.renewal.map_or(f32::NAN, |share| share as f32);
-        let port = exchange.energy();
-        Self { reason, peer, clutch: exchange.clutch(), round_trip_ns, outliers, renewal, port }
+        #[allow(clippy::cast_possible_truncation)] // as renewal
+        let (port, left_j) = (exchange.energy(), exchange.left_j() as f32);
+        Self { reason, peer, clutch: exchange.clutch(), round_trip_ns, outliers, renewal, port, left_j }
     }
 }
 
@@ -115,6 +117,8 @@ pub struct MasterRecord<const N: usize, R = ()> {
     pub renewal: f32,
     /// Energies through the port since the engagement.
     pub port: PortEnergy,
+    /// Energy in J that the coupling may still give; NaN for a coupling that counts none.
+    pub left_j: f32,
     /// Fault code, 0 without.
     pub fault: u8,
     /// Rotation; empty for a point.
@@ -156,6 +160,7 @@ impl<const N: usize, R: MasterTurn> Default for MasterRecord<N, R> {
             outliers: 0,
             renewal: f32::NAN,
             port: PortEnergy::default(),
+            left_j: f32::NAN,
             fault: 0,
             rotation: R::empty(),
         }
@@ -210,6 +215,7 @@ impl<const N: usize, R: MasterTurn> MasterRecord<N, R> {
             outliers: snapshot.outliers,
             renewal: snapshot.renewal,
             port: snapshot.port,
+            left_j: snapshot.left_j,
             fault: tick.safety.fault.map_or(0, Fault::code),
             rotation,
         }
@@ -259,6 +265,8 @@ pub struct SlaveRecord<const N: usize, R = ()> {
     pub renewal: f32,
     /// Energies through the port since the engagement.
     pub port: PortEnergy,
+    /// Energy in J that the coupling may still give; NaN for a coupling that counts none.
+    pub left_j: f32,
     /// Fault code, 0 without.
     pub fault: u8,
     /// Rotation; empty for a point.
@@ -290,6 +298,7 @@ impl<const N: usize, R: SlaveTurn> Default for SlaveRecord<N, R> {
             outliers: 0,
             renewal: f32::NAN,
             port: PortEnergy::default(),
+            left_j: f32::NAN,
             fault: 0,
             rotation: R::empty(),
         }
@@ -330,6 +339,7 @@ impl<const N: usize, R: SlaveTurn> SlaveRecord<N, R> {
             outliers: snapshot.outliers,
             renewal: snapshot.renewal,
             port: snapshot.port,
+            left_j: snapshot.left_j,
             fault: tick.fault.map_or(0, Fault::code),
             rotation: R::of(reading.rotation.as_ref(), tick),
         }

@@ -137,6 +137,7 @@ const OUTLIERS: &str =
     "samples so far that left the path of the others and were replaced by their prediction";
 const RENEWAL: &str = "share of the ticks with a new sample of the device; null before it is measured, and of a simulated device";
 const PORT_IN: &str = "energy in J that hand or arm has put into the coupling since the engagement";
+const LEFT: &str = "energy in J that the coupling may still give; below 0 a deficit; null if it counts none";
 const PORT_OUT: &str = "energy in J that it has drawn from the coupling since the engagement";
 const FAULT: &str = "code of the fault, 0 without";
 
@@ -189,6 +190,7 @@ impl<const N: usize, R: MasterTurn> Recorded for MasterRecord<N, R> {
             ("renewal", RENEWAL, Value::Number(self.renewal.into())),
             ("port_in_j", PORT_IN, Value::Number(self.port.in_j)),
             ("port_out_j", PORT_OUT, Value::Number(self.port.out_j)),
+            ("left_j", LEFT, Value::Number(self.left_j.into())),
             ("fault", FAULT, Value::Count(self.fault.into())),
             ("gain", "the ladder's share of the requested force, 0 to 1", Value::Number(self.gain)),
             ("missed", "ticks that were left out since the last", Value::Count(self.missed)),
@@ -243,6 +245,7 @@ impl<const N: usize, R: SlaveTurn> Recorded for SlaveRecord<N, R> {
             ("renewal", RENEWAL, Value::Number(self.renewal.into())),
             ("port_in_j", PORT_IN, Value::Number(self.port.in_j)),
             ("port_out_j", PORT_OUT, Value::Number(self.port.out_j)),
+            ("left_j", LEFT, Value::Number(self.left_j.into())),
             ("fault", FAULT, Value::Count(self.fault.into())),
         ] {
             take(field);

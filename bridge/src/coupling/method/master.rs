@@ -40,7 +40,7 @@ impl Engagements {
     }
 
     /// Return whether an engaged half goes on with the slave's engagement `peer`.
-    pub(super) fn goes_on(&self, peer: u16) -> bool {
+    pub(super) fn goes_on(self, peer: u16) -> bool {
         peer == self.peer
     }
 
@@ -149,5 +149,10 @@ impl<const N: usize> CoupledMaster<N> {
         let (wave, energy_j) = self.half.sent();
         let vector = if kind.sends(Role::Master) == Some(Sends::Wave) { wave } else { position - origin };
         CouplingMessage { epoch, vector: padded(&vector), sums: [energy_j, 0.0], ..CouplingMessage::ZERO }
+    }
+
+    /// Energy in J that the half may still give; NaN for a half that counts none.
+    pub(crate) fn left_j(&self) -> f64 {
+        self.half.left_j()
     }
 }

@@ -197,9 +197,10 @@ pub(crate) trait Method<const N: usize> {
         (Axes::zeros(), 0.0)
     }
 
-    /// Return the energy in J that the half has given beyond what it had, and still has to take back.
-    fn deficit_j(&self) -> f64 {
-        0.0
+    /// Return the energy in J that the half may still give. It is below 0 for a deficit that it has to take back, and NaN
+    /// for a half that counts none.
+    fn left_j(&self) -> f64 {
+        f64::NAN
     }
 }
 

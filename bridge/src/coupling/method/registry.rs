@@ -134,10 +134,10 @@ macro_rules! couplings {
                 match self { $(Self::$kind(half) => Method::<N>::sent(half),)+ }
             }
 
-            /// Return the energy in J that the half has given beyond what it had.
+            /// Return the energy in J that the half may still give.
             #[inline]
-            pub(super) fn deficit_j(&self) -> f64 {
-                match self { $(Self::$kind(half) => Method::<N>::deficit_j(half),)+ }
+            pub(super) fn left_j(&self) -> f64 {
+                match self { $(Self::$kind(half) => Method::<N>::left_j(half),)+ }
             }
         }
     };

@@ -135,9 +135,12 @@ impl<const N: usize> CoupledSlave<N> {
         }
         // A master that is not engaged rests where it was, at first at zero.
         let is_engaged = self.master.takes(message.epoch);
+        let sends_wave = self.kind.sends(Role::Master) == Some(Sends::Wave);
+        let mut is_new = false;
         if is_engaged {
             let numbers = unpadded(&message.vector);
-            if self.kind.sends(Role::Master) == Some(Sends::Wave) {
+            is_new = numbers != if sends_wave { self.wave } else { self.moved };
+            if sends_wave {
                 self.moved = at - *self.origin.get_or_insert(*at);
                 self.wave = numbers;
             } else {
@@ -146,7 +149,8 @@ impl<const N: usize> CoupledSlave<N> {
             self.energy_j = self.energy_j.max(message.sums[0]);
         }
         // A half that keeps a ledger does not extrapolate.
-        let moves = is_engaged && !(is_stale && self.kind.sends_energy());
+        let is_old = is_stale && !is_new && self.kind.sends_energy();
+        let moves = is_engaged && !is_old;
         let velocity = if moves { map.commanded_velocity(velocity) } else { Axes::zeros() };
         let target = map.commanded_position(&self.moved, from);
         let own = Local {
@@ -186,5 +190,10 @@ impl<const N: usize> CoupledSlave<N> {
     /// End the engagement; the springs lose their energy.
     pub(crate) fn disengage(&mut self) {
         self.engaged = false;
+    }
+
+    /// Energy in J that the half may still give; NaN for a half that counts none.
+    pub(crate) fn left_j(&self) -> f64 {
+        self.half.left_j()
     }
 }

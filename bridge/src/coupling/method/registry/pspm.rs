@@ -83,4 +83,8 @@ impl<const N: usize> Method<N> for Pspm<N> {
     fn sent(&self) -> (Axes<N>, f64) {
         (Axes::zeros(), self.given_j)
     }
+
+    fn left_j(&self) -> f64 {
+        self.left_j
+    }
 }

@@ -27,8 +27,8 @@ pub(crate) struct Tdpa<const N: usize> {
     in_j: f64,
     /// Energy in J from the link into the plant, less what alpha has taken.
     out_j: f64,
-    /// Energy in J that the master has given beyond its W, which alpha has not taken yet.
-    deficit_j: f64,
+    /// W in J; below 0 for a deficit of the master that alpha has not taken yet.
+    left_j: f64,
     /// Force in N at the last tick, and its share by alpha.
     force: Axes<N>,
     taken: Axes<N>,
@@ -37,9 +37,9 @@ pub(crate) struct Tdpa<const N: usize> {
 }
 
 impl<const N: usize> Tdpa<N> {
-    /// Return W in J.
-    fn left_j(&self, peer: &Peer<'_, N>) -> f64 {
-        self.gains.start_j + peer.sum - self.out_j
+    /// Renew W from the energy of the peer.
+    fn renew(&mut self, peer: &Peer<'_, N>) {
+        self.left_j = self.gains.start_j + peer.sum - self.out_j;
     }
 }
 
@@ -52,12 +52,13 @@ impl<const N: usize> Method<N> for Tdpa<N> {
     const DEFAULT: Gains = Gains { impedance: 3.0, most_damping: 20.0, ..Gains::spring(300.0, 8.0) };
     const SLAVE_SENDS: Sends = Sends::Force;
     const SENDS_ENERGY: bool = true;
+    const PLAYS_OUT: bool = true;
     const IS_LINEAR: bool = false;
     const PUSH_MAY_GROW: bool = true;
 
     fn new(gains: Gains, space: Space) -> Self {
         let [force, taken, stretch] = [Axes::zeros(); 3];
-        Self { gains, space, in_j: 0.0, out_j: 0.0, deficit_j: 0.0, force, taken, stretch }
+        Self { gains, space, in_j: 0.0, out_j: 0.0, left_j: gains.start_j, force, taken, stretch }
     }
 
     /// `K dT`: the spring of the slave is sampled.
@@ -73,9 +74,9 @@ impl<const N: usize> Method<N> for Tdpa<N> {
         self.out_j += (-port_j).max(0.0) - taken_j;
         self.in_j += port_j.max(0.0);
         let speed = own.velocity.norm_squared();
-        self.deficit_j = (-self.left_j(peer)).max(0.0);
-        let alpha = if self.deficit_j > 0.0 && speed > 0.0 {
-            (self.deficit_j / (own.dt * speed)).min(self.gains.most_damping)
+        self.renew(peer);
+        let alpha = if self.left_j < 0.0 && speed > 0.0 {
+            (-self.left_j / (own.dt * speed)).min(self.gains.most_damping)
         } else {
             0.0
         };
@@ -93,7 +94,8 @@ impl<const N: usize> Method<N> for Tdpa<N> {
         let wanted = peer.velocity + behind * FOLLOW_PER_S;
         // Energy of a share s of the wanted motion: dT (s p + s² q).
         let (p, q) = (wanted.dot(&at_rest), per_speed * wanted.norm_squared());
-        let most = self.left_j(peer).max(0.0) / own.dt;
+        self.renew(peer);
+        let most = self.left_j.max(0.0) / own.dt;
         let share =
             if p + q <= most { 1.0 } else { ((-p + (p * p + 4.0 * q * most).sqrt()) / (2.0 * q)).clamp(0.0, 1.0) };
         let velocity = wanted * share;
@@ -102,6 +104,7 @@ impl<const N: usize> Method<N> for Tdpa<N> {
         let port_j = own.dt * self.force.dot(&velocity);
         self.out_j += port_j.max(0.0);
         self.in_j += (-port_j).max(0.0);
+        self.left_j -= port_j.max(0.0);
         self.force
     }
 
@@ -109,7 +112,7 @@ impl<const N: usize> Method<N> for Tdpa<N> {
         (self.force, self.in_j)
     }
 
-    fn deficit_j(&self) -> f64 {
-        self.deficit_j
+    fn left_j(&self) -> f64 {
+        self.left_j
     }
 }

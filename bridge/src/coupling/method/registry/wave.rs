@@ -71,13 +71,19 @@ impl<const N: usize> Outgoing<N> {
 pub(in super::super) struct Incoming<const N: usize> {
     pub(in super::super) played: Axes<N>,
     pub(in super::super) energy_j: f64,
+    /// Integral in the newest frame, and the time in s since it came.
+    pub(in super::super) newest: Axes<N>,
+    pub(in super::super) age_s: f64,
 }
 
 impl<const N: usize> Incoming<N> {
-    /// Return the wave of this tick.
+    /// Return the wave of this tick: it reaches the newest integral `spread_s` after that came. So a wave stays constant over
+    /// a gap in the frames; the energy of a wave that varies does not pay for its integral.
     pub(in super::super) fn play(&mut self, peer: &Peer<'_, N>, spread_s: f64, dt: f64) -> Axes<N> {
+        self.age_s = if self.newest == *peer.vector { self.age_s + dt } else { 0.0 };
+        self.newest = *peer.vector;
         let left = peer.vector - self.played;
-        let wave = capped(&(left / spread_s.max(dt)), (2.0 * (peer.sum - self.energy_j).max(0.0) / dt).sqrt());
+        let wave = capped(&(left / (spread_s - self.age_s).max(dt)), (2.0 * (peer.sum - self.energy_j).max(0.0) / dt).sqrt());
         self.played += wave * dt;
         self.energy_j += 0.5 * dt * wave.norm_squared();
         wave
@@ -119,7 +125,7 @@ impl<const N: usize> Method<N> for Wave<N> {
         title: "waves of motion and force, whose delay only stores energy",
         source: "Niemeyer and Slotine 1991, 2004; Chopra, Berestesky and Spong 2003",
     };
-    const DEFAULT: Gains = Gains { impedance: 4.0, spread_s: 0.004, ..Gains::spring(300.0, 8.0) };
+    const DEFAULT: Gains = Gains { impedance: 4.0, spread_s: 0.005, ..Gains::spring(300.0, 8.0) };
     const MASTER_SENDS: Sends = Sends::Wave;
     const SLAVE_SENDS: Sends = Sends::Wave;
     const SENDS_ENERGY: bool = true;
@@ -130,7 +136,7 @@ impl<const N: usize> Method<N> for Wave<N> {
     fn new(gains: Gains, space: Space) -> Self {
         let zero = Axes::zeros();
         let outgoing = Outgoing { waiting: zero, sent: zero, energy_j: 0.0 };
-        let incoming = Incoming { played: zero, energy_j: 0.0 };
+        let incoming = Incoming { played: zero, energy_j: 0.0, newest: zero, age_s: 0.0 };
         Self { gains, space, outgoing, incoming, budget_j: 0.0, paying: zero, stretch: zero, quiet_s: 0.0 }
     }
 
@@ -178,5 +184,9 @@ impl<const N: usize> Method<N> for Wave<N> {
 
     fn sent(&self) -> (Axes<N>, f64) {
         (self.outgoing.sent, self.outgoing.energy_j)
+    }
+
+    fn left_j(&self) -> f64 {
+        self.budget_j
     }
 }

@@ -98,4 +98,9 @@ impl CoupledMasterTurn {
         let (wave, energy_j) = self.half.sent();
         Some((if self.sends_wave { wave } else { (orientation * origin.inverse()).scaled_axis() }, energy_j))
     }
+
+    /// Energy in J that the half may still give; NaN for a half that counts none.
+    pub(crate) fn left_j(&self) -> f64 {
+        self.half.left_j()
+    }
 }

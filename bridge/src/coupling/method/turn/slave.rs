@@ -99,8 +99,11 @@ impl CoupledSlaveTurn {
             return *from;
         }
         let is_engaged = self.master.takes(message.epoch);
+        let sends_wave = self.kind.sends(Role::Master) == Some(Sends::Wave);
+        let mut is_new = false;
         if is_engaged {
-            if self.kind.sends(Role::Master) == Some(Sends::Wave) {
+            is_new = message.turned != if sends_wave { self.wave } else { self.moved };
+            if sends_wave {
                 self.moved = (at * self.origin.get_or_insert(*at).inverse()).scaled_axis();
                 self.wave = message.turned;
             } else {
@@ -111,7 +114,8 @@ impl CoupledSlaveTurn {
         let turned = UnitQuaternion::from_scaled_axis(self.moved);
         let target = map.commanded_orientation(&turned, from);
         // A half that keeps a ledger does not extrapolate.
-        let moves = is_engaged && !(is_stale && self.kind.sends_energy());
+        let is_old = is_stale && !is_new && self.kind.sends_energy();
+        let moves = is_engaged && !is_old;
         let velocity = if moves { map.commanded_velocity(velocity) } else { Axes::zeros() };
         let own = Local {
             position: &Axes::zeros(),
@@ -176,5 +180,10 @@ impl CoupledSlaveTurn {
     /// End the engagement; the spring loses its energy.
     pub(crate) fn disengage(&mut self) {
         self.engaged = false;
+    }
+
+    /// Energy in J that the half may still give; NaN for a half that counts none.
+    pub(crate) fn left_j(&self) -> f64 {
+        self.half.left_j()
     }
 }
