@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
-from haptether.view.style.figure import SMALL_PT, figure_of, text_width
+from haptether.view.style.figure import figure_of, small_pt, text_width
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,7 +27,7 @@ def legend_above(panel: "Axes", handles: "Sequence[Any] | None" = None, width_in
         return 0
     figure = figure_of(panel)
     room = (figure.get_figwidth() - 1.0 if width_in is None else width_in) * figure.dpi
-    em = SMALL_PT / 72.0 * figure.dpi
+    em = small_pt() / 72.0 * figure.dpi
     widths = [text_width(figure, str(handle.get_label())) + (HANDLE_EM + PAD_EM + GAP_EM) * em for handle in listed]
     columns = len(listed)
     while columns > 1 and sum(max(widths[column::columns]) for column in range(columns)) > room:
@@ -46,7 +46,7 @@ def legend_above(panel: "Axes", handles: "Sequence[Any] | None" = None, width_in
 def legend_below(figure: "Figure", handles: "Sequence[Any]") -> None:
     """Put one legend of several panels below them."""
     widths = [text_width(figure, str(handle.get_label())) for handle in handles]
-    em = SMALL_PT / 72.0 * figure.dpi
+    em = small_pt() / 72.0 * figure.dpi
     room = max(widths, default=0.0) + (HANDLE_EM + PAD_EM + GAP_EM) * em
     columns = max(1, min(len(handles), int(0.98 * figure.bbox.width / room)))
     figure.legend(handles=list(handles), loc="outside lower center", ncols=columns, frameon=False,

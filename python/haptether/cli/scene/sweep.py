@@ -121,6 +121,7 @@ class Sweep(PictureOptions):
     def run(self) -> int:
         """Run all rows."""
         from haptether import __version__
+        from haptether.bridge.scene.labels import labels_of
         from haptether.bridge.scene.sweep import labelled
         from haptether.bridge.scene.sweeps.design import design_of
         from haptether.bridge.scene.sweeps.scenes import with_scenes
@@ -156,7 +157,8 @@ class Sweep(PictureOptions):
             write_report(self.json, report | ({"summary": summary} if summary else {}))
         self._report(console, shown, len(varied) + len(drawn) + len(ties) + 1, stored)
         if picture is not None and whole is not None:
-            write_figure(draw_sweep(self.scene, whole.columns, paths, self.page_columns), picture)
+            labels = labels_of(whole.columns)
+            write_figure(draw_sweep(self.scene, whole.columns, paths, self.page_columns, labels), picture)
             console.print(f"picture: {picture}")
         outcomes = outcomes_of(shown, stored)
         if outcomes.keys() <= FAILED_ROWS:
@@ -430,7 +432,7 @@ class Sweep(PictureOptions):
         except ValueError as error:
             message = f"--summary {error}" if "baseline: " not in str(error) else str(error)
             raise ValueError(message.replace("baseline: ", "--against: ", 1)) from None
-        if self.plot is not None and not DRAWN.keys() & set(asked):
+        if self.plot is not None and not set(DRAWN) & set(asked):
             message = f"--plot: nothing to draw: name with --metrics one or more of {', '.join(DRAWN)}"
             raise ValueError(message)
 

@@ -15,9 +15,12 @@ class PictureOptions(FileOptions):
     """Options of a command that draws."""
 
     format: Literal["png", "pdf", "svg"] | None = None
-    """Format of pictures; by default the suffix of their path, or png."""
+    """Format of pictures; by default the suffix of their path, or png; with --style paper pdf."""
     columns: Literal[1, 2] | None = None
     """Width of pictures in columns of a page: 3.5 or 7.16 inches; by default 2."""
+    style: Literal["screen", "paper"] | None = None
+    """Style of pictures: with a title for a screen, or for a paper without one, its letters those of Times, its PNG
+    with 600 dots an inch; by default screen."""
 
     @property
     def page_columns(self) -> Literal[1, 2]:
