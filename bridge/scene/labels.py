@@ -30,7 +30,9 @@ METRICS = {
 }
 """Labels of the metrics in tables and figures."""
 
-UNIT = re.compile(r"\b[Ii]n ((?:kg|rad|bit|ms|Hz|mm|[smNJW])(?:[ /](?:kg|rad|[smNJW][²⁵]?)|²)*|ticks|bytes|degrees)\b(?! *=)")
+UNIT = re.compile(
+    r"\b[Ii]n ((?:kg|rad|bit|ms|Hz|mm|[smNJW])(?:[ /](?:kg|rad|[smNJW][²⁵]?)|²)*|ticks|bytes|degrees)\b(?! *=)"
+)
 """Unit in the doc of a field: "V_t of VFC in m/s"."""
 SUFFIXES = {
     "_n_m_per_s": "N m/s", "_n_per_s": "N/s", "_kg_m2": "kg m²", "_n_m": "N m", "_rad": "rad", "_ppm": "ppm",

@@ -63,8 +63,8 @@ CHOICES = (
 
 def layered(place: int, count: int) -> dict[str, float]:
     """Return width and marker size of a line out of several: those drawn first are thicker, and show below others."""
-    below = min(count - 1 - place, 4)
-    return {"lw": 1.0 + 0.7 * below, "ms": 2.6 + 1.2 * below}
+    below = (count - 1 - place) * min(0.7, 2.1 / max(1, count - 1))
+    return {"lw": 1.0 + below, "ms": 2.6 + 1.7 * below}
 
 
 def controller_look(controllers: str | Iterable[str]) -> dict[str, Any]:

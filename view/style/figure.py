@@ -60,8 +60,14 @@ STYLES: dict[PictureStyle, dict[str, Any]] = {
     "screen": {},
     # STIX is a Times, which most venues set their text in, and comes with matplotlib.
     "paper": {
-        "font.family": "STIXGeneral", "mathtext.fontset": "stix", "savefig.dpi": 600, "font.size": 8.5,
-        "axes.labelsize": 8.5, "axes.titlesize": 8.5, "xtick.labelsize": 8.0, "ytick.labelsize": 8.0,
+        "font.family": "STIXGeneral",
+        "mathtext.fontset": "stix",
+        "savefig.dpi": 600,
+        "font.size": 8.5,
+        "axes.labelsize": 8.5,
+        "axes.titlesize": 8.5,
+        "xtick.labelsize": 8.0,
+        "ytick.labelsize": 8.0,
         "legend.fontsize": 8.0,
     },  # fmt: skip
 }

@@ -14,14 +14,19 @@ HANDLE_EM, GAP_EM, PAD_EM = 1.8, 1.0, 0.5
 """Legend dimensions in font sizes: line length, gap between entries, gap between line and name."""
 
 
-def legend_above(panel: "Axes", handles: "Sequence[Any] | None" = None, width_in: float | None = None) -> int:
+def legend_above(
+    panel: "Axes", handles: "Sequence[Any] | None" = None, width_in: float | None = None, above_pt: float = 0.0
+) -> int:
     """Put a legend above a panel at its left; return its number of lines.
 
     Args:
         panel: Panel with labelled lines.
         handles: Listed handles; by default all labelled ones.
         width_in: Width of the panel in inches; by default that of the figure, less one row of labels.
+        above_pt: Height in points already used above the panel.
     """
+    from matplotlib.transforms import offset_copy
+
     listed = list(panel.get_legend_handles_labels()[0]) if handles is None else list(handles)
     if not listed:
         return 0
@@ -37,7 +42,8 @@ def legend_above(panel: "Axes", handles: "Sequence[Any] | None" = None, width_in
     order = [row * columns + column for column in range(columns) for row in range(rows)]
     listed = [listed[place] for place in order if place < len(listed)]
     panel.legend(handles=listed, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, facecolor="white",
-                 edgecolor="none", framealpha=1.0,
+                 bbox_transform=offset_copy(panel.transAxes, figure, y=above_pt, units="points"), edgecolor="none",
+                 framealpha=1.0,
                  borderaxespad=0.15, borderpad=0.1, handlelength=HANDLE_EM, columnspacing=GAP_EM, handletextpad=PAD_EM,
                  labelspacing=0.2)  # fmt: skip
     return rows
