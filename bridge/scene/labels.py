@@ -71,15 +71,15 @@ def label_of(name: str) -> AxisLabel:
         return AxisLabel(words, unit.rstrip("]"))
     field = re.fullmatch(r"(.*?)((?:\.\d+)*)", name)
     assert field is not None
-    *above, leaf = field[1].split(".")
+    *above, leaf = str(field[1]).split(".")
     path = tuple(int(step) if step.isdigit() else step for step in above)
     docs = [docs[leaf] for table in table_type(path) or () if leaf in (docs := _docs(table.cls))]
     suffix = next((end for end in SUFFIXES if leaf.endswith(end)), "")
     unit = next((found[1] for doc in docs if (found := UNIT.search(doc))), SUFFIXES.get(suffix, ""))
     tables = [re.sub("ies$", "y", step).removesuffix("s") if after.isdigit() else step
               for step, after in pairwise([*above, ""]) if not step.isdigit() and step not in SILENT]  # fmt: skip
-    words = f"{'_'.join(tables[-1:])}_{leaf.removesuffix(suffix)}{field[2]}".strip("_").replace(".", "_").split("_")
-    return AxisLabel(" ".join(WORDS.get(word, word) for word in words), unit)
+    key = f"{'_'.join(tables[-1:])}_{leaf.removesuffix(suffix)}{field[2]}".strip("_").replace(".", "_")
+    return AxisLabel(" ".join(WORDS.get(word, word) for word in key.split("_")), unit)
 
 
 def labels_of(names: Iterable[str]) -> dict[str, AxisLabel]:

@@ -1,7 +1,7 @@
 """Figure of an evaluation: map of verdicts, and the underlying numbers over the round trip."""
 
 from os import PathLike
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -81,7 +81,7 @@ def draw_evaluation(found: Evaluation, path: str | PathLike[str] | None = None, 
         height = rows + (2.3 if columns == 2 else 6.0)
         figure = new_figure(columns, height + 0.5, title)
         below = ["speeds", "thrown", "trips"]
-        mosaic = [["verdicts"] * 3, below] if columns == 2 else [["verdicts"], *([name] for name in below)]
+        mosaic: list[Any] = [["verdicts"] * 3, below] if columns == 2 else [["verdicts"], *([name] for name in below)]
         heights = [rows, *([(height - rows) / (len(mosaic) - 1)] * (len(mosaic) - 1))]
         panels = figure.subplot_mosaic(mosaic, height_ratios=heights)
         _verdicts(panels["verdicts"], found)
@@ -91,7 +91,10 @@ def draw_evaluation(found: Evaluation, path: str | PathLike[str] | None = None, 
         for name in below:
             panels[name].set_xlabel("round trip [ms]")
             panels[name].set_xlim(-0.5, len(found.round_trips_s) - 0.5)
-            panels[name].set_xticks(_over_trips(found), [f"{trip_s * 1e3:g}" for trip_s in found.round_trips_s])
+            trips = [f"{trip_s * 1e3:.4g}" for trip_s in found.round_trips_s]
+            room = (figure.bbox.width / (3 if columns == 2 else 1) - figure.dpi) / len(trips)
+            crowded = max(text_width(figure, trip) for trip in trips) > 0.9 * room
+            panels[name].set_xticks(_over_trips(found), trips, rotation=90 if crowded else 0)
         limit = panels["speeds"].plot([], [], color=THRESHOLD, lw=0.8, ls=":", label="limit")
         legend_below(figure, [*panels["speeds"].get_legend_handles_labels()[0][: len(found.controllers)], *limit])
         letter([panels[name] for name in ("verdicts", *below)])

@@ -196,7 +196,9 @@ def _draw_line(panel: "Axes", over: _Axis, measured: "_Measured") -> list[Any]:
     values = measured.values
     places, means, halves = _of_places(over.values, values)
     runs = max(int(np.count_nonzero(over.values == place)) for place in places)
-    handles = panel.plot(places, means, "o-" if len(places) <= 40 else "-", color=NEUTRAL, ms=3.0, label="mean")
+    handles: list[Any] = panel.plot(
+        places, means, "o-" if len(places) <= 40 else "-", color=NEUTRAL, ms=3.0, label="mean"
+    )
     if np.isfinite(halves).any():
         handles += [panel.fill_between(places, means - halves, means + halves, color=NEUTRAL, alpha=0.2, lw=0.0,
                                        label="95 % confidence of the mean")]  # fmt: skip
@@ -218,7 +220,9 @@ def _draw_choices(panel: "Axes", over: Sequence[_Axis], measured: "_Measured") -
         at = np.full(int(rows.sum()), float(place)) if number is None else number.values[rows].astype(float)
         places, means, halves = _of_places(at, measured.values[rows])
         colour, marker = CHOICES[place % len(CHOICES)]
-        look = controller_look(name) | {"marker": "o"} if of_controllers else {"color": colour, "marker": marker}
+        look: dict[str, Any] = {"color": colour, "marker": marker}
+        if of_controllers:
+            look = controller_look(name) | {"marker": "o"}
         look |= layered(place, len(names)) if number is not None else {"ms": 4.0}
         panel.errorbar(places, means, np.nan_to_num(halves), fmt="none", elinewidth=0.6, capsize=1.2,
                        ecolor=look["color"])  # fmt: skip

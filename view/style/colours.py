@@ -61,7 +61,7 @@ CHOICES = (
 """
 
 
-def layered(place: int, count: int) -> dict[str, float]:
+def layered(place: int, count: int) -> dict[str, Any]:
     """Return width and marker size of a line out of several: those drawn first are thicker, and show below others."""
     below = (count - 1 - place) * min(0.7, 2.1 / max(1, count - 1))
     return {"lw": 1.0 + below, "ms": 2.6 + 1.7 * below}

@@ -69,7 +69,7 @@ STYLES: dict[PictureStyle, dict[str, Any]] = {
         "xtick.labelsize": 8.0,
         "ytick.labelsize": 8.0,
         "legend.fontsize": 8.0,
-    },  # fmt: skip
+    },
 }
 """Settings of each style beside `STYLE`. A paper has no title: its caption is in the text."""
 _STYLE: ContextVar[PictureStyle] = ContextVar("style", default="screen")
