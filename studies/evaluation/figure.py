@@ -8,7 +8,7 @@ import numpy as np
 from haptether.studies.evaluation.result import MOST_HANDS, Evaluation, EvaluationCell, Verdict, totals
 from haptether.view.style.colours import THRESHOLD, controller_look, controller_title, layered
 from haptether.view.style.figure import Columns, figure_of, letter, new_figure, small_pt, styled, text_width, written
-from haptether.view.style.legend import legend_below
+from haptether.view.style.legend import legend_beside
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -96,7 +96,7 @@ def draw_evaluation(found: Evaluation, path: str | PathLike[str] | None = None, 
             crowded = max(text_width(figure, trip) for trip in trips) > 0.9 * room
             panels[name].set_xticks(_over_trips(found), trips, rotation=90 if crowded else 0)
         limit = panels["speeds"].plot([], [], color=THRESHOLD, lw=0.8, ls=":", label="limit")
-        legend_below(figure, [*panels["speeds"].get_legend_handles_labels()[0][: len(found.controllers)], *limit])
+        legend_beside(figure, [*panels["speeds"].get_legend_handles_labels()[0][: len(found.controllers)], *limit])
         letter([panels[name] for name in ("verdicts", *below)])
     return written(figure, path)
 

@@ -24,7 +24,7 @@ from haptether.studies.paper.conditions import Conditions
 from haptether.studies.paper.report import AGREES, PaperReport, PaperRow
 from haptether.view.style.colours import PAPER, SIGNALS, THRESHOLD, controller_look
 from haptether.view.style.figure import Columns, PictureFormat, letter, new_figure, styled, write_figure
-from haptether.view.style.legend import legend_above, legend_below
+from haptether.view.style.legend import legend_above, legend_beside
 from haptether.view.style.series import chatter
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def _finish(figure: "Figure", panels: "Sequence[Axes]", columns: Columns) -> "Fi
     narrow = beside > 2
     if narrow:
         # A third of a page is too narrow for separate legends.
-        legend_below(figure, panels[0].get_legend_handles_labels()[0])
+        legend_beside(figure, panels[0].get_legend_handles_labels()[0])
     for panel in panels[1:] if narrow else panels:
         legend_above(panel, width_in=figure.get_figwidth() / beside - 0.65)
     letter(panels)
@@ -305,7 +305,7 @@ def _sensitivity(bench: Bench, report: PaperReport, columns: Columns) -> "Figure
     panel.set(xscale="log", xlim=(NARROWEST, WIDEST), ylim=(len(rows) - 0.4, -0.6), xlabel="ours / paper")
     panel.set_yticks(range(len(rows)), [_row_title(row) for row in rows])
     panel.grid(visible=False, axis="y")
-    legend_below(figure, panel.get_legend_handles_labels()[0])
+    legend_beside(figure, panel.get_legend_handles_labels()[0])
     return figure
 
 

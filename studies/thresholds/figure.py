@@ -8,7 +8,7 @@ from haptether.studies.thresholds.law import ThresholdLaw
 from haptether.studies.thresholds.trade_off import TradeOff
 from haptether.view.style.colours import CHOICES, CONTROLLERS, NEUTRAL, layered
 from haptether.view.style.figure import Columns, letter, new_figure, small_pt, styled, written
-from haptether.view.style.legend import legend_above
+from haptether.view.style.legend import legend_beside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 SHOWN_ROUND_TRIPS = 3
 """Largest number of round trips shown: first, middle and last; the JSON has all."""
 DEFAULT = "default threshold"
+LINE_BREAK = "\n"
 PAPERS = "--"
 """Dashes of the laws of the paper."""
 
@@ -42,21 +43,21 @@ def draw_trade_off(found: TradeOff, path: str | PathLike[str] | None = None, col
             f"{len(found.tasks)} tasks, {found.hands} hands each; missed: faster than {found.missed_speed:g} m/s within"
             f" {WITHIN_S:g} s of a release"
         )
-        figure = new_figure(columns, 1.75 * len(controllers) + 0.6, title)
-        panels = figure.subplots(len(controllers), len(shown), sharex=True, sharey=True, squeeze=False)
-        for row, controller in zip(panels, controllers, strict=True):
+        figure = new_figure(columns, (1.75 if columns == 2 else 2.1) * len(controllers) + 0.6, title)
+        panels: list[Axes] = []
+        parts = figure.subfigures(len(controllers), 1, squeeze=False)[:, 0]
+        for part, controller in zip(parts, controllers, strict=True):
             laws = [law for law in found.laws if law.controller == controller]
+            row = part.subplots(1, len(shown), sharey=True, squeeze=False)[0]
             for panel, place in zip(row, shown, strict=True):
                 handles = _panel(panel, found, laws, trips[place])
-                panel.set_title(f"round trip {trips[place] * 1e3:g} ms", fontsize=small_pt(), pad=2.0)
-            # The legend is as wide as the row, so the layout of its first panel must not see it.
-            lines = legend_above(row[0], handles, width_in=figure.get_figwidth() - 0.6, above_pt=1.5 * small_pt())
-            row[0].get_legend().set_in_layout(False)
-            for panel in row:
-                panel.set_title("\n" * lines + panel.get_title(), fontsize=small_pt(), pad=2.0)
+                title = f"round trip{' ' if columns == 2 else LINE_BREAK}{trips[place] * 1e3:g} ms"
+                panel.set_title(title, fontsize=small_pt(), pad=2.0)
+            legend_beside(part, handles, "outside upper center")
             row[0].set_ylabel(f"{controller.upper()}:\nreleases missed [%]")
+            panels += row.tolist()
         figure.supxlabel("false trips per hour held", fontsize=small_pt() + 1.0)
-        letter(panels.ravel().tolist())
+        letter(panels)
     return written(figure, path)
 
 

@@ -11,7 +11,7 @@ from haptether.studies.tuning.tune import TunedThreshold, Tuning
 from haptether.view.style.colours import CONTROLLERS, FOUND, THRESHOLD
 from haptether.view.style.figure import Columns, letter, new_figure, styled, written
 from haptether.view.style.labels import AxisLabel, wrapped
-from haptether.view.style.legend import legend_below
+from haptether.view.style.legend import legend_beside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,14 +47,14 @@ def draw_tuning(found: Tuning, path: str | PathLike[str] | None = None, columns:
             pairs = list(panels.reshape(-1, 2))
         handles: dict[str, object] = {}
         for (above, below), each in zip(pairs, tuned, strict=True):
-            drawn = [*_events(above, each, found), *_roc(below, each)]
+            drawn = [*_events(above, each, found, columns), *_roc(below, each)]
             handles |= {str(handle.get_label()): handle for handle in drawn}
-        legend_below(figure, list(handles.values()))
+        legend_beside(figure, list(handles.values()))
         letter(panels.ravel().tolist())
     return written(figure, path)
 
 
-def _events(panel: "Axes", each: TunedThreshold, found: Tuning) -> "list[Line2D]":
+def _events(panel: "Axes", each: TunedThreshold, found: Tuning, columns: Columns) -> "list[Line2D]":
     of = TUNED_FIELDS[each.field]
     peaks = np.abs(np.array(each.peaks))
     text, factor = AxisLabel(of.score, of.unit).sized([*peaks, each.point.threshold])
@@ -65,9 +65,11 @@ def _events(panel: "Axes", each: TunedThreshold, found: Tuning) -> "list[Line2D]
     recorded = panel.axvline(factor * abs(each.recorded.threshold), color=THRESHOLD, ls="--", lw=1.0,
                              label="threshold as recorded")  # fmt: skip
     target = panel.axhline(found.per_hour, color=THRESHOLD, ls=":", lw=1.0, label="false trips asked for, at most")
-    panel.set_xlabel(wrapped(text, 30))
+    # Characters that fit below a panel.
+    panel.set_xlabel(wrapped(text, 84 // len(found.thresholds) if columns == 2 else 40))
     panel.set_ylabel("events above it per hour")
-    panel.set_title(f"{each.controller.upper()}: {label_of(f'safety.{each.field}').words}")
+    kind, words = each.controller.upper(), label_of(f"safety.{each.field}").words
+    panel.set_title(words if words.startswith(kind) else f"{kind}: {words}")
     panel.set_yscale("log")
     return [chosen, recorded, target]
 
@@ -89,7 +91,7 @@ def _roc(panel: "Axes", each: TunedThreshold) -> "list[Line2D]":
     panel.errorbar(at, share, xerr=np.abs(of_rate - at)[:, None], yerr=np.abs(of_share - share)[:, None], fmt="none",
                    ecolor=FOUND, elinewidth=0.8, capsize=2.0, clip_on=False)  # fmt: skip
     drawn = panel.plot(at, share, "o", color=FOUND, mfc="none", ms=7.0, clip_on=False,
-                       label="the same, with its interval")  # fmt: skip
+                       label="threshold found, its interval")  # fmt: skip
     least = float(rates[rates > 0.0].min()) if (rates > 0.0).any() else 1.0
     # A power of ten, so that no label of the linear part lies beside the 0.
     linear = 10.0 ** np.ceil(np.log10(least))

@@ -19,7 +19,7 @@ from haptether.view.style.colours import (
 )
 from haptether.view.style.figure import Columns, figure_of, letter, new_figure, plain_span, plain_ticks, styled
 from haptether.view.style.labels import AxisLabel, wrapped
-from haptether.view.style.legend import legend_below
+from haptether.view.style.legend import legend_beside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -101,7 +101,7 @@ def draw_sweep(
             if place + across < len(metrics):
                 panel.set_xlabel("")
         if handles:
-            legend_below(figure, list(handles.values()))
+            legend_beside(figure, list(handles.values()))
         letter(panels[: len(metrics)])
         figure.align_ylabels(panels[: len(metrics)])
     return figure
