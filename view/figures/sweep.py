@@ -78,6 +78,8 @@ def draw_sweep(
     rows = len(next(iter(columns.values())))
     diverged = columns["outcome"] == "diverged" if "outcome" in columns else np.zeros(rows, dtype=bool)
     title = f"{Path(scene).stem or scene}, {rows} run{'s' if rows != 1 else ''}"
+    if diverged.any():
+        title += f", {np.count_nonzero(diverged)} diverged"
     if seeds > 1:
         title += f": mean of {seeds} seeds" + (", 95 % confidence" if lines else "")
     of = {name: (labels or {}).get(name, AxisLabel(name)) for name in (*over, *metrics)}

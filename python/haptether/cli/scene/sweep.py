@@ -62,8 +62,7 @@ class Sweep(PictureOptions):
 
     haptether sweep remote_push --vary run.seed=1:1000:1000 --metrics max_ejection_velocity,false_trips --out a.csv
 
-    haptether sweep remote_push --vary link.forward.delay_s=0.02:0.1:5 --vary run.seed=1:20:20 --style paper --columns 1
-    --plot delay.pdf --latex delay.tex
+    haptether sweep remote_push --vary link.forward.delay_s=0.02:0.1:9 --style paper --plot paper.pdf --latex paper.tex
 
     haptether sweep paper_wall --vary environment.objects.0.contact.stiffness=200:800:7 --set 'safety.controllers=[hsc]'
     """
