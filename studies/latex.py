@@ -21,10 +21,12 @@ PAPER = r"\emph{Safety Control for Impedance Haptic Interfaces}, "
 ESCAPED = {
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}",
     ">": r"\textgreater{}", "|": r"\textbar{}", "²": r"\textsuperscript{2}", "⁵": r"\textsuperscript{5}",
-    "'": r"\textquotesingle{}", '"': r"\textquotedbl{}", "--": "-{}-", "±": r"$\pm$", "\N{MINUS SIGN}": "$-$",
+    "'": r"\textquotesingle{}", "--": "-{}-", "±": r"$\pm$", "\N{MINUS SIGN}": "$-$",
     **{letter: f"\\{letter}" for letter in "&%$#_{}"},
 }  # fmt: skip
 _SPECIAL = re.compile("|".join(map(re.escape, ESCAPED)))
+HEAD = 14
+"""Characters of a head on one line."""
 LINE_BREAK, SPLIT, MINUS = "\n", r" \\ ", "\N{MINUS SIGN}"
 WIDE = 4
 """Columns from which a table spans both columns of a page."""
@@ -74,14 +76,14 @@ def methods_of(scene: Scene) -> dict[str, tuple[str, ...]]:
 
 def latex_table(head: Sequence[str], rows: Iterable[Sequence[str]], caption: LatexCaption, label: str) -> str:
     """Return a table with the package booktabs; its first column is text, the others are numbers."""
-    titles = [rf"\shortstack[{'r' if place else 'l'}]{{{escaped(wrapped(title)).replace(LINE_BREAK, SPLIT)}}}"
+    titles = [rf"\shortstack[{'r' if place else 'l'}]{{{escaped(wrapped(title, HEAD)).replace(LINE_BREAK, SPLIT)}}}"
               for place, title in enumerate(head)]  # fmt: skip
     lines = [" & ".join(cells) + r" \\" for cells in (titles, *(map(escaped, row) for row in rows))]
     place = "table*" if len(head) > WIDE else "table"
     return "\n".join(
         [
             r"% \usepackage{booktabs}", rf"\begin{{{place}}}", r"\centering", r"\footnotesize",
-            rf"\caption{{{caption.latex()}}}",
+            r"\setlength{\tabcolsep}{3pt}", rf"\caption{{{caption.latex()}}}",
             rf"\label{{tab:{label}}}", rf"\begin{{tabular}}{{l{'r' * (len(head) - 1)}}}", r"\toprule", lines[0],
             r"\midrule", *lines[1:], r"\bottomrule", r"\end{tabular}", rf"\end{{{place}}}", "",
         ]

@@ -1,6 +1,8 @@
 """Figures, tables and captions of the studies: words only, nothing overlaps, valid LaTeX."""
 
 import re
+import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -136,3 +138,9 @@ def test_latex_has_a_table_and_a_figure_with_command_version_and_sources(
     assert len(re.findall(r"\\caption\{", text)) == 2
     assert r"\includegraphics[width=\linewidth]{a.pdf}" in text
     assert picture.read_bytes().startswith(b"%PDF")
+    if shutil.which("pdflatex") and subprocess.run(["kpsewhich", "booktabs.sty"], check=False).returncode == 0:
+        packages = r"\documentclass[twocolumn]{article}\usepackage{booktabs,graphicx}"
+        (tmp_path / "page.tex").write_text(rf"{packages}\begin{{document}}\input{{a.tex}}\end{{document}}")
+        compiled = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "-draftmode", "page.tex"]
+        ran = subprocess.run(compiled, check=False, cwd=tmp_path, stdout=subprocess.PIPE, text=True, timeout=60.0)
+        assert ran.returncode == 0, ran.stdout
