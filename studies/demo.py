@@ -23,7 +23,7 @@ from haptether.studies.remote_push import PushResult
 from haptether.view.style.colours import controller_look, controller_title
 from haptether.view.style.events import EventMark, name_events
 from haptether.view.style.figure import Columns, letter, new_figure, styled, write_figure
-from haptether.view.style.legend import legend_below
+from haptether.view.style.legend import legend_beside
 
 DEMO_CONTROLLERS = ("none", "vfc", "hsc", "wsc")
 """Controllers of the demonstration, a run each."""
@@ -163,7 +163,7 @@ def draw_demo(scene: DemoScene, results: Sequence[PushResult], folder: Path, pat
             panel.set_xlim(-1.0, 0.8)
             if panel in (panels if columns == 2 else panels[-1:]):
                 panel.set_xlabel("time since the hand let go [s]")
-        legend_below(figure, panels[0].get_legend_handles_labels()[0])
+        legend_beside(figure, panels[0].get_legend_handles_labels()[0])
         letter(panels)
         marks = [EventMark(scene.push_at_s - scene.release_at_s, "arm shoved"), EventMark(0.0, "lets go")]
         if columns == 2:

@@ -27,7 +27,7 @@ from haptether.studies.processes import (
 )
 from haptether.view.style.colours import AXES, SIGNALS, controller_look, controller_title
 from haptether.view.style.figure import Columns, letter, new_figure, styled, write_figure
-from haptether.view.style.legend import legend_above, legend_below
+from haptether.view.style.legend import legend_above, legend_beside
 
 FOLLOW_CONTROLLERS: Final = ("none", "hsc", "wsc")
 """Controllers of the demonstration with servo arms, a run each."""
@@ -393,7 +393,7 @@ def draw_follow(
         beside = 3 if columns == 2 else 1
         for panel in panels[0]:
             legend_above(panel, width_in=figure.get_figwidth() / beside - 0.65)
-        legend_below(figure, panels[1][0].get_legend_handles_labels()[0])
+        legend_beside(figure, panels[1][0].get_legend_handles_labels()[0])
         for panel in panels.flat:
             panel.set_xlabel("time since the hand begins [s]")
             panel.set_xlim(0.0, scene.duration_s)

@@ -12,6 +12,7 @@ from haptether.lazy_names import lazy_names
 if TYPE_CHECKING:
     from haptether.view.scene3d.description import Description, Moment, NothingRecordedError, describe, describe_beside
     from haptether.view.scene3d.live import LiveDescription
+    from haptether.view.style.figure import picture_style
     from haptether.view.terminal.panel import headline, panel
     from haptether.view.terminal.state import Observer, SideState
 
@@ -26,6 +27,7 @@ __all__ = [
     "describe_beside",
     "headline",
     "panel",
+    "picture_style",
 ]
 
 if not TYPE_CHECKING:  # otherwise a type checker would accept any name

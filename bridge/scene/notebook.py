@@ -11,10 +11,10 @@ if TYPE_CHECKING:
     from haptether.bridge.scene.run import Run
 
 CHARTS = {
-    "position": "position [m]",
+    "position": "position of the hand [m]",
     "device_force": "force on the hand [N]",
     "device_torque": "torque on the hand [N m]",
-    "slave_position": "arm [m]",
+    "slave_position": "position of the arm [m]",
     "environment_force": "force on the tool [N]",
 }
 """Signals that are drawn if they were recorded."""
@@ -25,9 +25,12 @@ POINTS = 160
 
 def as_html(run: "Run") -> str:
     """Return a self-contained table of metrics with charts."""
+    # Imported here, because the labels import the tables of a scene.
+    from haptether.bridge.scene.labels import METRICS  # noqa: PLC0415
+
     metrics = {name: value for name, value in to_builtins(run.metrics).items() if value is not None}
     rows = "".join(
-        f"<tr><td style='text-align:left'>{escape(name)}</td><td>{escape(_text(value))}</td></tr>"
+        f"<tr><td style='text-align:left'>{escape(METRICS.get(name, name))}</td><td>{escape(_text(value))}</td></tr>"
         for name, value in metrics.items()
     )
     charts = "".join(
@@ -37,7 +40,8 @@ def as_html(run: "Run") -> str:
     )
     title = f"{escape(run.scene)}, seed {run.seed}, Haptether {escape(run.version)}"
     return (
-        f"<div><b>{title}</b><div style='display:flex;flex-wrap:wrap;gap:1em'>"
+        f"<div><div style='font-weight:bold;margin-bottom:.6em'>{title}</div>"
+        "<div style='display:flex;flex-wrap:wrap;gap:1em;align-items:flex-start'>"
         f"<table>{rows}</table><div>{charts}</div></div></div>"
     )
 
@@ -49,13 +53,14 @@ def _text(value: Any) -> str:  # noqa: ANN401
 def _chart(label: str, time_s: npt.NDArray[np.float64], values: npt.NDArray[Any]) -> str:
     """Draw one signal over time with its range, one line per axis."""
     from haptether.view.style.colours import AXES  # noqa: PLC0415
+    from haptether.view.style.figure import plain_span  # noqa: PLC0415
 
     axes = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
     known = axes[np.isfinite(axes)]
     if not len(known):
         return ""
     low, high = float(known.min()), float(known.max())
-    span = high - low or 1.0
+    bottom, top = plain_span(low, high)
     lines = []
     starts = np.unique(np.linspace(0, len(axes), min(POINTS, len(axes)), endpoint=False).astype(int))
     x = np.linspace(0.0, WIDTH, len(starts))
@@ -64,7 +69,7 @@ def _chart(label: str, time_s: npt.NDArray[np.float64], values: npt.NDArray[Any]
         small = np.fmin.reduceat(axis, starts)
         large = np.fmax.reduceat(axis, starts)
         points = [
-            f"{at:.1f},{HEIGHT * (high - y) / span:.1f}"
+            f"{at:.1f},{HEIGHT * (top - y) / (top - bottom):.1f}"
             for at, pair in zip(x, zip(small, large, strict=True), strict=True)
             for y in pair
             if np.isfinite(y)

@@ -149,11 +149,11 @@ def evaluation_html(found: Evaluation, *, command: str = "", worst: str | None =
 
 STYLE = (
     "body{font:15px/1.5 system-ui,sans-serif;color:#1c2733;background:#fff}"
-    "body{max-width:70em;margin:2em auto;padding:0 1em}"
+    "body{max-width:76em;margin:2em auto;padding:0 1em}"
     "h1{font-size:1.5em}h2{font-size:1.15em;margin:2em 0 .5em}.made{color:#5b6875}"
     "div.wide{overflow-x:auto}table{border-collapse:collapse;font-size:.85em}"
     "th,td{padding:.3em .6em;border:1px solid #d5dae0;text-align:right;white-space:nowrap}"
-    "th{background:#f3f5f7}th:first-child,td:first-child{text-align:left}"
+    "th{background:#f3f5f7;white-space:normal;vertical-align:bottom}th:first-child,td:first-child{text-align:left}"
     "figure{margin:1.5em 0}svg{width:100%;height:auto}"
 )
 

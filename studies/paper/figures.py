@@ -24,7 +24,8 @@ from haptether.studies.paper.conditions import Conditions
 from haptether.studies.paper.report import AGREES, PaperReport, PaperRow
 from haptether.view.style.colours import PAPER, SIGNALS, THRESHOLD, controller_look
 from haptether.view.style.figure import Columns, PictureFormat, letter, new_figure, styled, write_figure
-from haptether.view.style.legend import legend_above, legend_below
+from haptether.view.style.legend import legend_above, legend_beside
+from haptether.view.style.series import chatter
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -84,7 +85,7 @@ def _finish(figure: "Figure", panels: "Sequence[Axes]", columns: Columns) -> "Fi
     narrow = beside > 2
     if narrow:
         # A third of a page is too narrow for separate legends.
-        legend_below(figure, panels[0].get_legend_handles_labels()[0])
+        legend_beside(figure, panels[0].get_legend_handles_labels()[0])
     for panel in panels[1:] if narrow else panels:
         legend_above(panel, width_in=figure.get_figwidth() / beside - 0.65)
     letter(panels)
@@ -175,6 +176,9 @@ CONTROLLERS: dict[str, tuple[str, SafetySettings | None]] = {
     "WSC": ("wsc", as_printed("wsc")),
 }
 
+CHATTER = 5
+"""Ticks of 1 ms over which a force that switches every few of them is drawn as a mean and a range."""
+
 
 def _controllers(bench: Bench, report: PaperReport, columns: Columns) -> "Figure":
     figure, (left, middle, right) = _figure(columns, 3, "Fig. 8 to 11: after the release, with each controller")
@@ -185,13 +189,15 @@ def _controllers(bench: Bench, report: PaperReport, columns: Columns) -> "Figure
         shown = (time > -0.02) & (time < 0.2)
         look = controller_look(controller) | ({"linestyle": ":"} if name == "VFC, both" else {})
         left.plot(time[shown], trace.velocity[shown], label=name, **look)
-        middle.plot(time[shown], trace.device_force[shown], **look)
+        mean, least, most = chatter(trace.device_force[shown], CHATTER)
+        middle.fill_between(time[shown], least, most, color=look["color"], alpha=0.18, lw=0.0)
+        middle.plot(time[shown], mean, **look)
         ours.append(bench.ejection(trace))
     trip = _value(report, "Fig. 8", "time_to_trip", controller="vfc").paper
     speed = _value(report, "Fig. 8", "speed_at_trip", controller="vfc").paper
     left.plot([_known(trip)], [_known(speed)], **READ, label="paper: VFC trips")
     left.set(xlabel="time since release [s]", ylabel="velocity [m/s]")
-    middle.set(xlabel="time since release [s]", ylabel="device force [N]")
+    middle.set(xlabel="time since release [s]", ylabel=f"device force [N],\nmean and range of {CHATTER} ms")
     quantity = "max_ejection_velocity"
     vfc = _value(report, "Fig. 8", quantity, controller="vfc").paper
     papers = [
@@ -299,7 +305,7 @@ def _sensitivity(bench: Bench, report: PaperReport, columns: Columns) -> "Figure
     panel.set(xscale="log", xlim=(NARROWEST, WIDEST), ylim=(len(rows) - 0.4, -0.6), xlabel="ours / paper")
     panel.set_yticks(range(len(rows)), [_row_title(row) for row in rows])
     panel.grid(visible=False, axis="y")
-    legend_below(figure, panel.get_legend_handles_labels()[0])
+    legend_beside(figure, panel.get_legend_handles_labels()[0])
     return figure
 
 

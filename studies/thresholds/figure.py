@@ -1,4 +1,4 @@
-"""Figure of a trade-off: missed releases over false trips per hour, one panel per controller."""
+"""Figure of a trade-off: missed releases over false trips per hour, one panel per controller and round trip."""
 
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 from haptether.studies.task import WITHIN_S
 from haptether.studies.thresholds.law import ThresholdLaw
 from haptether.studies.thresholds.trade_off import TradeOff
-from haptether.view.style.colours import AXES, CONTROLLERS, HELD, PAPER, THRESHOLD
-from haptether.view.style.figure import Columns, letter, new_figure, styled, written
-from haptether.view.style.legend import legend_below
+from haptether.view.style.colours import CHOICES, CONTROLLERS, NEUTRAL, layered
+from haptether.view.style.figure import Columns, letter, new_figure, small_pt, styled, written
+from haptether.view.style.legend import legend_beside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -16,9 +16,10 @@ if TYPE_CHECKING:
 
 SHOWN_ROUND_TRIPS = 3
 """Largest number of round trips shown: first, middle and last; the JSON has all."""
-LINES = ("-", "--", ":")
-OURS = (AXES[0], AXES[5], AXES[3])
-"""Colours of our first law of a controller, and of further ones."""
+DEFAULT = "default threshold"
+LINE_BREAK = "\n"
+PAPERS = "--"
+"""Dashes of the laws of the paper."""
 
 
 def draw_trade_off(found: TradeOff, path: str | PathLike[str] | None = None, columns: Columns = 2) -> "Figure":
@@ -42,48 +43,43 @@ def draw_trade_off(found: TradeOff, path: str | PathLike[str] | None = None, col
             f"{len(found.tasks)} tasks, {found.hands} hands each; missed: faster than {found.missed_speed:g} m/s within"
             f" {WITHIN_S:g} s of a release"
         )
-        height = 3.0 if columns == 2 else 2.2 * len(controllers) + 0.8
-        figure = new_figure(columns, height, title)
-        shape = (1, len(controllers)) if columns == 2 else (len(controllers), 1)
-        panels = figure.subplots(*shape, squeeze=False).ravel().tolist()
-        handles: list[Any] = []
-        for panel, controller in zip(panels, controllers, strict=True):
+        figure = new_figure(columns, (1.75 if columns == 2 else 2.1) * len(controllers) + 0.6, title)
+        panels: list[Axes] = []
+        parts = figure.subfigures(len(controllers), 1, squeeze=False)[:, 0]
+        for part, controller in zip(parts, controllers, strict=True):
             laws = [law for law in found.laws if law.controller == controller]
-            handles += _panel(panel, found, laws, [trips[place] for place in shown])
-            panel.set_title(controller.upper())
-            panel.set_xlabel("false trips per hour held")
-            panel.set_ylabel("releases missed [%]")
-        for line, place in zip(LINES, shown, strict=False):
-            label = f"round trip {trips[place] * 1e3:g} ms"
-            handles += panels[0].plot([], [], line, color=THRESHOLD, label=label)
-        legend_below(figure, handles)
+            row = part.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+            for panel, place in zip(row, shown, strict=True):
+                handles = _panel(panel, found, laws, trips[place])
+                title = f"round trip{' ' if columns == 2 else LINE_BREAK}{trips[place] * 1e3:g} ms"
+                panel.set_title(title, fontsize=small_pt(), pad=2.0)
+            legend_beside(part, handles, "outside upper center")
+            row[0].set_ylabel(f"{controller.upper()}:\nreleases missed [%]")
+            panels += row.tolist()
+        figure.supxlabel("false trips per hour held", fontsize=small_pt() + 1.0)
         letter(panels)
     return written(figure, path)
 
 
-def _panel(panel: "Axes", found: TradeOff, laws: list[ThresholdLaw], trips: list[float]) -> list[Any]:
-    handles, ours = [], 0
-    for law in laws:
-        colour = PAPER
-        if law.source != "paper":
-            colour, ours = OURS[ours % len(OURS)], ours + 1
-        elif any(each.source == "paper" for each in laws[: laws.index(law)]):
-            colour = HELD
-        for line, round_trip_s in zip(LINES, trips, strict=False):
-            points = [found.over(law.name, value, round_trip_s=round_trip_s) for value in law.values]
-            rates = [point.per_hour for point in points]
-            missed = [100.0 * point.missed_share for point in points]
-            (drawn,) = panel.plot(rates, missed, line, color=colour, marker=".", ms=4.0, clip_on=False,
-                                  label=law.name)  # fmt: skip
-            if line == LINES[0]:
-                handles.append(drawn)
-            if law.default in law.values:
-                place = law.values.index(law.default)
-                panel.plot(rates[place], missed[place], "o", color=colour, mfc="none", ms=6.0)
-    panel.set_xscale("symlog", linthresh=1.0 / max(1e-9, _hours(found, laws)))
-    panel.set_xlim(left=0.0, right=3e3)
-    panel.set_ylim(-3.0, 103.0)
-    return handles
+def _panel(panel: "Axes", found: TradeOff, laws: list[ThresholdLaw], round_trip_s: float) -> list[Any]:
+    handles = []
+    for place, (law, (colour, marker)) in enumerate(zip(laws, CHOICES, strict=False)):
+        points = [found.over(law.name, value, round_trip_s=round_trip_s) for value in law.values]
+        rates = [point.per_hour for point in points]
+        missed = [100.0 * point.missed_share for point in points]
+        handles += panel.plot(rates, missed, color=colour, marker=marker, clip_on=False, label=law.name,
+                              ls=PAPERS if law.source == "paper" else "-", **layered(place, len(laws)))  # fmt: skip
+        if law.default in law.values:
+            of = law.values.index(law.default)
+            rings = panel.plot(rates[of], missed[of], "o", color=NEUTRAL, mfc="none", ms=9.0, mew=0.7, clip_on=False,
+                               zorder=5.0, label=DEFAULT)  # fmt: skip
+            handles += rings
+    linear = 1.0 / max(1e-9, _hours(found, laws))
+    panel.set_xscale("symlog", linthresh=linear)
+    panel.set_xlim(-0.3 * linear, 3e3)
+    panel.set_ylim(-6.0, 106.0)
+    handles.sort(key=lambda handle: handle.get_label() == DEFAULT)
+    return list({str(handle.get_label()): handle for handle in handles}.values())
 
 
 def _hours(found: TradeOff, laws: list[ThresholdLaw]) -> float:

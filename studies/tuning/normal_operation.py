@@ -78,16 +78,16 @@ class TunedField(NamedTuple):
     least: float
     """Lower bound of that boundary."""
     score: str
-    """Score that rises as safety falls, with its unit."""
+    """Score that rises as safety falls, in `unit`."""
 
 
 TUNED_FIELDS = {
     each.field: each
     for each in (
-        TunedField("wsc", "energy_threshold_j", "J", -1.0, 0.0, "-E_wso [J]"),
-        TunedField("hsc", "grasp_threshold", "", 1.0, 1.0, "S_h"),
-        TunedField("hsc", "hsc_force_threshold_n", "N", 1.0, 0.0, "|F_v| [N]"),
-        TunedField("vfc", "velocity_threshold", "m/s", 1.0, 0.0, "V along F_v [m/s]"),
+        TunedField("wsc", "energy_threshold_j", "J", -1.0, 0.0, "energy given to the hand in the window, -E_wso"),
+        TunedField("hsc", "grasp_threshold", "", 1.0, 1.0, "grasp value, S_h"),
+        TunedField("hsc", "hsc_force_threshold_n", "N", 1.0, 0.0, "rendered force, |F_v|"),
+        TunedField("vfc", "velocity_threshold", "m/s", 1.0, 0.0, "velocity along the rendered force"),
     )
 }
 """Tunable thresholds by field of `[safety]`."""

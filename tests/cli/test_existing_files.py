@@ -21,9 +21,12 @@ WRITTEN: dict[str, tuple[list[str], dict[str, str]]] = {
         ["remote_push"],
         {"plot": "a.png", "out": "a.npz", "record": "folder/master.mcap", **JSON},
     ),
-    "sweep": (["remote_push", "--samples", "1"], {"out": "a.csv", "plot": "a.png", **JSON}),
+    "sweep": (["remote_push", "--samples", "1"], {"out": "a.csv", "plot": "a.png", "latex": "a.tex", **JSON}),
     "check": (["remote_push"], JSON),
-    "evaluate": (["remote_push", "--quick"], {"out": "folder/evaluation.html", **JSON}),
+    "evaluate": (
+        ["remote_push", "--quick"],
+        {"out": "folder/evaluation.html", "plot": "a.png", "latex": "a.tex", **JSON},
+    ),
     "thresholds": ([], {"plot": "a.png", **JSON}),
     "tune": (["in.mcap"], {"plot": "a.png", **JSON}),
     "falsify": (["remote_push"], {"out": "a.toml", **JSON}),
@@ -74,7 +77,21 @@ THERE = {
     "the picture of a folder": "folder/remote_push.png",
     "a folder of a demo": "folder/wsc.npz",
 }
-NAMES = {"json", "plot", "out", "record", "csv", "parquet", "npz", "foxglove", "screenshot", "movie", "html", "log"}
+NAMES = {
+    "json",
+    "plot",
+    "out",
+    "record",
+    "csv",
+    "parquet",
+    "npz",
+    "foxglove",
+    "latex",
+    "screenshot",
+    "movie",
+    "html",
+    "log",
+}
 """Names of the options that write a file, over all commands."""
 CASES = {
     f"{command} --{option}": (

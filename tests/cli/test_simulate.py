@@ -453,7 +453,7 @@ def test_the_examples_in_the_help_work(
     (tmp_path / "my" / "scene.toml").write_text('schema = 1\nmaster = { device = "touch" }\nrecord = {}\n')
     lines = [line for command in (Simulate, Sweep) for line in (inspect.getdoc(command) or "").splitlines()]
     examples = [shlex.split(line)[1:] for line in lines if line.startswith("haptether ")]
-    assert len(examples) == 14
+    assert len(examples) == 15
     for example in examples:
         assert main(example) == 0, example
         assert not re.search(r"rows: .*refused", capsys.readouterr().out), example

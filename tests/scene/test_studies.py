@@ -132,9 +132,9 @@ def test_choices_are_drawn_as_lines_or_points() -> None:
     columns["peak_device_force"] = number + (choice == "none")
     figure = draw_sweep("s", columns, ["safety.controllers", "link.forward.delay_s"])
     lines = {line.get_label(): line for line in figure.axes[0].get_lines()}
-    np.testing.assert_allclose(np.asarray(lines["none"].get_ydata(), dtype=float), [1.0, 1.1, 1.2])
+    np.testing.assert_allclose(np.asarray(lines["no controller"].get_ydata(), dtype=float), [1.0, 1.1, 1.2])
     points = draw_sweep("s", columns, ["safety.controllers"]).axes[0]
-    assert [tick.get_text() for tick in points.get_xticklabels()] == ["none", "hsc+wsc"]
+    assert [tick.get_text() for tick in points.get_xticklabels()] == ["no\ncontroller", "HSC + WSC"]
     columns["safety.vfc_form"] = np.repeat(["product"], 6)
     with pytest.raises(ValueError, match="a picture has one choice"):
         draw_sweep("s", columns, ["safety.controllers", "safety.vfc_form"])

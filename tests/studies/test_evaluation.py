@@ -13,6 +13,7 @@ from msgspec.structs import replace
 from haptether.bridge import LinksTable, RecordTable, load_scene, simulate
 from haptether.cli.entry import main
 from haptether.cli.scene.evaluate import Evaluate
+from haptether.cli.shared.repeat import command_line
 from haptether.netsim import PRESETS, LinkSettings
 from haptether.studies import (
     EVALUATED_NETWORKS,
@@ -201,7 +202,7 @@ def test_an_unconfirmed_cell_is_hatched_and_says_how_many_hands_it_needs(
     figure = draw_evaluation(found, path, columns)
     cells = [patch for patch in figure.axes[0].patches if isinstance(patch, Rectangle)]
     assert [bool(cell.get_hatch()) for cell in cells] == [False, True]
-    assert [text.get_text() for text in figure.axes[0].texts if text.get_text() != "a"] == ["safe", "safe?\n35\nhands"]
+    assert [text.get_text() for text in figure.axes[0].texts if text.get_text() != "a"] == ["safe", "safe? 35 hands"]
     assert path.read_bytes().startswith(b"<?xml")
     page, text = evaluation_html(found), evaluation_markdown(found)
     assert "<td class=safe>safe, 0.40 m/s</td><td class=unconfirmed>safe? 35 hands, 0.40 m/s</td><td>1</td>" in page
@@ -466,10 +467,10 @@ def test_the_command_that_is_printed_is_the_one_that_ran() -> None:
         scene=("remote_push",), seed=1234567, round_trip_s=(0.0123456789,), speed=0.1234567, hands=2,
         population="stylus-arm",
     )  # fmt: skip
-    assert command._options() == [
-        "--round-trip-s", "0.0123456789", "--hands", "2", "--speed", "0.1234567", "--seed", "1234567",
-        "--population", "stylus-arm",
-    ]  # fmt: skip
+    assert command_line("evaluate", command) == (
+        "haptether evaluate remote_push --round-trip-s 0.0123456789 --hands 2 --speed 0.1234567"
+        " --population stylus-arm --seed 1234567"
+    )
 
 
 def test_the_worst_release_of_an_earlier_run_is_removed(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import re
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,13 @@ import numpy.typing as npt
 import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from tests.view.figures import check, event_names
+from msgspec import inspect
+from tests.view.figures import check, event_names, texts_of
 
 import haptether
-from haptether.bridge import Event, Metrics, Run, Signals
+from haptether.bridge import Event, Metrics, Run, Scene, Signals
+from haptether.bridge.scene.errors import members
+from haptether.bridge.scene.labels import label_of, labels_of
 from haptether.studies import DemoScene, draw_paper, paper_sensitivity, reproduce_paper
 from haptether.studies.demo import draw_demo
 from haptether.studies.remote_push import PushResult
@@ -22,11 +26,21 @@ from haptether.view.figures.link import draw_link
 from haptether.view.figures.run import draw_run
 from haptether.view.figures.sweep import draw_sweep
 from haptether.view.style.colours import CONTROLLERS, PAPER, SIGNALS, UNION, controller_look, controller_title
-from haptether.view.style.figure import WIDTHS_IN, Columns, new_figure, styled, write_figure
+from haptether.view.style.figure import (
+    WIDTHS_IN,
+    Columns,
+    PictureStyle,
+    new_figure,
+    picture_style,
+    styled,
+    write_figure,
+)
 from haptether.view.style.series import envelope
 
 pytestmark = pytest.mark.slow
 
+RAW = re.compile(r"[a-z]_[a-z]|[a-z]\.[a-z]")
+"""Key of a scene or metric."""
 LONG = "master: the peer has been silent for 20 ms, for a reason that takes a whole line to say; $\\frac{1}{0}$"
 
 
@@ -121,13 +135,81 @@ def sweep_of(**varied: npt.NDArray[np.float64]) -> dict[str, npt.NDArray[Any]]:
 TEN = np.linspace(0.01, 0.1, 10)
 
 
+@pytest.mark.parametrize("style", ["screen", "paper"])
 @pytest.mark.parametrize("varied", [{"a": TEN}, {"a": TEN[:1]}, {"a": TEN, "run.seed": np.arange(5.0)},
                                     {"link.forward.delay_s": TEN, "safety.window": np.array([50.0, 100.0, 1e3])},
                                     {"a": TEN[:1], "b": TEN[:1]}, {"a": TEN, "b": TEN, "run.seed": np.arange(3.0)},
                                     {"run.seed": np.arange(4.0)}])  # fmt: skip
-def test_no_label_of_a_sweep_falls_off_or_overlaps(varied: dict[str, Any]) -> None:
-    for columns in (1, 2) if len(varied) == 2 else (2,):
-        check(draw_sweep("remote_push", sweep_of(**varied), list(varied), columns))
+def test_no_label_of_a_sweep_falls_off_or_overlaps(varied: dict[str, Any], style: PictureStyle) -> None:
+    columns = sweep_of(**varied)
+    for width in (1, 2) if len(varied) == 2 else (2,):
+        with picture_style(style):
+            figure = draw_sweep("remote_push", columns, list(varied), width, labels_of(columns))
+        check(figure)
+        assert [text.get_text() for text in texts_of(figure) if RAW.search(text.get_text())] == (
+            [] if style == "paper" else [figure.get_suptitle()]
+        )
+
+
+def test_a_field_has_a_label_in_words_with_its_unit() -> None:
+    for path, values, text, factor in (
+        ("link.forward.delay_s", [0.01, 0.1], "forward delay [ms]", 1e3),
+        ("link.forward.delay_s", [0.1, 1.0], "forward delay [s]", 1.0),
+        ("safety.energy_threshold_j", [-0.03], "energy threshold [mJ]", 1e3),
+        ("safety.hsc_force_threshold_n", [0.1], "HSC force threshold [N]", 1.0),
+        ("safety.window", [50], "window [ticks]", 1.0),
+        ("safety.estimator.cutoff_hz", [30.0], "estimator cutoff [Hz]", 1.0),
+        ("environment.objects.0.contact.stiffness", [200.0], "contact stiffness [N/m]", 1.0),
+        ("environment.bodies.0.mass_kg", [0.2], "body mass [kg]", 1.0),
+        ("coupling.tool_mass_kg", [0.2], "coupling tool mass [kg]", 1.0),  # its doc has no unit
+        ("operator.legs.1.end.2", [0.0, np.nan], "leg end 2 [m]", 1.0),
+        ("position_rmse_m", [0.002], "position error, RMS [mm]", 1e3),
+        ("run.seed", [1.0], "seed", 1.0),
+    ):
+        assert label_of(path).sized(values) == (text, factor), path
+
+
+def test_every_number_of_a_scene_has_a_label() -> None:
+    found = list(numbers_of(inspect.type_info(Scene), ()))
+    assert len(found) > 150
+    for path in found:
+        text, _ = label_of(path).sized([])
+        assert not RAW.search(text), path
+        if suffix := re.search(r"_(s|ms|m|n|j|kg|hz|w)$", path):
+            assert text.endswith("]"), (path, suffix[1])
+
+
+def numbers_of(kind: inspect.Type, path: tuple[str, ...], seen: tuple[type, ...] = ()) -> Iterator[str]:
+    """Yield the paths of all fields of a table that are numbers."""
+    for of in members(kind):
+        if isinstance(of, inspect.FloatType | inspect.IntType):
+            yield ".".join(path)
+        elif isinstance(of, inspect.VarTupleType):
+            yield from numbers_of(of.item_type, (*path, "0"), seen)
+        elif isinstance(of, inspect.StructType) and of.cls not in seen:
+            for field in of.fields:
+                yield from numbers_of(field.type, (*path, field.name), (*seen, of.cls))
+
+
+def test_a_constant_does_not_fill_an_axis_with_its_rounding() -> None:
+    columns = sweep_of(a=TEN) | {"time_to_trip_s": 0.045 + 1e-17 * TEN, "position_rmse_m": 3.0 + 0.1 * TEN}
+    panels = {panel.get_ylabel(): panel for panel in draw_sweep("s", columns, ["a"]).axes}
+    for name, least in (("time_to_trip_s", 0.05 * 0.045), ("position_rmse_m", 0.15), ("false_trips", 1.0)):
+        low, high = panels[name].get_ylim()
+        assert high - low >= least, name
+    assert panels["false_trips"].get_ylim()[1] >= 1.0
+
+
+def test_lines_of_choices_that_coincide_show_below_each_other() -> None:
+    kinds = np.repeat(["position-force", "pd-damped", "position-position"], 10)
+    columns = {"coupling.kind": kinds, "a": np.tile(TEN, 3), "peak_device_force": np.ones(30)}
+    figure = draw_sweep("s", columns, ["coupling.kind", "a"])
+    check(figure)
+    lines = [line for line in figure.axes[0].get_lines() if len(np.asarray(line.get_xdata())) == 10]
+    widths = [line.get_linewidth() for line in lines if line.get_label() in set(kinds.tolist())]
+    assert widths == sorted(widths, reverse=True)
+    assert len(set(widths)) == 3
+    assert not {to_hex(line.get_color()) for line in lines} & {colour for colour, _ in CONTROLLERS.values()}
 
 
 def test_a_sweep_over_seeds_has_the_mean_and_its_confidence() -> None:
@@ -142,7 +224,7 @@ def test_a_sweep_over_seeds_has_the_mean_and_its_confidence() -> None:
     high = band.get_paths()[0].get_extents().y1
     half = 2.7764 * of_last.std(ddof=1) / np.sqrt(5)
     assert high >= of_last.mean() + 0.999 * half
-    assert "some not measured" in [line.get_label() for line in panel.get_lines()]
+    assert "not measured in some runs" in [line.get_label() for line in panel.get_lines()]
 
 
 def test_more_than_two_axes_are_refused() -> None:
@@ -305,10 +387,14 @@ def test_sizes_are_those_that_were_asked_for(tmp_path: Path, columns: Columns) -
     assert float(width[1]) == pytest.approx(WIDTHS_IN[columns] * 72.0, abs=0.1)
 
 
-def test_fonts_are_embedded_whatever_the_user_has_set(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("style", "font"), [("screen", b"DejaVuSans"), ("paper", b"STIXGeneral")])
+def test_fonts_are_embedded_whatever_the_user_has_set(tmp_path: Path, style: PictureStyle, font: bytes) -> None:
     import matplotlib as mpl
 
-    with mpl.rc_context({"pdf.fonttype": 3, "svg.fonttype": "none", "font.size": 40.0, "savefig.dpi": 10.0}):
+    with (
+        picture_style(style),
+        mpl.rc_context({"pdf.fonttype": 3, "svg.fonttype": "none", "font.size": 40.0, "savefig.dpi": 10.0}),
+    ):
         for ending in ("pdf", "svg", "png"):
             AWKWARD["one tick"].plot(tmp_path / f"run.{ending}")
     text = (tmp_path / "run.pdf").read_bytes()
@@ -318,6 +404,7 @@ def test_fonts_are_embedded_whatever_the_user_has_set(tmp_path: Path) -> None:
         except zlib.error:
             continue
     assert b"/FontFile2" in text
+    assert font in text
     assert b"/Subtype /Type3" not in text
     svg = (tmp_path / "run.svg").read_text()
     assert "<text" not in svg

@@ -1,6 +1,7 @@
 """Colours of controllers and of the paper, equal in all figures and distinguishable by the colour-blind.
 
-Source: M. Okabe, K. Ito, "Color Universal Design", 2008. Lines also differ in their dashes.
+Source: M. Okabe, K. Ito, "Color Universal Design", 2008. Lines also differ in
+their dashes, or in their markers.
 """
 
 from collections.abc import Iterable
@@ -45,6 +46,25 @@ SIGNALS = {
 """Colours of positions and forces, same as in `haptether view`."""
 AXES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 """Colours of x, y, z and of joints."""
+
+FOUND = "#6a3d9a"
+"""Colour of what a command found, such as a threshold."""
+NEUTRAL = "#39434e"
+"""Colour of a line that is the only one of its panel."""
+MISSING = "#7a828c"
+"""Colour of what was not measured."""
+CHOICES = (
+    ("#332288", "o"), ("#cc6677", "s"), ("#44aa99", "^"), ("#999933", "D"), ("#aa4499", "v"), ("#88ccee", "P"),
+    ("#882255", "X"),
+)  # fmt: skip
+"""Colours and markers of other choices than controllers, whose colours differ. Source: P. Tol, "Colour schemes", 2021.
+"""
+
+
+def layered(place: int, count: int) -> dict[str, Any]:
+    """Return width and marker size of a line out of several: those drawn first are thicker, and show below others."""
+    below = (count - 1 - place) * min(0.7, 2.1 / max(1, count - 1))
+    return {"lw": 1.0 + below, "ms": 2.6 + 1.7 * below}
 
 
 def controller_look(controllers: str | Iterable[str]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from haptether.printable import printable
 from haptether.view.style.colours import CONTROLLERS
-from haptether.view.style.figure import SMALL_PT, figure_of, fitted, text_width
+from haptether.view.style.figure import figure_of, fitted, small_pt, text_width
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -73,7 +73,7 @@ def name_events(panels: "Sequence[Axes]", events: Sequence[EventMark], above_pt:
                      arrowprops={"arrowstyle": "-", "lw": 0.5, "ls": ":", "color": _colour(event.text),
                                  "shrinkA": 0.0, "shrinkB": 0.0})  # fmt: skip
         top.annotate(text, (event.time_s, 1.0), (shift_pt, at_y), xycoords=above, textcoords="offset points",
-                     parse_math=False, fontsize=SMALL_PT, ha="left", va="bottom", color=_colour(event.text),
+                     parse_math=False, fontsize=small_pt(), ha="left", va="bottom", color=_colour(event.text),
                      gid="event", zorder=6.0,
                      bbox={"boxstyle": "square,pad=0.08", "facecolor": "white", "edgecolor": "none"})  # fmt: skip
     figure.set_figheight(figure.get_figheight() + ROW_PT * len(rows) / 72.0)

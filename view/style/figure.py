@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Columns: TypeAlias = Literal[1, 2]
+PictureStyle: TypeAlias = Literal["screen", "paper"]
 PictureFormat: TypeAlias = Literal["png", "pdf", "svg"]
 LETTERS = "abcdefghijklmnopqrstuvwxyz"
 FORMATS: tuple[PictureFormat, ...] = ("png", "pdf", "svg")
@@ -54,6 +56,34 @@ STYLE: dict[str, Any] = {
     "svg.hashsalt": "haptether",
 }
 
+STYLES: dict[PictureStyle, dict[str, Any]] = {
+    "screen": {},
+    # STIX is a Times, which most venues set their text in, and comes with matplotlib.
+    "paper": {
+        "font.family": "STIXGeneral",
+        "mathtext.fontset": "stix",
+        "savefig.dpi": 600,
+        "font.size": 8.5,
+        "axes.labelsize": 8.5,
+        "axes.titlesize": 8.5,
+        "xtick.labelsize": 8.0,
+        "ytick.labelsize": 8.0,
+        "legend.fontsize": 8.0,
+    },
+}
+"""Settings of each style beside `STYLE`. A paper has no title: its caption is in the text."""
+_STYLE: ContextVar[PictureStyle] = ContextVar("style", default="screen")
+
+
+@contextmanager
+def picture_style(style: PictureStyle) -> Iterator[None]:
+    """Draw and write all figures inside the context in a style: for a screen, or for a paper."""
+    token = _STYLE.set(style)
+    try:
+        yield
+    finally:
+        _STYLE.reset(token)
+
 
 @contextmanager
 def styled() -> Iterator[None]:
@@ -64,7 +94,8 @@ def styled() -> Iterator[None]:
     """
     import matplotlib as mpl
 
-    settings: dict[Any, Any] = {**mpl.rcParamsDefault, "backend": mpl.rcParams["backend"], **STYLE}
+    style = STYLES[_STYLE.get()]
+    settings: dict[Any, Any] = {**mpl.rcParamsDefault, "backend": mpl.rcParams["backend"], **STYLE, **style}
     with mpl.rc_context(settings):
         yield
 
@@ -75,14 +106,14 @@ def new_figure(columns: Columns, height_in: float, title: str = "") -> "Figure":
     Args:
         columns: Width in page columns.
         height_in: Height in inches; event names add to it.
-        title: Title above all panels, cut to the width.
+        title: Title above all panels, cut to the width; a paper has none.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(WIDTHS_IN[columns], height_in), layout="constrained")
     FigureCanvasAgg(figure)
-    if title:
+    if title and _STYLE.get() != "paper":
         room = figure.bbox.width * 0.98
         lines = [fitted(figure, printable(line), room, 8.5) for line in title.split("\n")]
         # Do not parse file names and reasons as formulas.
@@ -97,16 +128,23 @@ def figure_of(panel: "Axes") -> "Figure":
     return figure
 
 
-def text_width(figure: "Figure", text: str, size_pt: float = SMALL_PT) -> float:
-    """Return the width of a text in figure pixels."""
+def small_pt() -> float:
+    """Return the size of small text in points, in the current style."""
+    import matplotlib as mpl
+
+    return float(mpl.rcParams["legend.fontsize"])
+
+
+def text_width(figure: "Figure", text: str, size_pt: float | None = None) -> float:
+    """Return the width of a text in figure pixels; by default of small text."""
     from matplotlib.text import Text
 
-    drawn = Text(0.0, 0.0, text, fontsize=size_pt, parse_math=False)
+    drawn = Text(0.0, 0.0, text, fontsize=size_pt or small_pt(), parse_math=False)
     drawn.set_figure(figure)
     return float(drawn.get_window_extent(figure.canvas.get_renderer()).width)  # type: ignore[attr-defined]
 
 
-def fitted(figure: "Figure", text: str, room: float, size_pt: float = SMALL_PT) -> str:
+def fitted(figure: "Figure", text: str, room: float, size_pt: float | None = None) -> str:
     """Return a text cut to a width in pixels, with an ellipsis."""
     if text_width(figure, text, size_pt) <= room:
         return text
@@ -120,8 +158,29 @@ def fitted(figure: "Figure", text: str, room: float, size_pt: float = SMALL_PT) 
     return f"{text[:short].rstrip()}…"
 
 
+LEAST_SPAN = 0.05
+"""Smallest height of an axis as a fraction of its largest value."""
+
+
+def plain_span(low: float, high: float) -> tuple[float, float]:
+    """Return limits that draw a constant as one, not as rounding: at least `LEAST_SPAN` of the largest value apart."""
+    largest = max(abs(low), abs(high))
+    if largest < 1e-12:
+        return 0.0, 1.0
+    short = max(0.0, LEAST_SPAN * largest - (high - low))
+    return low - 0.5 * short, high + 0.5 * short
+
+
 def plain_ticks(panel: "Axes", most: int) -> None:
-    """Format the left axis without an exponent, which would collide with the legend, with at most the given steps."""
+    """Format the left axis without an exponent, which would collide with the legend, with at most the given steps.
+
+    The axis is at least `plain_span` of its lines high.
+    """
+    drawn = panel.dataLim.intervaly
+    low, high = plain_span(*drawn)
+    if high - low > drawn[1] - drawn[0] >= 0.0:
+        margin = 0.08 * (high - low)
+        panel.set_ylim(low - margin, high + margin)
     panel.locator_params(axis="y", nbins=most)
     panel.yaxis.set_major_formatter(lambda value, _: f"{value:.6g}".replace("-", "\N{MINUS SIGN}"))
 

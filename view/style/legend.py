@@ -1,17 +1,19 @@
-"""Legends above a panel or below all panels, away from curves."""
+"""Legends above a panel or beside all panels, away from curves."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from haptether.view.style.figure import SMALL_PT, figure_of, text_width
+from haptether.view.style.figure import figure_of, small_pt, text_width
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, FigureBase
 
 HANDLE_EM, GAP_EM, PAD_EM = 1.8, 1.0, 0.5
 """Legend dimensions in font sizes: line length, gap between entries, gap between line and name."""
+Outside: TypeAlias = Literal["outside lower center", "outside upper center"]
+SPACES: dict[str, Any] = {"handlelength": HANDLE_EM, "columnspacing": GAP_EM, "handletextpad": PAD_EM}
 
 
 def legend_above(panel: "Axes", handles: "Sequence[Any] | None" = None, width_in: float | None = None) -> int:
@@ -27,27 +29,29 @@ def legend_above(panel: "Axes", handles: "Sequence[Any] | None" = None, width_in
         return 0
     figure = figure_of(panel)
     room = (figure.get_figwidth() - 1.0 if width_in is None else width_in) * figure.dpi
-    em = SMALL_PT / 72.0 * figure.dpi
-    widths = [text_width(figure, str(handle.get_label())) + (HANDLE_EM + PAD_EM + GAP_EM) * em for handle in listed]
-    columns = len(listed)
+    listed, columns = _by_row(figure, listed, room)
+    panel.legend(handles=listed, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, facecolor="white",
+                 edgecolor="none", framealpha=1.0, borderaxespad=0.15, borderpad=0.1, labelspacing=0.2,
+                 **SPACES)  # fmt: skip
+    return -(-len(listed) // columns)
+
+
+def legend_beside(part: "FigureBase", handles: "Sequence[Any]", loc: Outside = "outside lower center") -> None:
+    """Put one legend of several panels below or above them."""
+    figure = part.get_figure(root=True)
+    assert figure is not None
+    listed, columns = _by_row(figure, list(handles), 0.98 * figure.bbox.width)
+    part.legend(handles=listed, loc=loc, ncols=columns, frameon=False, **SPACES)
+
+
+def _by_row(figure: "Figure", handles: list[Any], room: float) -> tuple[list[Any], int]:
+    """Return the handles, ordered so that they read row by row, and the number of columns that fit."""
+    em = small_pt() / 72.0 * figure.dpi
+    widths = [text_width(figure, str(handle.get_label())) + (HANDLE_EM + PAD_EM + GAP_EM) * em for handle in handles]
+    columns = max(1, len(handles))
     while columns > 1 and sum(max(widths[column::columns]) for column in range(columns)) > room:
         columns -= 1
-    rows = -(-len(listed) // columns)
+    rows = -(-len(handles) // columns)
     # matplotlib fills by column, but readers go by row.
     order = [row * columns + column for column in range(columns) for row in range(rows)]
-    listed = [listed[place] for place in order if place < len(listed)]
-    panel.legend(handles=listed, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, facecolor="white",
-                 edgecolor="none", framealpha=1.0,
-                 borderaxespad=0.15, borderpad=0.1, handlelength=HANDLE_EM, columnspacing=GAP_EM, handletextpad=PAD_EM,
-                 labelspacing=0.2)  # fmt: skip
-    return rows
-
-
-def legend_below(figure: "Figure", handles: "Sequence[Any]") -> None:
-    """Put one legend of several panels below them."""
-    widths = [text_width(figure, str(handle.get_label())) for handle in handles]
-    em = SMALL_PT / 72.0 * figure.dpi
-    room = max(widths, default=0.0) + (HANDLE_EM + PAD_EM + GAP_EM) * em
-    columns = max(1, min(len(handles), int(0.98 * figure.bbox.width / room)))
-    figure.legend(handles=list(handles), loc="outside lower center", ncols=columns, frameon=False,
-                  handlelength=HANDLE_EM, columnspacing=GAP_EM, handletextpad=PAD_EM)  # fmt: skip
+    return [handles[place] for place in order if place < len(handles)], columns

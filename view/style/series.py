@@ -33,3 +33,14 @@ def envelope(time_s: Array, values: Array) -> tuple[Array, Array]:
         kept.extend(start + np.unique([0, least, largest, len(part) - 1]))
     places = np.array(kept)
     return time_s[places], values[places]
+
+
+def chatter(values: Array, ticks: int) -> tuple[Array, Array, Array]:
+    """Return mean, least and largest value of a window around each sample, for a signal that switches every few ticks.
+
+    Args:
+        values: Values, (n,).
+        ticks: Samples of the window, an odd number.
+    """
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, ticks // 2, mode="edge"), ticks)
+    return windows.mean(axis=1), windows.min(axis=1), windows.max(axis=1)

@@ -218,9 +218,19 @@ def _main(arguments: Sequence[str]) -> int:
     return status
 
 
+def _picture_style(style: Any) -> contextlib.AbstractContextManager[None]:  # noqa: ANN401  # an option, if any
+    """Return the context in which a command draws."""
+    if style is None:
+        return contextlib.nullcontext()
+    from haptether.view.style.figure import picture_style
+
+    return picture_style(style)
+
+
 def _status(command: Command) -> int:
     try:
-        status = command.run()
+        with _picture_style(getattr(command, "style", None)):
+            status = command.run()
         # Flush here, where a failed write is reported.
         sys.stdout.flush()
     except KeyboardInterrupt:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from haptether.cli.shared.output import FileOptions
+from haptether.cli.shared.picture import PictureOptions
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -21,7 +21,7 @@ PAGES = ("evaluation.html", "evaluation.md", "worst.toml")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluate(FileOptions):
+class Evaluate(PictureOptions):
     """Say how safe a set-up is under delay: controllers over round trips and networks, in tasks done by many hands.
 
     Some hands hold throughout: each intervention is a false trip. Others let go under force: a device faster than the
@@ -40,6 +40,8 @@ class Evaluate(FileOptions):
     haptether evaluate remote_push --controller none hsc hsc+wsc --round-trip-s 0 0.05 0.1 --out evaluation
 
     haptether evaluate remote_push --quick --network lte-driving measured.csv
+
+    haptether evaluate remote_push --hands 40 --style paper --columns 1 --plot safety.pdf --latex safety.tex
 
     haptether evaluate all --quick --json - --set safety.window=10
     """
@@ -78,6 +80,11 @@ class Evaluate(FileOptions):
     """Number of threads; by default the number of processors."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Write evaluation.html, evaluation.md and worst.toml into this folder."""
+    plot: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
+    """Draw the figure of the page as .png, .pdf or .svg."""
+    latex: Annotated[Path | None, tyro.conf.arg(metavar="FILE.tex")] = None
+    """Write the verdicts as a LaTeX table, and the picture of --plot as a figure; captions have the command, the
+    version and the sources to cite."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write all cells as JSON; - for standard output."""
 
@@ -86,18 +93,22 @@ class Evaluate(FileOptions):
         from haptether.cli.scene.simulate import spinner
         from haptether.cli.shared.controller_time import controller_timed
         from haptether.cli.shared.numbers import check_random_seed
-        from haptether.cli.shared.output import check_target, make_folder, require_matplotlib
+        from haptether.cli.shared.output import check_distinct, check_target, make_folder, require_matplotlib
+        from haptether.cli.shared.picture import asked_picture
         from haptether.cli.shared.screen import screen
         from haptether.cli.shared.unusual import ask_units, check_times, tasks_of
         from haptether.studies import (
             EVALUATED_CONTROLLERS,
             EvaluationLimits,
             HandBounds,
+            draw_evaluation,
             evaluate,
         )
         from haptether.studies.task import HANDS, MAX_ROUND_TRIP_S, RELEASES, ROUND_TRIPS_S
 
-        check_target(self.json, force=self.force)
+        check_distinct(json=self.json, plot=self.plot, latex=self.latex)
+        check_target(self.json, self.latex, force=self.force)
+        picture = asked_picture(self.plot, self)
         check_random_seed(self.seed)
         check_times("--round-trip-s", self.round_trip_s or (), MAX_ROUND_TRIP_S)
         limits = {
@@ -136,15 +147,19 @@ class Evaluate(FileOptions):
         self._print(console, found)
         if self.out is not None:
             self._write_pages(console, found, self.out)
+        if picture is not None:
+            draw_evaluation(found, picture, self.page_columns)
+            console.print(f"picture: {picture}")
+        if self.latex is not None:
+            self._write_latex(found, self.latex, picture)
         if self.json is not None:
             self._write_cells(found, self.json)
         return 0
 
     def _write_pages(self, console: "Console", found: "Evaluation", folder: Path) -> None:
         """Write both pages, and the worst release under a controller as a scene."""
-        import shlex
-
         from haptether.bridge import save_scene
+        from haptether.cli.shared.repeat import command_line
         from haptether.private_file import write_private
         from haptether.studies import evaluation_html, evaluation_markdown
 
@@ -160,7 +175,7 @@ class Evaluate(FileOptions):
                 f"{worst.task}, {worst.controllers}, {worst.round_trip_s:g} s, network {worst.network}:"
                 f" {worst.speed:.4f} m/s after the release.",
             )
-        command = shlex.join(("haptether", "evaluate", *self.scene, *self._options()))
+        command = command_line("evaluate", self)
         for suffix, text in (
             ("html", evaluation_html(found, command=command, worst=named)),
             ("md", evaluation_markdown(found, command=command, worst=named)),
@@ -170,6 +185,34 @@ class Evaluate(FileOptions):
             console.print(f"page: {path}")
         if named is not None:
             console.print(f"worst release under a controller: {folder / named}")
+
+    def _write_latex(self, found: "Evaluation", path: Path, picture: Path | None) -> None:
+        """Write the verdicts over all tasks, and the picture, as LaTeX."""
+        from haptether.bridge import load_scene
+        from haptether.cli.shared.repeat import command_line
+        from haptether.private_file import write_private
+        from haptether.studies.evaluation.page import confirmation, verdict_rows
+        from haptether.studies.latex import LatexCaption, latex_figure, latex_table, methods_of
+
+        by_field = [methods_of(load_scene(task, self.set)).items() for task in found.tasks]
+        names = [name for of in by_field for path, some in of if path != "safety.controllers" for name in some]
+        names += [name for controllers in found.controllers for name in controllers.split("+")]
+        command = command_line("evaluate", self)
+        of = f"{', '.join(found.tasks)}, {found.hands} hands each"
+        limits = found.limits
+        text = (
+            f"Worst event over {of}, and the largest speed after a release. Thrown: above {limits.speed:g} m/s; false"
+            f" trips: above {limits.false_trips_per_h:g} per hour held; safe? is confirmed with so many hands."
+        )
+        head, rows = verdict_rows(found)
+        parts = [latex_table(head, rows, LatexCaption(text, command, tuple(names)), "safety")]
+        if picture is not None and picture.suffix != ".svg":
+            text = (
+                f"Over the round trip: worst event (a), largest speed after a release (b), share of releases above the"
+                f" limit (c) and false trips (d), the last two with 95 % intervals, of {of}. {confirmation(found)}"
+            )
+            parts.append(latex_figure(picture, LatexCaption(text, command, tuple(names)), "safety", self.page_columns))
+        write_private(path, "\n".join(parts).encode())
 
     @staticmethod
     def _write_cells(found: "Evaluation", path: Path) -> None:
@@ -249,27 +292,6 @@ class Evaluate(FileOptions):
             return self.scene
         # Contact that turns costs more than a hundred times as much.
         return tuple(name for name in THRESHOLD_TASKS if not self.quick or load_scene(name).master.kind != "pose")
-
-    def _options(self) -> list[str]:
-        """Return the options of this run, apart from the scenes, for a repeat."""
-        given: list[str] = ["--quick"] if self.quick else []
-        for option, values in (
-            ("controller", self.controller), ("round-trip-s", self.round_trip_s), ("network", self.network)
-        ):  # fmt: skip
-            if values is not None:
-                given += [f"--{option}", *(value if isinstance(value, str) else repr(value) for value in values)]
-        for option, value, default in (
-            ("hands", self.hands, None), ("releases", self.releases, None), ("speed", self.speed, None),
-            ("false-trips-per-h", self.false_trips_per_h, None), ("thrown-share", self.thrown_share, None),
-            ("seed", self.seed, 1),
-        ):  # fmt: skip
-            if value != default:
-                given += [f"--{option}", repr(value)]
-        if self.population is not None:
-            given += ["--population", self.population]
-        for change in self.set:
-            given += ["--set", change]
-        return given
 
     def _print(self, console: "Console", found: "Evaluation") -> None:
         from haptether.cli.shared.table import Column, Rows

@@ -166,6 +166,7 @@ class Simulate(PictureOptions):
     def _print(self, console: "Console", run: "Run") -> None:
         import msgspec
 
+        from haptether.bridge.scene.labels import METRICS
         from haptether.cli.shared.table import Column, Rows
 
         table = Rows(run.scene, Column(f"seed {run.seed}", numbers=True))
@@ -204,25 +205,6 @@ class Simulate(PictureOptions):
         console.print(table)
 
 
-METRICS = {
-    "outcome": "outcome",
-    "max_ejection_velocity": "largest ejection velocity [m/s]",
-    "peak_device_force": "largest device force [N]",
-    "time_to_trip_s": "time to trip after the release [s]",
-    "false_trips": "interventions while the hand held",
-    "intervention_s": "time under intervention [s]",
-    "position_rmse_m": "position error, RMS [m]",
-    "force_rmse_n": "force error, RMS [N]",
-    "max_ejection_rate": "largest angular ejection velocity [rad/s]",
-    "peak_device_torque": "largest device torque [N m]",
-    "orientation_rmse_rad": "orientation error, RMS [rad]",
-    "torque_rmse_n_m": "torque error, RMS [N m]",
-    "passivity_min_j": "least energy taken in [J]",
-    "diverged": "diverged",
-    "ticks": "ticks",
-    "wall_time_s": "computed in [s]",
-}
-"""Labels of the metrics in the table."""
 OF_ROTATION = {"max_ejection_rate", "peak_device_torque", "orientation_rmse_rad", "torque_rmse_n_m"}
 """Metrics of rotations, which other tables do not show."""
 

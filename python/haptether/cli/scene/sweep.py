@@ -62,6 +62,8 @@ class Sweep(PictureOptions):
 
     haptether sweep remote_push --vary run.seed=1:1000:1000 --metrics max_ejection_velocity,false_trips --out a.csv
 
+    haptether sweep remote_push --vary link.forward.delay_s=0.02:0.1:9 --style paper --plot paper.pdf --latex paper.tex
+
     haptether sweep paper_wall --vary environment.objects.0.contact.stiffness=200:800:7 --set 'safety.controllers=[hsc]'
     """
 
@@ -112,6 +114,9 @@ class Sweep(PictureOptions):
     """Draw the metrics as .png, .pdf or .svg: over one path as lines, with 95 % bands where run.seed varies, too; over
     two paths as maps."""
 
+    latex: Annotated[Path | None, tyro.conf.arg(metavar="FILE.tex")] = None
+    """Write the mean of each combination with its 95 % interval as a LaTeX table, of --summary or of what --plot draws,
+    and the picture of --plot as a figure; captions have the command, the version and the sources to cite."""
     summary: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="METRIC|CONDITION ...")] = None
     """Summary of the samples of each combination, with 95 %: metrics, or conditions: 'max_ejection_velocity>0.5'."""
     against: Annotated[str | None, tyro.conf.arg(metavar="PATH=VALUE")] = None
@@ -121,6 +126,7 @@ class Sweep(PictureOptions):
     def run(self) -> int:
         """Run all rows."""
         from haptether import __version__
+        from haptether.bridge.scene.labels import labels_of
         from haptether.bridge.scene.sweep import labelled
         from haptether.bridge.scene.sweeps.design import design_of
         from haptether.bridge.scene.sweeps.scenes import with_scenes
@@ -133,7 +139,7 @@ class Sweep(PictureOptions):
         from haptether.view.style.figure import write_figure
 
         self._check_files()
-        collect = self.json is not None or self.plot is not None or bool(self.summary)
+        collect = any(each is not None for each in (self.json, self.plot, self.latex)) or bool(self.summary)
         self._check_rows(collect=collect)
         varied, ties = self._varied()
         varied = dict(with_scenes("--vary", varied, self.set) or {})
@@ -156,13 +162,50 @@ class Sweep(PictureOptions):
             write_report(self.json, report | ({"summary": summary} if summary else {}))
         self._report(console, shown, len(varied) + len(drawn) + len(ties) + 1, stored)
         if picture is not None and whole is not None:
-            write_figure(draw_sweep(self.scene, whole.columns, paths, self.page_columns), picture)
+            labels = labels_of(whole.columns)
+            write_figure(draw_sweep(self.scene, whole.columns, paths, self.page_columns, labels), picture)
             console.print(f"picture: {picture}")
+        if self.latex is not None and whole is not None:
+            self._write_latex(whole, summary, [path for path in design.factors if path != SEED], picture)
         outcomes = outcomes_of(shown, stored)
         if outcomes.keys() <= FAILED_ROWS:
             message = f"every row failed: {counted(outcomes)}"
             raise RuntimeError(message)
         return 0
+
+    def _write_latex(
+        self, whole: "SweepResult", summary: "tuple[SummaryRow, ...]", by: list[str], picture: Path | None
+    ) -> None:
+        """Write the summary, by default of the drawn metrics, and the picture, as LaTeX."""
+        import numpy as np
+
+        from haptether.bridge import load_scene
+        from haptether.cli.shared.repeat import command_line
+        from haptether.private_file import write_private
+        from haptether.studies import sweep_summary
+        from haptether.studies.latex import LatexCaption, latex_figure, latex_table, methods_of, summary_table
+        from haptether.view.figures.sweep import METRICS, MOST
+
+        measured = [name for name in METRICS if name in whole.columns and np.isfinite(whole[name].astype(float)).any()]
+        head, rows = summary_table(summary or sweep_summary(whole, measured[:MOST], by))
+        varied = [
+            name for path in by if whole[path].dtype.kind == "U"
+            for label in dict.fromkeys(whole[path].tolist()) for name in label.split("+")
+        ]  # fmt: skip
+        methods = methods_of(load_scene(self.scene, self.set))
+        names = (*(name for path, of in methods.items() if path not in by for name in of), *varied)
+        title, command = Path(self.scene).stem, command_line("sweep", self)
+        of = f"scene {title}, {len(whole)} runs"
+        text = (
+            f"Means of {of}, with the larger half of their 95 % interval (shares with the interval) where several runs"
+            " share a row."
+        )
+        parts = [latex_table(head, rows, LatexCaption(text, command, names), title)]
+        if picture is not None and picture.suffix != ".svg":
+            text = f"Metrics of {of}; with 95 % confidence where several runs share a point."
+            parts.append(latex_figure(picture, LatexCaption(text, command, names), title, self.page_columns))
+        assert self.latex is not None
+        write_private(self.latex, "\n".join(parts).encode())
 
     def _summarised(self, console: "Screen", whole: "SweepResult | None", by: list[str]) -> "tuple[SummaryRow, ...]":
         """Print the summary of each combination if requested, and return it."""
@@ -370,8 +413,8 @@ class Sweep(PictureOptions):
         from haptether.bridge.scene.sweeps.table_file import check_suffix
         from haptether.cli.shared.output import check_distinct, check_target
 
-        check_distinct(json=self.json, out=self.out, plot=self.plot)
-        check_target(self.json, force=self.force)
+        check_distinct(json=self.json, out=self.out, plot=self.plot, latex=self.latex)
+        check_target(self.json, self.latex, force=self.force)
         # A sweep that --force began also replaces the file when it is resumed.
         check_target(self.out, force=self.force or self.resume)
         if self.out is not None:
@@ -430,7 +473,7 @@ class Sweep(PictureOptions):
         except ValueError as error:
             message = f"--summary {error}" if "baseline: " not in str(error) else str(error)
             raise ValueError(message.replace("baseline: ", "--against: ", 1)) from None
-        if self.plot is not None and not DRAWN.keys() & set(asked):
+        if self.plot is not None and not set(DRAWN) & set(asked):
             message = f"--plot: nothing to draw: name with --metrics one or more of {', '.join(DRAWN)}"
             raise ValueError(message)
 

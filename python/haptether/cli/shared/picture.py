@@ -18,6 +18,9 @@ class PictureOptions(FileOptions):
     """Format of pictures; by default the suffix of their path, or png."""
     columns: Literal[1, 2] | None = None
     """Width of pictures in columns of a page: 3.5 or 7.16 inches; by default 2."""
+    style: Literal["screen", "paper"] | None = None
+    """Style of pictures: for a screen with a title; for a paper in letters of Times without a title, its PNG with 600
+    dots an inch. By default screen."""
 
     @property
     def page_columns(self) -> Literal[1, 2]:
@@ -57,7 +60,7 @@ def check_picture_options(plot: Path | None, options: PictureOptions) -> None:
     """
     if plot is not None:
         return
-    for option, value in (("--format", options.format), ("--columns", options.columns)):
+    for option, value in (("--format", options.format), ("--columns", options.columns), ("--style", options.style)):
         if value is not None:
             message = f"{option} {value}: no picture is asked for: give --plot, too"
             raise ValueError(message)
