@@ -7,7 +7,8 @@ use crate::path::{BILLION, difference, share_up};
 pub struct PlayoutSettings {
     /// Wait in ns of a packet with the smallest delay: the jitter that is removed.
     pub delay_ns: u64,
-    /// True if the wait is the largest jitter in the window, up to `delay_ns`.
+    /// True if the wait follows the largest jitter in the window, with a quarter and 1 ms more, up to `delay_ns`. It then
+    /// grows at ten times the rate at which it shrinks.
     pub adapts: bool,
     /// Maximum number of waiting sequences, missing ones included: above delay times rate.
     pub capacity: usize,
@@ -50,6 +51,9 @@ impl PlayoutSettings {
         Ok(())
     }
 }
+
+/// Wait in ns beyond the jitter that a play-out has measured.
+const ADAPTED_MARGIN_NS: i64 = 1_000_000;
 
 /// Invalid settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -362,7 +366,8 @@ impl Timeline {
         let least = self.least.least()?;
         let delay = i64::try_from(self.settings.delay_ns).unwrap_or(i64::MAX);
         let jitter = self.most.least().map_or(0, |most| most.saturating_neg().saturating_sub(least));
-        Some(least.saturating_add(if self.settings.adapts { jitter.min(delay) } else { delay }))
+        let wait = jitter.saturating_add(jitter / 4).saturating_add(ADAPTED_MARGIN_NS);
+        Some(least.saturating_add(if self.settings.adapts { wait.min(delay) } else { delay }))
     }
 
     /// Advances to `now_ns`. Returns the sender's time that is due, and the shift.
@@ -374,7 +379,8 @@ impl Timeline {
         self.moving = away != 0 && (self.moving || away.unsigned_abs() > self.settings.tolerance_ns);
         if self.moving {
             // Rounded up, so that ticks of any length move; 1 ns does not reverse a longer tick.
-            let most = share_up(elapsed, self.settings.slew_ppb).min(elapsed).cast_signed();
+            let factor = if self.settings.adapts && away > 0 { 10 } else { 1 };
+            let most = share_up(elapsed, self.settings.slew_ppb * factor).min(elapsed).cast_signed();
             shift += away.clamp(-most, most);
             self.shift_ns = Some(shift);
         }

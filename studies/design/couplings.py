@@ -32,6 +32,8 @@ DRAG_N, DRAG_SPEED, DRAG_SPEED_OF_JOINTS = 2.0, 0.3, 1.0
 SOFTER = 0.8
 """Step of the search for a stiffness that is stable."""
 STEPS = 24
+STIFFER = 1.2
+"""Least ratio of the stiffness of waves to that of the advised coupling, for which they are named too."""
 
 
 class AdvisedCoupling(Struct, frozen=True, kw_only=True):
@@ -289,11 +291,11 @@ def advised_waves(scene: Scene) -> tuple[float, float] | None:
     """Return the largest impedance b of waves that a device bears, in N s/m, and their stiffness 1/C in N/m; or None.
 
     Args:
-        scene: Scene with a [slave], not of kind "pose".
+        scene: Scene with a [slave]; None unless its kind is linear, for which the gains of waves are measured.
     """
     spec = scene_numbers(scene)
     delays = link_delays_s(spec)
-    if delays is None or spec["master"]["kind"] == "pose":
+    if delays is None or spec["master"]["kind"] != "linear":
         return None
     impedance = rounded_down(_most_damping(spec))
     facts = coupling_facts("wave", impedance=impedance, round_trip_s=delays[0], period_s=_period_s(spec))
@@ -310,7 +312,7 @@ def coupling_advice(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Itera
     waves = advised_waves(scene)
     if advised is None or delays is None:
         return
-    if waves is not None and waves[1] > advised.stiffness:
+    if waves is not None and waves[1] > STIFFER * advised.stiffness:
         yield Finding(
             name="waves", state="note", text=f"over {delays[0] * 1e3:.0f} ms waves are stiffer at rest:"
             f" {waves[1]:.3g} {units.stiffness} instead of {advised.stiffness:g}, passive for any hand and tool, delay"

@@ -42,6 +42,13 @@ def pressed(kind: str, one_way_s: float, **changed: Any) -> Scene:  # noqa: ANN4
     return two_sides(**tables)
 
 
+def compliance(kind: str, round_trip_s: float) -> float:
+    """Return C in m/N of a coupling with the gains of `pressed`."""
+    facts = coupling_facts(kind, stiffness=K, damping=3.0, round_trip_s=round_trip_s)
+    assert facts.compliance is not None
+    return facts.compliance
+
+
 def end_force(scene: Scene) -> npt.NDArray[np.float64]:
     """Return the mean of F_v over the last half second, which must be at rest."""
     signals = simulate(scene).signals
@@ -54,11 +61,16 @@ def end_force(scene: Scene) -> npt.NDArray[np.float64]:
 @pytest.mark.parametrize("one_way_s", ONE_WAY_S)
 @pytest.mark.parametrize("kind", WITH_GAINS)
 def test_a_contact_settles_at_its_closed_form(kind: str, one_way_s: float) -> None:
-    """`F = (x_t - x_w) / (1/K_h + 1/K + 1/K_arm + 1/K_e)`; the arm is in series because the tool leads it."""
+    """`F = (x_t - x_w) / (1/K_h + C + 1/K_arm + 1/K_e)`; the arm is in series because the tool leads it."""
     if kind == "position-force-computed" and one_way_s > 0.01:
         pytest.skip("not stable: the delayed wall moves the hand")
-    expected = (TARGET - WALL) / (1 / K_HAND + 1 / K + 1 / ARM_K + 1 / K_WALL)
-    (force,) = end_force(pressed(kind, one_way_s))
+    if kind == "tdpa" and one_way_s > 0.05:
+        pytest.skip("the hand moves too fast to feed the energy in; see the ledger's own test")
+    # Without a delay a frame is read at the next tick.
+    expected = (TARGET - WALL) / (1 / K_HAND + compliance(kind, max(2.0 * one_way_s, 1e-3)) + 1 / ARM_K + 1 / K_WALL)
+    # Waves of 250 ms come to rest after some round trips.
+    seconds = 8.0 + (60.0 * one_way_s if kind == "wave" else 0.0)
+    (force,) = end_force(pressed(kind, one_way_s, run={"duration_s": seconds}))
     assert force == pytest.approx(-expected, rel=2e-3)
 
 
@@ -86,7 +98,7 @@ def test_scales_and_a_turned_frame_stand_outside_the_coupling(kind: str) -> None
         }]},
         coupling={"position_scale": motion, "force_scale": share, "quat_wxyz": quat},
     )  # fmt: skip
-    series = motion * share / K_HAND + 1 / K + 1 / ARM_K + 1 / K_WALL
+    series = motion * share / K_HAND + compliance(kind, 0.01) + 1 / ARM_K + 1 / K_WALL
     expected = (motion * TARGET - WALL) / series
     assert end_force(scene) == pytest.approx(-share * turn.T @ [expected, 0.0, 0.0], rel=2e-3, abs=2e-3)
 
@@ -136,7 +148,8 @@ def test_a_pose_is_coupled_by_both_its_parts(kind: str) -> None:
     assert np.abs(signals.rendered_torque[: first + 1]).max() == 0.0
     assert 0.0 < np.abs(signals.rendered_torque).max() < 0.3
     assert run.metrics.orientation_rmse_rad is not None
-    assert run.metrics.orientation_rmse_rad < 0.1
+    # A turn while the force of waves fades in stays behind, until both sides rest.
+    assert run.metrics.orientation_rmse_rad < (0.2 if kind == "wave" else 0.1)
 
 
 @pytest.mark.parametrize("locked", ["rotation_scale=2.0", "locks_rotation=true"])

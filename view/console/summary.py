@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from haptether.view.terminal.panel import FORCES, MARGIN, PLACES, TIMES, headline
+from haptether.view.terminal.panel import FORCES, LEFT, MARGIN, PLACES, TIMES, headline
 from haptether.view.terminal.state import SideState
 
 EVENTS = 12

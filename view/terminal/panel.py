@@ -29,6 +29,7 @@ EIGHTHS = " ▏▎▍▌▋▊▉"
 EVENTS = 5
 """Latest events shown."""
 MARGIN = "damping B over the least that is passive"
+LEFT = "energy that the coupling may give [J]"
 FORCES = {
     "rendered_force": "requested F_v",
     "safety_force": "of the controllers F_c",
