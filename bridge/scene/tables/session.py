@@ -52,7 +52,10 @@ class RunTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, om
     seed: Annotated[int, Meta(ge=0)] = 0
     """Seed of all random numbers, 0 to 2^64 - 1."""
     integrator: Literal["exact"] = "exact"
-    """Only choice: device and hand follow the exact solution between located events."""
+    """Only choice: device and hand follow the exact solution between located events; tools and bodies are integrated.
+    Source of exact: Hairer, Norsett and Wanner 1993, section I.11 (variation of constants); Dormand and Prince 1980
+    (tools and bodies).
+    """
     stop_early: bool = False
     """True to end the run when no measured quantity can change any more."""
     diverged_position: Positive = 10.0

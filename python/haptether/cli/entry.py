@@ -55,6 +55,7 @@ PURPOSES = {
             "simulate": "scene.simulate:Simulate",
             "sweep": "scene.sweep:Sweep",
             "check": "scene.check:Check",
+            "cite": "scene.cite:Cite",
             "evaluate": "scene.evaluate:Evaluate",
             "thresholds": "scene.thresholds:Thresholds",
             "tune": "recording.tune:Tune",
@@ -470,7 +471,7 @@ def with_overrides(arguments: Sequence[str]) -> list[str]:
     return _with_assignments(arguments, None, "--set", ())
 
 
-SCENE_COMMANDS = {"simulate", "sweep", "view", "check", "evaluate", "falsify", "thresholds"}
+SCENE_COMMANDS = {"simulate", "sweep", "view", "check", "evaluate", "falsify", "thresholds", "cite"}
 DRIVER_COMMANDS = {"check-device", "identify"}
 TABLE_KEY = re.compile(r"--(.*\..*)", re.DOTALL)
 BACKWARD = re.compile(r"--backward\.(.*)", re.DOTALL)
