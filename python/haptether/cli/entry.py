@@ -78,8 +78,14 @@ PURPOSES = {
             "list": "list:List",
             "check-device": "device.check_device:CheckDevice",
             "identify": "device.identify:Identify",
-            "new-driver": "device.new_driver:NewDriver",
             "dynamixel": "dynamixel:Dynamixel",
+        }
+    ),
+    "extend it": CommandTable(
+        {
+            "new-driver": "new.driver:NewDriver",
+            "new-controller": "new.controller:NewController",
+            "new-impairment": "new.impairment:NewImpairment",
         }
     ),
     "network": CommandTable({"netsim": "netsim:Netsim"}),
