@@ -43,6 +43,7 @@ PURPOSES = {
     ),
     "run it": CommandTable(
         {
+            "setup": "setup.command:Setup",
             "master": "live.master:Master",
             "slave": "live.slave:Slave",
             "check-link": "live.check_link:CheckLink",
