@@ -111,6 +111,7 @@ def test_scene_key_and_scripts_are_written_and_pass_their_checks(
          "--arm-file = no.toml: no such file (haptether dynamixel calibrate writes it)"),
         (["--arm-options", "model"], "model"),
         (["--check"], "cell/setup.json: no such file: haptether setup cell writes it"),
+        (["--check", "--arm", "ur"], "cell/setup.json: no such file"),
     ],
 )  # fmt: skip
 def test_a_wrong_answer_says_what_is_allowed_and_writes_nothing(
@@ -165,7 +166,9 @@ def test_the_checks_find_what_is_wrong(folder: Path, capsys: pytest.CaptureFixtu
     scene = folder / "scene.toml"
     scene.write_text(scene.read_text().replace('controllers = ["wsc"]', "controllers = []\n[environment]\n"
                      "[[environment.pushers]]\nforce_n = [7.0, 0.0, 0.0]"))  # fmt: skip
-    status, report, _ = setup("--check", capsys=capsys)
+    for wrong_option, said in ((("--end", "left"), "must be master, slave or both"), (("--arm", "ur"), "no use with")):
+        assert said in setup("--check", *wrong_option, capsys=capsys)[2]
+    status, report, _ = setup("--check", "--end", "slave", capsys=capsys)
     assert status == 1
     wrong = {check["name"]: check for check in report["checks"] if check["state"] == "mend"}  # type: ignore[attr-defined]
     assert wrong.keys() == {"key", "scene, ejection"}

@@ -35,7 +35,7 @@ class Setup(FileOptions):
 
     haptether setup cell --master inverse3 --arm ur --arm-address 192.168.1.10 --address 192.0.2.7:9000 --end master
 
-    haptether setup cell --check
+    haptether setup cell --check --end slave
     """
 
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")] = Path("cell")
@@ -51,7 +51,7 @@ class Setup(FileOptions):
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
     """Address of the side of the arm, as the side of the hand reaches it."""
     end: Annotated[str | None, tyro.conf.arg(metavar="master|slave|both")] = None
-    """Side of this machine, whose devices are checked."""
+    """Side of this machine, whose devices are checked; also with --check, for a folder from the other machine."""
     master_address: Annotated[str | None, tyro.conf.arg(metavar="PORT|HOST")] = None
     """Serial port of a leader arm, or address of the service of an Inverse3."""
     master_file: Annotated[str | None, tyro.conf.arg(metavar="PATH")] = None
@@ -121,6 +121,7 @@ class Setup(FileOptions):
         import msgspec
 
         from haptether.cli.setup.files import ANSWERS, Kept
+        from haptether.cli.setup.questions import QUESTIONS, checked_end
 
         path = self.folder / ANSWERS
         try:
@@ -131,7 +132,12 @@ class Setup(FileOptions):
         except msgspec.MsgspecError as error:
             message = f"{path}: {error}: write it anew by haptether setup"
             raise ValueError(message) from None
-        return kept.answers, []
+        given = {question.name: getattr(self, question.name) for question in QUESTIONS}
+        end = given.pop("end")
+        if useless := [name for name, value in given.items() if value is not None]:
+            message = f"--{useless[0].replace('_', '-')}: has no use with --check, which takes the answers of {path}"
+            raise ValueError(message)
+        return kept.answers if end is None else {**kept.answers, "end": checked_end(end)}, []
 
     def _next(self, answers: "Answers", items: "list[Item]") -> list[str]:
         """Return the start in the order of its steps, once nothing is to be mended."""

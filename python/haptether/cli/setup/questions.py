@@ -205,6 +205,21 @@ def _has_bus(side: str) -> Callable[[Answers], bool]:
     return lambda answers: answers[side] == SERVOS and not emulates(answers)
 
 
+ENDS = ("master", "slave", "both")
+
+
+def checked_end(value: str) -> str:
+    """Return the side of this machine.
+
+    Raises:
+        ValueError: No such side.
+    """
+    if value not in ENDS:
+        message = f"--end = {value[:80]}: must be {_listed(_choices(*ENDS))({})}"
+        raise ValueError(message)
+    return value
+
+
 HOST = "an IPv4 address or a name, without a port"
 CALIBRATION = "the path of a file"
 
@@ -238,8 +253,8 @@ QUESTIONS = (
     Question(
         name="end",
         text="Side of this machine",
-        allowed=lambda _: "master, slave or both",
-        check=_one_of(_choices("master", "slave", "both")),
+        allowed=_listed(_choices(*ENDS)),
+        check=_one_of(_choices(*ENDS)),
         default=lambda _: "both",
         applies=lambda answers: not is_local(answers["address"]),
     ),
