@@ -76,21 +76,8 @@ THERE = {
     "the picture of a folder": "folder/remote_push.png",
     "a folder of a demo": "folder/wsc.npz",
 }
-NAMES = {
-    "json",
-    "plot",
-    "out",
-    "record",
-    "csv",
-    "parquet",
-    "npz",
-    "foxglove",
-    "screenshot",
-    "movie",
-    "html",
-    "log",
-    "bibtex",
-}
+NAMES = {"json", "plot", "out", "record", "csv", "parquet", "npz", "foxglove", "screenshot", "movie", "html", "log",
+         "bibtex"}  # fmt: skip
 """Names of the options that write a file, over all commands."""
 CASES = {
     f"{command} --{option}": (

@@ -96,6 +96,7 @@ def test_scene_key_and_scripts_are_written_and_pass_their_checks(
         (["--master", "inverse"], "--master = inverse: did you mean inverse3?: must be simulated, dynamixel,"),
         (["--master", "inverse3", "--arm", "dynamixel"], "--arm = dynamixel: no such choice with the answers before"),
         (["--master", "touch", "--gripper", "dynamixel"], "--gripper = dynamixel: no such choice"),
+        (["--gripper", "robotiq"], "--gripper = robotiq: no such choice"),
         (["--arm", "ur", "--emulate", "maybe"], "--emulate = maybe: no such choice"),
         (["--arm", "ur"], "--arm-address: is missing: must be an IPv4 address or a name, without a port"),
         (["--arm", "ur", "--arm-address", "10.0.0.9:30004"], "is no address or name: must be an IPv4 address"),

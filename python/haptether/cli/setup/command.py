@@ -31,7 +31,7 @@ class Setup(FileOptions):
 
     haptether setup
 
-    haptether setup try --master simulated --arm ur --emulate yes --address 127.0.0.1:9000
+    haptether setup pair --master simulated --arm ur --emulate yes --address 127.0.0.1:9000
 
     haptether setup cell --master inverse3 --arm ur --arm-address 192.168.1.10 --address 192.0.2.7:9000 --end master
 

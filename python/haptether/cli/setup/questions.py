@@ -10,8 +10,8 @@ Answers = dict[str, str]
 SIMULATED = "simulated"
 NONE = "none"
 SERVOS = "dynamixel"
-EMULATED = frozenset({"ur", "dynamixel", "inverse3", "robotiq"})
-"""Drivers whose devices have emulators."""
+EMULATED = frozenset({"ur", "dynamixel", "inverse3"})
+"""Drivers whose devices have emulators; that of a UR arm has a Robotiq gripper, too."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,9 +125,9 @@ def _arms(answers: Answers) -> tuple[str, ...]:
 def _grippers(answers: Answers) -> tuple[str, ...]:
     from haptether.bridge import GRIPPERS, device_names
 
-    # The gripper of servos is on the bus of its arm.
-    names = (name for name in device_names(GRIPPERS) if name != SERVOS or answers["arm"] == SERVOS)
-    return (NONE, SIMULATED, *names)
+    # The gripper of servos is on the bus of its arm, that of Robotiq at the controller of a real one.
+    without = {SERVOS: {"robotiq"}, SIMULATED: {"robotiq", SERVOS}}.get(answers["arm"], {SERVOS})
+    return (NONE, SIMULATED, *(name for name in device_names(GRIPPERS) if name not in without))
 
 
 def _one_of(names: Callable[[Answers], tuple[str, ...]]) -> Callable[[str, Answers], str | None]:
