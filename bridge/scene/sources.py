@@ -26,7 +26,9 @@ from haptether.safety import CONTROLLERS, ESTIMATORS, OBSERVERS
 OBSERVER_OF = {"vfc": "vfo", "hsc": "hgo", "wsc": "wso", "pc": "po"}
 """Observer of each controller."""
 SOURCE = re.compile(r"\bSource(?: of (?P<value>\S+))?:\s+(?P<text>.+?)\s*(?=\n\n|\bSource\b|\Z)", re.DOTALL)
-AUTHORED = re.compile(r"((?:[A-Z][a-z][\w-]*(?:, | and ))*[A-Z][a-z][\w-]*)( et al\.)? ((?:18|19|20)\d\d)\b")
+AUTHORED = re.compile(
+    r"((?:[A-Z][a-z][\w-]*(?:, | and ))*[A-Z][a-z][\w-]*)( et al\.)? ((?:(?:18|19|20)\d\d(?:, )?)+)\b"
+)
 CLAUSE_END = re.compile(r"; (?![^(]*\))")
 TITLE = "Safety Control for Impedance Haptic Interfaces"
 """The publication that sources call "paper"."""
@@ -77,10 +79,11 @@ def bibtex(methods: tuple[MethodSource, ...]) -> str:
         for clause in CLAUSE_END.split(method.source):
             cited = list(AUTHORED.finditer(clause))
             note = f"{method.used_as}: {clause}"
-            for authors, others, year in (match.groups() for match in cited):
+            for authors, others, years in (match.groups() for match in cited):
                 names = [*re.split(r", | and ", authors), *(["others"] if others else [])]
-                fields = {"author": " and ".join(names), "year": year}
-                entries.setdefault(f"{''.join(names).lower()}{year}", (fields, {}))[1][note] = None
+                for year in re.findall(r"\d+", years):
+                    fields = {"author": " and ".join(names), "year": year}
+                    entries.setdefault(f"{''.join(names).lower()}{year}", (fields, {}))[1][note] = None
             if PAPER.search(clause):
                 entries.setdefault("paper", ({"title": f"{{{TITLE}}}"}, {}))[1][note] = None
             elif not cited:

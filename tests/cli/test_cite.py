@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from haptether.bridge import COUPLINGS, load_scene, register_controller, scene_names
-from haptether.bridge.scene.sources import OBSERVER_OF, scene_sources
+from haptether.bridge.scene.sources import OBSERVER_OF, MethodSource, bibtex, scene_sources
 from haptether.cli import main
 from haptether.netsim import PRESETS
 from haptether.safety import CONTROLLERS, ESTIMATORS, OBSERVERS, ResearchObservation
@@ -62,6 +62,20 @@ def test_methods_that_a_scene_does_not_use_are_not_cited() -> None:
 
 def test_each_controller_has_its_observer() -> None:
     assert list(OBSERVER_OF) == [name for name, _, _ in CONTROLLERS]
+
+
+def test_each_publication_of_a_source_has_an_entry_and_others_are_comments() -> None:
+    source = "Niemeyer and Slotine 1991, 2004; Coelho et al. 2019 (100 % of it); paper Eq. 3; INFOCOM 2016"
+    text = bibtex((MethodSource(part="[coupling] kind", name="wave", source=source),))
+    found = re.findall(r"@misc\{(\S+),\n  (?:author = \{(.*)\},\n  year = \{(\d+)\}|title)", text)
+    assert found == [
+        ("niemeyerslotine1991", "Niemeyer and Slotine", "1991"),
+        ("niemeyerslotine2004", "Niemeyer and Slotine", "2004"),
+        ("coelhoothers2019", "Coelho and others", "2019"),
+        ("paper", "", ""),
+    ]
+    assert "note = {[coupling] kind wave: Coelho et al. 2019 (100 \\% of it)}" in text
+    assert text.endswith("\n\n% [coupling] kind wave: INFOCOM 2016\n")
 
 
 @pytest.mark.parametrize("scene", scene_names())
