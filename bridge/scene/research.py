@@ -173,9 +173,18 @@ def research_of(scene: Scene) -> Research | None:
     return research
 
 
+def maker_of(name: str) -> MakeController:
+    """Return the registered or installed controller of this name, without calling it.
+
+    Raises:
+        ValueError: It does not exist or cannot be loaded.
+    """
+    return _REGISTERED.get(name) or load_maker(RESEARCH_CONTROLLERS, name)
+
+
 def source_of(name: str) -> str:
     """Return a digest of the controller's file; a unique value for each call if the file is unknown."""
-    make = _REGISTERED.get(name) or load_maker(RESEARCH_CONTROLLERS, name)
+    make = maker_of(name)
     try:
         file = inspect.getsourcefile(make)
         content = b"" if file is None else Path(file).read_bytes()

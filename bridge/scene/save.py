@@ -18,7 +18,7 @@ def scene_toml(scene: Scene, comment: str = "") -> str:
     """Return the scene as text without default values, below `comment`, one line each."""
     raw = msgspec.to_builtins(scene)
     lines = [f"# {line}".rstrip() for line in comment.splitlines()]
-    lines += [f"{name} = {_value(value)}" for name, value in raw.items() if not isinstance(value, dict)]
+    lines += [f"{name} = {toml_value(value)}" for name, value in raw.items() if not isinstance(value, dict)]
     for name, table in raw.items():
         if isinstance(table, dict):
             lines += _table(name, table)
@@ -47,7 +47,7 @@ def _table(name: str, table: dict[str, Any]) -> list[str]:
     for key, value in table.items():
         if value is None:
             continue
-        line = f"{_key(key)} = {_value(value)}"
+        line = f"{_key(key)} = {toml_value(value)}"
         path = f"{name}.{_key(key)}"
         if _is_list_of_tables(value):
             for each in value:
@@ -68,14 +68,13 @@ def _key(key: str) -> str:
     return key if key.replace("_", "").replace("-", "").isalnum() and key.isascii() else json.dumps(key)
 
 
-def _value(value: Any) -> str:  # noqa: ANN401  # any field
+def toml_value(value: Any) -> str:  # noqa: ANN401  # any field
     """Format an inline value."""
     if isinstance(value, dict):
-        return (
-            "{ " + ", ".join(f"{_key(key)} = {_value(each)}" for key, each in value.items() if each is not None) + " }"
-        )
+        parts = (f"{_key(key)} = {toml_value(each)}" for key, each in value.items() if each is not None)
+        return f"{{ {', '.join(parts)} }}"
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_value, value)) + "]"
+        return "[" + ", ".join(map(toml_value, value)) + "]"
     if isinstance(value, str | bool):
         # JSON and TOML use the same escapes.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -44,7 +44,7 @@ def link_spec(settings: LinkSettings, direction: Direction) -> dict[str, Any]:
     Raises:
         LinkError: A number is out of range, or settings contradict each other.
     """
-    settings = _with_preset(_checked(settings), direction)
+    settings = with_preset(_checked(settings), direction)
     spec = {
         name: LINK_DEFAULTS.get(name) if (value := getattr(settings, name)) is None else value
         for name in settings.__struct_fields__
@@ -128,7 +128,7 @@ def _of_numpy(value: object) -> object:
     return value.item() if hasattr(value, "item") else value
 
 
-def _with_preset(settings: LinkSettings, direction: Direction) -> LinkSettings:
+def with_preset(settings: LinkSettings, direction: Direction) -> LinkSettings:
     """Merge the preset into the settings; given settings override it.
 
     Raises:

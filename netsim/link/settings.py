@@ -323,9 +323,11 @@ class LinkSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     loss: Share | None = None
     """Probability of loss, by default 0; independent per packet without a mean burst."""
     mean_burst: Burst | None = None
-    """Mean number of consecutive losses, at least 1 (Gilbert)."""
+    """Mean number of consecutive losses, at least 1. Source: E. N. Gilbert, Bell Syst. Tech. J. 39, 1960."""
     mean_burst_s: Time | None = None
-    """Mean burst as a time in s: the chain runs in time, not per packet."""
+    """Mean burst as a time in s: the chain runs in time, not per packet.
+    Source: E. N. Gilbert, Bell Syst. Tech. J. 39, 1960.
+    """
     gilbert_elliott: GilbertElliott | None = None
     """Gilbert-Elliott loss, as an alternative to `loss`."""
     four_state: FourState | None = None
@@ -346,17 +348,24 @@ class LinkSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     queue_ms: Time | None = None
     """Longest wait in ms."""
     discipline: Literal["tail-drop", "codel"] | None = None
-    """Queue discipline, by default tail-drop. Source of CoDel: RFC 8289."""
+    """Queue discipline, by default tail-drop. Source of codel: RFC 8289."""
     cross_traffic: CrossTraffic | None = None
     """Other traffic through the bottleneck."""
 
     delay_s: Delay | None = None
     """Mean one-way delay in s, 0 to 3600, by default 0, in addition to the bottleneck."""
     jitter_s: Delay | None = None
-    """Standard deviation of the delay in s, by default 0."""
+    """Standard deviation of the delay in s, by default 0.
+    Source: Bierkens, Fearnhead and Roberts 2019 (process in time).
+    """
     distribution: str | DistributionTable | None = None
     """Distribution of the delay around its mean: "normal" (the default), "uniform", "exponential", "gamma",
     "lognormal", "pareto", or the path of an iproute2 `.dist` file, relative to the scene.
+    Source of normal: Johnson, Kotz and Balakrishnan 1994, section 13.10.1.
+    Source of exponential: Sukhov, Kuznetsova, Pervitsky and Galtsev 2010.
+    Source of gamma: Johnson, Kotz and Balakrishnan 1994, chapter 17.
+    Source of lognormal: Johnson, Kotz and Balakrishnan 1994, chapter 14.
+    Source of pareto: Johnson, Kotz and Balakrishnan 1994, chapter 20.
     """
     distribution_shape: Shape | None = None
     """Shape parameter of the Pareto and gamma distributions."""
@@ -397,7 +406,9 @@ class LinkSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     attacks: tuple[Attack, ...] | None = None
     """Actions of an attacker on the path."""
     netem: str | None = None
-    """Arguments of `tc netem`, reproduced with its quirks; excludes all other settings."""
+    """Arguments of `tc netem`, reproduced with its quirks; excludes all other settings.
+    Source: `sch_netem.c` of Linux 6.18; `tc-netem(8)`.
+    """
 
 
 LINK_DEFAULTS = {

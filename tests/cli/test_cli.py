@@ -53,7 +53,8 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str], monkeypatch: pytes
     assert capsys.readouterr().err == overview
     assert shown("help", "netsim", "sample") == shown("netsim", "sample", "--help")
     for name in ("demo", "paper", "simulate", "sweep", "master", "slave", "netsim", "keygen", "explain", "check-link",
-                 "check-device", "identify", "new-driver"):  # fmt: skip
+                 "check-device", "identify", "new-driver", "new-controller", "new-impairment", "setup",
+                 "cite"):  # fmt: skip
         assert "Examples" in shown(name, "--help")
     for name in ("list", "sample", "proxy", "set", "echo", "record", "compare"):
         assert "Examples" in shown("netsim", name, "--help")

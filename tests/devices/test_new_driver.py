@@ -1,4 +1,4 @@
-"""`haptether new-driver`: its package is sound, installs, passes the check and runs live; so does its page."""
+"""`haptether new-driver` and `new-controller`: the package is sound, installs and passes its test; so does the page."""
 
 import os
 import re
@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from haptether.cli.device.new_driver import FILES, checked_package
+from haptether.cli.new import controller, driver
+from haptether.cli.new.package import checked_package
 
 pytestmark = pytest.mark.live
 
@@ -48,12 +49,19 @@ def install(package: Path, folder: Path) -> None:
         environment=environment_of(folder))  # fmt: skip
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize(("side", "name"), [("master", "my-stylus"), ("slave", "arm7")])
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize(
+    ("command", "name", "files"),
+    [
+        (["new-driver", "slave"], "arm7", driver.FILES),
+        (["new-driver", "master"], "my-stylus", driver.FILES),
+        (["new-controller"], "speed-brake", controller.FILES),
+    ],
+)
 def test_what_it_writes_is_sound_and_its_own_test_passes_once_it_is_installed(
-    tmp_path: Path, side: str, name: str
+    tmp_path: Path, command: list[str], name: str, files: dict[str, str]
 ) -> None:
-    said = run(*COMMAND, "new-driver", side, name, "--out", str(tmp_path / "made"), cwd=tmp_path).stdout
+    said = run(*COMMAND, *command, name, "--out", str(tmp_path / "made"), cwd=tmp_path).stdout
     made = tmp_path / "made"
     # The advised command must work in this environment.
     advised = shlex.split(said.partition("next: ")[2].partition(" && ")[0])
@@ -62,14 +70,15 @@ def test_what_it_writes_is_sound_and_its_own_test_passes_once_it_is_installed(
         environment=environment_of(tmp_path))  # fmt: skip
     package = name.replace("-", "_")
     written = sorted(str(path.relative_to(made)) for path in made.rglob("*") if path.is_file())
-    assert written == sorted(target.replace("@PACKAGE@", package) for target in FILES.values())
+    assert written == sorted(target.replace("@PACKAGE@", package) for target in files.values())
     assert not [path for path in made.rglob("*") if path.is_file() and re.search(r"@[A-Z]+@", path.read_text())]
     run(
         str(BIN / "ruff"), "check", "--isolated", "--line-length", "120", "--select", "E,F,I,ANN,D1,B,UP", ".", cwd=made
     )
     run(str(BIN / "ruff"), "format", "--isolated", "--line-length", "120", "--check", ".", cwd=made)
     typed = {**os.environ, "MYPYPATH": str(made / "src")}
-    run(sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(tmp_path / "mypy"), "src", "tests", cwd=made,
+    cache = ROOT / ".mypy_cache" / "new" / name
+    run(sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(cache), "src", "tests", cwd=made,
         environment=typed)  # fmt: skip
     install(made, tmp_path)
     environment = environment_of(tmp_path)
@@ -143,8 +152,8 @@ def test_the_page_is_true_command_by_command(tmp_path: Path) -> None:
         (["master", "../stylus"], "must be small letters"),
         (["master", "json"], "a package of this name is another one"),
         (["master", "class"], "a package of this name is another one"),
-        (["slave", "ur"], "a driver of this name is installed already"),
-        (["slave", "simulated"], "a driver of this name is installed already"),
+        (["slave", "ur"], "driver of this name exists already"),
+        (["slave", "simulated"], "driver of this name exists already"),
         (["master", "stylus", "--out", "full"], "full: is there already"),
         (["master", "stylus", "--out", "file"], "file: is there already"),
     ],
@@ -165,7 +174,7 @@ def test_a_bad_request_is_one_line_and_status_2_and_writes_nothing(
 @given(st.text(alphabet="ab9-_./ A", max_size=8))
 def test_a_name_is_one_of_a_package_or_is_refused(name: str) -> None:
     try:
-        package = checked_package(name)
+        package = checked_package(name, set(), of="driver")
     except ValueError:
         return
     assert package.isidentifier()

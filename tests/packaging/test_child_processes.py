@@ -17,6 +17,8 @@ from tests.live.sides import Never
 from haptether.bridge.scene.sweeps import cluster
 from haptether.child import child_environment
 from haptether.cli.live.panel_process import PanelProcess
+from haptether.cli.new import checkout
+from haptether.cli.setup import preflight
 from haptether.slave.ur.worker import ControlProcess, ControlProcessError
 from haptether.studies.processes import child_process
 
@@ -97,6 +99,16 @@ def an_example() -> None:
         pass
 
 
+def a_check() -> None:
+    status, report = preflight._run("netsim", "list", quiet=True)
+    assert (status, report is None) == (0, False)
+
+
+def a_formatter() -> None:
+    path = Path("a.rs").absolute()
+    assert checkout._formatted(path, "fn  main ( ) {}\n") in {"fn main() {}\n", "fn  main ( ) {}\n"}
+
+
 def no_interpreter() -> None:
     source = (ROOT / "view" / "film.py").read_text(encoding="utf-8")
     assert "sys.executable" not in source
@@ -107,6 +119,8 @@ PLACES: dict[str, Callable[[], None]] = {
     "bridge/scene/sweeps/cluster.py": workers_of_a_cluster,
     "examples/robotiq_gripper.py": an_example,
     "python/haptether/cli/live/panel_process.py": the_panel,
+    "python/haptether/cli/new/checkout.py": a_formatter,
+    "python/haptether/cli/setup/preflight.py": a_check,
     "slave/ur/worker.py": the_arm,
     "studies/processes.py": a_command,
     "view/film.py": no_interpreter,

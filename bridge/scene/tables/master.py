@@ -192,7 +192,9 @@ class LegTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, om
     end: PositionPerAxis
     """End position in m."""
     shape: Literal["linear", "smooth", "minimum-jerk"] = "minimum-jerk"
-    """Fraction of the path at time fraction s: s, `3 s² - 2 s³` or `10 s³ - 15 s⁴ + 6 s⁵` (Flash and Hogan 1985)."""
+    """Fraction of the path at time fraction s: s, `3 s² - 2 s³` or `10 s³ - 15 s⁴ + 6 s⁵`.
+    Source of minimum-jerk: Flash and Hogan 1985.
+    """
 
 
 class ReleaseTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -303,7 +305,7 @@ class TremorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     amplitude: NonNegative = 1e-4
     """a in m."""
     frequency_hz: TremorFrequency = 10.0
-    """f in Hz, up to 100; physiological tremor is at 8 to 12 Hz."""
+    """f in Hz, up to 100; physiological tremor is at 8 to 12 Hz. Source: Elble and Koller 1990."""
 
 
 class OperatorTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

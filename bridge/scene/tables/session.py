@@ -52,7 +52,10 @@ class RunTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, om
     seed: Annotated[int, Meta(ge=0)] = 0
     """Seed of all random numbers, 0 to 2^64 - 1."""
     integrator: Literal["exact"] = "exact"
-    """Only choice: device and hand follow the exact solution between located events."""
+    """Only choice: device and hand follow the exact solution between located events; tools and bodies are integrated.
+    Source of exact: Hairer, Norsett and Wanner 1993, section I.11 (variation of constants); Dormand and Prince 1980
+    (tools and bodies).
+    """
     stop_early: bool = False
     """True to end the run when no measured quantity can change any more."""
     diverged_position: Positive = 10.0
@@ -148,7 +151,7 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     spread_s: NonNegative | None = None
     """Time in s over which `wave` spreads a wave; more is smoother, and adds to the delay."""
     play_out_s: NonNegative | None = None
-    """Longest wait in s of a frame that `wave` plays with a constant delay; 0 for none. By default 0.06."""
+    """Longest wait in s of a frame that `wave` and `tdpa` play with a constant delay; 0 for none. By default 0.06."""
     tool_mass_kg: Positive | None = None
     """M_v of the virtual tool, which turns the coupling's force into a motion of the arm:
     `M_v a = F_c + F_e - B_v v`. By default `K_max / (0.4 w)^2`, with the stiffest wall of the scene and w of the arm.

@@ -189,13 +189,12 @@ Shape: TypeAlias = Plane | Sphere | Box | Spring
 
 
 class ContactTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[environment.objects.contact]`: contact force of an object at depth d.
-
-    Source: Hunt and Crossley 1975; paper Eq. 15 is Kelvin and Voigt.
-    """
+    """`[environment.objects.contact]`: contact force of an object at depth d."""
 
     law: Literal["kelvin-voigt", "hunt-crossley"] = "kelvin-voigt"
-    """`max(0, K d + B d')` or `max(0, K d^n (1 + chi d'))`."""
+    """`max(0, K d + B d')` or `max(0, K d^n (1 + chi d'))`.
+    Source of kelvin-voigt: paper Eq. 15. Source of hunt-crossley: Hunt and Crossley 1975.
+    """
     stiffness: NonNegative
     """K in N/m; for Hunt and Crossley in N/m^n."""
     damping: NonNegative = 0.0

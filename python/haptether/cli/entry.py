@@ -43,6 +43,7 @@ PURPOSES = {
     ),
     "run it": CommandTable(
         {
+            "setup": "setup.command:Setup",
             "master": "live.master:Master",
             "slave": "live.slave:Slave",
             "check-link": "live.check_link:CheckLink",
@@ -55,6 +56,7 @@ PURPOSES = {
             "simulate": "scene.simulate:Simulate",
             "sweep": "scene.sweep:Sweep",
             "check": "scene.check:Check",
+            "cite": "scene.cite:Cite",
             "evaluate": "scene.evaluate:Evaluate",
             "thresholds": "scene.thresholds:Thresholds",
             "tune": "recording.tune:Tune",
@@ -77,8 +79,14 @@ PURPOSES = {
             "list": "list:List",
             "check-device": "device.check_device:CheckDevice",
             "identify": "device.identify:Identify",
-            "new-driver": "device.new_driver:NewDriver",
             "dynamixel": "dynamixel:Dynamixel",
+        }
+    ),
+    "extend it": CommandTable(
+        {
+            "new-driver": "new.driver:NewDriver",
+            "new-controller": "new.controller:NewController",
+            "new-impairment": "new.impairment:NewImpairment",
         }
     ),
     "network": CommandTable({"netsim": "netsim:Netsim"}),
@@ -480,7 +488,7 @@ def with_overrides(arguments: Sequence[str]) -> list[str]:
     return _with_assignments(arguments, None, "--set", ())
 
 
-SCENE_COMMANDS = {"simulate", "sweep", "view", "check", "evaluate", "falsify", "thresholds"}
+SCENE_COMMANDS = {"simulate", "sweep", "view", "check", "evaluate", "falsify", "thresholds", "cite"}
 DRIVER_COMMANDS = {"check-device", "identify"}
 TABLE_KEY = re.compile(r"--(.*\..*)", re.DOTALL)
 BACKWARD = re.compile(r"--backward\.(.*)", re.DOTALL)

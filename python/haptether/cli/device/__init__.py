@@ -1,1 +1,1 @@
-"""Commands about drivers of devices: `check-device`, `identify`, `new-driver`."""
+"""Commands about drivers of devices: `check-device`, `identify`."""

@@ -361,12 +361,12 @@ fn each_lane_has_its_own_answer() {
             safety_force: Axes::<1, AutoF64x4>::new(number(1.0)),
             may_act: true,
             acts: only(0),
-            tripped: PerController([0, 1, 2, 3].map(only)),
+            tripped: PerController(std::array::from_fn(only)),
             held: only(0),
             withheld: only(1),
             yields: only(2),
             research: only(1),
-            observed: PerController([10.0, 20.0, 30.0, 40.0].map(number)),
+            observed: PerController(std::array::from_fn(|place| number(10.0 * place as f64))),
         };
         let own = response.lane(lane);
         assert_eq!(own.tripped, Tripped::from_bits(1 | 16));
@@ -380,7 +380,7 @@ fn each_lane_has_its_own_answer() {
         }
         let place = lane as f64;
         assert_eq!(own.safety_force[0], 1.0 + place);
-        assert_eq!(own.observed.0, [10.0, 20.0, 30.0, 40.0].map(|from| from + place));
+        assert_eq!(own.observed, PerController(std::array::from_fn(|of| 10.0 * of as f64 + place)));
     }
 }
 

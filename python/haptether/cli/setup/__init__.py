@@ -1,0 +1,1 @@
+"""`haptether setup`: the questions, the files, and the checks of an installation."""
