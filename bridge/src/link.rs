@@ -182,12 +182,14 @@ pub struct FrameLink {
 #[derive(Clone, Debug)]
 struct PlayedFrames {
     waiting: Playout<Frame>,
-    settings: PlayoutSettings,
     now: Option<Frame>,
+    /// Time in ns at which that was played.
+    played_ns: u64,
 }
 
-/// Frames that may wait at once: a quarter of a second at 1 kHz.
-const MOST_WAITING: usize = 256;
+/// Time in ns without a frame to play after which the newest is taken: before the ladder holds. A path that has become
+/// slower must not leave an old force on a hand.
+const STARVED_NS: u64 = 10_000_000;
 
 impl FrameLink {
     /// Create an end of `role`. A new `run_id` at every start shows a restart to the peer.
@@ -210,12 +212,15 @@ impl FrameLink {
         }
     }
 
-    /// Let frames for the coupling wait until their delay is constant: that of the largest jitter, up to `most_ns`.
-    pub(crate) fn set_play_out(&mut self, most_ns: u64) -> Result<(), PlayoutError> {
-        let settings =
-            PlayoutSettings { adapts: true, capacity: MOST_WAITING, ..PlayoutSettings::new(most_ns) };
+    /// Let frames for the coupling wait until their delay is constant: that of the largest jitter, up to `most_ns`. The peer
+    /// sends at most one frame per `period_ns`.
+    pub(crate) fn set_play_out(&mut self, most_ns: u64, period_ns: u64) -> Result<(), PlayoutError> {
+        // Room for a burst, too.
+        let capacity =
+            usize::try_from(2 * most_ns / period_ns.max(1)).unwrap_or(usize::MAX).saturating_add(64);
+        let settings = PlayoutSettings { adapts: true, capacity, ..PlayoutSettings::new(most_ns) };
         let waiting = Playout::new(settings)?;
-        self.playout = Some(Box::new(PlayedFrames { waiting, settings, now: None }));
+        self.playout = Some(Box::new(PlayedFrames { waiting, now: None, played_ns: 0 }));
         Ok(())
     }
 
@@ -223,8 +228,17 @@ impl FrameLink {
     #[inline]
     pub(crate) fn play(&mut self, now_ns: u64) {
         let Some(playout) = &mut self.playout else { return };
+        let played = |now: &Option<Frame>| now.as_ref().map_or(0, |frame| frame.sequence + 1);
         while let Some(due) = playout.waiting.next_due(now_ns) {
-            playout.now = Some(due.payload);
+            if due.sequence >= played(&playout.now) {
+                (playout.now, playout.played_ns) = (Some(due.payload), now_ns);
+            }
+        }
+        if let Some(newest) = &self.newest
+            && now_ns.saturating_sub(playout.played_ns) > STARVED_NS
+            && newest.frame.sequence >= played(&playout.now)
+        {
+            playout.now = Some(newest.frame);
         }
         self.statistics.play_out_ns = playout.waiting.wait_ns().unwrap_or(0);
     }
@@ -329,8 +343,7 @@ impl FrameLink {
                 self.path.arrived(frame.sequence, frame.sent_ns, by_ns);
                 self.epoch = 0;
                 if let Some(playout) = &mut self.playout {
-                    // The settings were valid before.
-                    let _ = playout.waiting.restart(playout.settings);
+                    playout.waiting.restart();
                     playout.now = None;
                     playout.waiting.arrived(frame.sequence, frame.sent_ns, now_ns, *frame);
                 }

@@ -267,11 +267,10 @@ impl<T: Copy> Playout<T> {
     }
 
     /// Clear packets, not counts, for a new run of the sender.
-    pub fn restart(&mut self, settings: PlayoutSettings) -> Result<(), PlayoutError> {
-        let counts = self.counts;
-        *self = Self::new(settings)?;
-        self.counts = counts;
-        Ok(())
+    pub fn restart(&mut self) {
+        self.timeline = Timeline::new(self.timeline.settings);
+        self.slots.fill(None);
+        (self.next, self.newest, self.missing_since_played, self.last_play_ns) = (None, 0, 0, 0);
     }
 }
 

@@ -68,8 +68,8 @@ impl PortEnergy {
 pub struct CouplingMessage {
     /// Count of the sender's engagements, from 1; 0 while its half of the coupling is not engaged.
     pub epoch: u16,
-    /// One number per axis: a motion in m since the engagement, or `F_c` in N of a slave, see
-    /// [`SlaveSends`](crate::coupling::SlaveSends).
+    /// One number per axis: a motion in m since the engagement, `F_c` in N of a slave, or the integral of a wave, see
+    /// [`Sends`](crate::coupling::Sends).
     pub vector: Padded,
     /// The same for the rotation, in rad or N m; only of kind `pose`.
     pub turned: Axes<3>,

@@ -167,7 +167,7 @@ def _ledger(spec: dict[str, Any], units: Units) -> Finding:
     kind, (stiffness, damping) = spec["coupling"]["kind"], _gains(spec)
     least = _least(kind, stiffness, 0.0, spec)
     assert least is not None
-    claim = f"{kind} counts its energy: delay, jitter and loss create none, for any hand and tool"
+    claim = f"{kind} counts its energy: delay, jitter and loss create none at the virtual tool; the arm's lag is apart"
     if kind == "tdpa":
         claim += ", but for a deficit that the master takes back with a bounded damping"
     return Finding(
@@ -315,8 +315,8 @@ def coupling_advice(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Itera
     if waves is not None and waves[1] > STIFFER * advised.stiffness:
         yield Finding(
             name="waves", state="note", text=f"over {delays[0] * 1e3:.0f} ms waves are stiffer at rest:"
-            f" {waves[1]:.3g} {units.stiffness} instead of {advised.stiffness:g}, passive for any hand and tool, delay"
-            f" and loss: [coupling] kind = \"wave\", impedance = {waves[0]:g}",
+            f" {waves[1]:.3g} {units.stiffness} instead of {advised.stiffness:g}, less what the play-out waits:"
+            f" [coupling] kind = \"wave\", impedance = {waves[0]:g}",
             value=waves[1], unit=units.stiffness,
         )  # fmt: skip
     yield Finding(

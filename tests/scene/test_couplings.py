@@ -1,5 +1,6 @@
 """Couplings in virtual time against their closed forms, and their engagements."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -137,6 +138,24 @@ def test_unknown_couplings_and_numbers_are_refused_by_name() -> None:
         override_scene(pressed("pd-damped", 0.0), ["coupling.damping=-1"])
     with pytest.raises(ValueError, match="must be one of position-force"):
         coupling_facts("spring")
+
+
+@pytest.mark.parametrize(
+    ("kind", "field", "problem"),
+    [
+        ("pd-damped", "impedance=1", "coupling.impedance = 1: pd-damped does not use it; leave it out"),
+        ("pd-damped", "start_energy_j=1e-3", "coupling.start_energy_j = 0.001: pd-damped does not use it"),
+        ("pspm", "play_out_s=0.01", "coupling.play_out_s = 0.01: pspm does not use it"),
+        ("wave", "play_out_s=2", "coupling.play_out_s = 2: must be between 0 and 1 s"),
+        # 0.1 kg at 1 ms.
+        ("wave", "impedance=30.1", "coupling.impedance = 30.1: must be at most 3.000e1, 0.3 M/T of the device"),
+        ("pspm", "start_energy_j=0.0023", "must be at most 2.250e-3, a quarter of M"),
+        ("position-force", "impedance=1", "position-force has no spring"),
+    ],
+)
+def test_numbers_that_a_coupling_or_a_device_does_not_bear_are_refused(kind: str, field: str, problem: str) -> None:
+    with pytest.raises(SceneError, match=re.escape(problem)):
+        simulate(override_scene(pressed(kind, 0.01), [f"coupling.{field}"]))
 
 
 @pytest.mark.parametrize("kind", WITH_GAINS)

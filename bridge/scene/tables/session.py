@@ -147,7 +147,7 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     default that of the coupling. At most 0.3 M/T of the device.
     """
     start_energy_j: NonNegative | None = None
-    """E_0 in J that each side has at the engagement, of `tdpa` and `pspm`. At most a quarter of M (0.3 m/s)^2."""
+    """E_0 in J of each side at the engagement, of `wave`, `tdpa` and `pspm`. At most a quarter of M (0.3 m/s)^2."""
     spread_s: NonNegative | None = None
     """Time in s over which `wave` spreads a wave; more is smoother, and adds to the delay."""
     play_out_s: NonNegative | None = None

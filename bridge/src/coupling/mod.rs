@@ -27,7 +27,7 @@ pub use frame_map::FrameMap;
 pub use gripper::{GripperFollower, GripperState};
 pub use mapping::Mapping;
 pub(crate) use method::{
-    CoupledMaster, CoupledMasterTurn, CoupledSlave, CoupledSlaveTurn, HandMotion, OfMaster, capped,
+    CoupledMaster, CoupledMasterTurn, CoupledSlave, CoupledSlaveTurn, HandMotion, OfHalf, OfMaster, capped,
 };
 pub use method::{
     CouplingAbout, CouplingKind, CouplingMatrix, Gains, MethodSettings, Sends, VirtualToolSettings,

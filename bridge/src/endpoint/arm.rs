@@ -11,7 +11,8 @@ use super::{
 use crate::{
     command::OperatorCommand,
     coupling::{
-        AlignmentStep, CoupledSlave, CoupledSlaveTurn, CouplingError, Limited, MethodSettings, RotationState,
+        AlignmentStep, CoupledSlave, CoupledSlaveTurn, CouplingError, Limited, MethodSettings, OfHalf,
+        RotationState,
     },
     ladder::{AlignmentState, LadderState},
     port::{CouplingMessage, PortState},
@@ -26,10 +27,7 @@ pub(crate) struct MasterState<'a, const N: usize> {
     /// V in m/s.
     pub(crate) velocity: Axes<N>,
     pub(crate) rotation: Option<&'a RotationState>,
-    /// Numbers of its half of the coupling.
-    pub(crate) message: &'a CouplingMessage,
-    /// Newest epoch of that half in any frame.
-    pub(crate) epoch: u16,
+    pub(crate) half: OfHalf<'a>,
 }
 
 /// Inputs of a tick beside the measurements of the arm.
@@ -265,10 +263,8 @@ impl<const N: usize> Arm<N> {
         let of_master = newest.as_ref().map(|master| [&master.position, &master.velocity]);
         let input = TranslationInput { state, stale_ns, newest: of_master };
         let led = if let Some(coupled) = &mut self.coupled {
-            let message =
-                newest.as_ref().map_or((&CouplingMessage::ZERO, 0), |master| (master.message, master.epoch));
-            let pushed =
-                self.translation.push(now_ns, [position, environment_force], &input, coupled, message);
+            let half = newest.as_ref().map_or(OfHalf::NONE, |master| master.half);
+            let pushed = self.translation.push(now_ns, [position, environment_force], &input, coupled, &half);
             pushed.map(|(led, work_j)| {
                 outgoing.energy.add(-work_j);
                 led
@@ -284,9 +280,8 @@ impl<const N: usize> Arm<N> {
             if let (Some(rotation), Some(master), Some(measured), Some(newest)) =
                 (&mut self.rotation, newest.and_then(|master| master.rotation), &reading.rotation, &newest)
             {
-                let times = (elapsed_s, 0.5 * self.max_step_s, state == LadderState::Stale);
-                let message = (newest.message, newest.epoch);
-                let pushed = rotation.push(master, message, measured, times, &mut limited);
+                let times = (elapsed_s, 0.5 * self.max_step_s);
+                let pushed = rotation.push(master, &newest.half, measured, times, &mut limited);
                 angular_velocity = if let Some((velocity, work_j)) = pushed {
                     outgoing.energy.add(-work_j);
                     velocity
@@ -481,8 +476,7 @@ mod tests {
                 position: master.position,
                 velocity: Axes::zeros(),
                 rotation: master.rotation.as_ref(),
-                message: &CouplingMessage::ZERO,
-                epoch: 0,
+                half: OfHalf::NONE,
             });
             let input = ArmInput { state, turns: false, stale_ns: 0, newest };
             self.arm.tick(now_ns, &taken, None, &input, &mut PortState::default());

@@ -172,7 +172,7 @@ impl Exchange {
 
     /// Let frames for the coupling wait for at most `most_ns`, until their delay is constant.
     pub(crate) fn set_play_out(&mut self, most_ns: u64) -> Result<(), PlayoutError> {
-        self.link.set_play_out(most_ns)
+        self.link.set_play_out(most_ns, self.period_ns.min(1_000_000))
     }
 
     /// Energies through the port of this side since its engagement.

@@ -306,7 +306,11 @@ impl<const N: usize> MasterEndpoint<N> {
         reading: &MasterReading<N>,
         input: &mut HandInput<N>,
     ) -> (SafetyTick<N>, Option<SafetyTick<3>>) {
-        let (Some(coupled), Some(peer)) = (&mut self.coupled, self.exchange.link.coupled()) else {
+        let Some(coupled) = &mut self.coupled else { return self.hand.tick(reading, input) };
+        let Some(peer) = self.exchange.link.coupled() else {
+            // A new run of the peer: no force of the run before may rise again.
+            coupled.clear();
+            self.turning.iter_mut().for_each(|turning| turning.clear());
             return self.hand.tick(reading, input);
         };
         let (mapping, gain) = (&self.mapping, input.gain);

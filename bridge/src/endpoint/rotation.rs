@@ -6,10 +6,10 @@ use nalgebra::UnitQuaternion;
 use crate::{
     coupling::{
         ALIGNED_RAD, Alignment, AlignmentSettings, AlignmentStep, CoupledSlaveTurn, CouplingError, Limited,
-        OfMaster, RotationBounds, RotationCoupling, RotationLock, RotationState, SETTLED_S, turned_within,
+        OfHalf, OfMaster, RotationBounds, RotationCoupling, RotationLock, RotationState, SETTLED_S,
+        turned_within,
     },
     ladder::AlignmentState,
-    port::CouplingMessage,
 };
 
 /// Largest lag in rad of a command behind the master; beyond pi, the shorter way has the opposite direction.
@@ -198,15 +198,15 @@ impl SlaveRotation {
     pub(super) fn push(
         &mut self,
         master: &RotationState,
-        (message, epoch): (&CouplingMessage, u16),
+        half: &OfHalf<'_>,
         measured: &RotationState,
-        (elapsed_s, dt, is_stale): (f64, f64, bool),
+        (elapsed_s, dt): (f64, f64),
         limited: &mut Limited,
     ) -> Option<(Axes<3>, f64)> {
         let home = self.home.unwrap_or(measured.orientation);
         let from = self.command.unwrap_or(measured.orientation);
         let RotationState { orientation: ref at, angular_velocity: ref velocity, .. } = *master;
-        let master = OfMaster { at, velocity, message, epoch, is_stale };
+        let master = OfMaster { at, velocity, half: *half };
         let wanted = self.coupled.as_mut()?.step(&mut self.coupling, &from, &measured.torque, &master, dt);
         let (command, acted) = self.bound(elapsed_s, [&home, &from, &wanted], limited);
         let coupled = self.coupled.as_mut()?;

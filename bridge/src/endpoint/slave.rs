@@ -8,8 +8,8 @@ use crate::{
     SideKind,
     command::OperatorCommand,
     coupling::{
-        CHANGE_FACTOR, CommandBounds, CouplingError, Limited, MethodSettings, RotationState, ScaleRange,
-        ScaleRanges,
+        CHANGE_FACTOR, CommandBounds, CouplingError, Limited, MethodSettings, OfHalf, RotationState,
+        ScaleRange, ScaleRanges,
     },
     ladder::{LAYERS, LadderSettings, LadderState, Observed},
     wire::{Role, unpadded},
@@ -176,8 +176,12 @@ impl<const N: usize> SlaveEndpoint<N> {
             position: unpadded(&frame.position),
             velocity: unpadded(&frame.velocity),
             rotation: frame.rotation.as_ref(),
-            message: &frame.message,
-            epoch: exchange.link.epoch(),
+            half: OfHalf {
+                message: &frame.message,
+                epoch: exchange.link.epoch(),
+                sequence: frame.sequence,
+                is_stale: state == LadderState::Stale,
+            },
         });
         let turns = exchange.ladder.turns();
         let input = ArmInput { state, turns, stale_ns: exchange.ladder.stale_ns(), newest };

@@ -7,9 +7,8 @@ use nalgebra::SimdBool as _;
 
 use super::{Arm, EndpointError, SlaveSettings, check_period, period_s};
 use crate::{
-    coupling::{CoupledSlave, Mapping, OfMaster, bounded, capped, decayed},
+    coupling::{CoupledSlave, Mapping, OfHalf, OfMaster, bounded, capped, decayed},
     ladder::LadderState,
-    port::CouplingMessage,
 };
 
 /// Number of successive accepted samples that confirm the newest: more than the guard counts as outliers.
@@ -99,7 +98,7 @@ impl<const N: usize> SlaveTranslation<N> {
         [position, environment_force]: [&Axes<N>; 2],
         input: &TranslationInput<'_, N>,
         coupled: &mut CoupledSlave<N>,
-        (message, epoch): (&CouplingMessage, u16),
+        half: &OfHalf<'_>,
     ) -> Option<(CommandMotion<N>, f64)> {
         let (elapsed_s, home) = self.begin(now_ns, position);
         let TranslationInput { state, newest, .. } = *input;
@@ -111,7 +110,7 @@ impl<const N: usize> SlaveTranslation<N> {
         let from = self.command.unwrap_or(*position);
         // A late loop must not make the spring unstable: the tool then moves for one period.
         let dt = self.period_s;
-        let master = OfMaster { at, velocity, message, epoch, is_stale: state == LadderState::Stale };
+        let master = OfMaster { at, velocity, half: *half };
         let wanted = coupled.step(&mut self.coupling, &from, environment_force, &master, dt);
         let bounds @ [max_speed, _] = self.bounds();
         let (command, limited @ [hurries, leaves]) = bounded(bounds, elapsed_s, &home, &from, &wanted);

@@ -127,9 +127,19 @@ fn limited_gains<const N: usize>(
     let CouplingSpec { kind, impedance, start_energy_j, spread_s, play_out_s, position_scale, .. } =
         *coupling;
     let name = kind.name();
+    let holds_none = |locked: &[usize]| locked.is_empty();
+    let mut changed = coupling.changes.iter().filter_map(|change| change.locked_axes.as_deref());
+    if default.spread_s > 0.0 && !(holds_none(&coupling.locked_axes) && changed.all(holds_none)) {
+        return contradiction(format!(
+            "coupling.locked_axes: {name} holds no axis; lock none, or use another coupling"
+        ));
+    }
+    if let Some(seen) = impedance.filter(|seen| !(*seen > 0.0 && seen.is_finite())) {
+        return contradiction(format!("coupling.impedance = {seen}: must be finite and above 0"));
+    }
     for (key, stated, used) in [
         ("impedance", impedance, default.impedance > 0.0),
-        ("start_energy_j", start_energy_j, kind.sends_energy() && default.spread_s == 0.0),
+        ("start_energy_j", start_energy_j, kind.sends_energy()),
         ("spread_s", spread_s, default.spread_s > 0.0),
         ("play_out_s", play_out_s, kind.plays_out()),
     ] {
@@ -158,7 +168,7 @@ fn limited_gains<const N: usize>(
     })
 }
 
-/// Longest wait in ns in the play-out of a scene that states none.
+/// Longest wait in s in the play-out of a scene that states none.
 const PLAY_OUT_S: f64 = 0.06;
 
 /// Let the frames for a coupling that needs it pass a play-out.

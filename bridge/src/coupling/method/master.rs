@@ -65,6 +65,8 @@ pub(crate) struct CoupledMaster<const N: usize> {
     /// The half before any tick.
     fresh: Half<N>,
     engagements: Engagements,
+    /// Sequence of the frame at the last tick.
+    sequence: u64,
     /// `lambda_p` of the scene.
     position_scale: f64,
     /// Position in m of the hand at which its motion is zero; None while not engaged.
@@ -82,7 +84,12 @@ impl<const N: usize> CoupledMaster<N> {
         let half = Half::new(kind, gains, Space::Translation)?;
         let [last, force] = [Axes::zeros(); 2];
         let engagements = Engagements::new(kind);
-        Some(Self { half, fresh: half, engagements, position_scale, origin: None, last, force })
+        Some(Self { half, fresh: half, engagements, sequence: 0, position_scale, origin: None, last, force })
+    }
+
+    /// End the engagement, without force.
+    pub(crate) fn clear(&mut self) {
+        (self.origin, self.force) = (None, Axes::zeros());
     }
 
     /// Return `F_v` in N before the ladder's gain.
@@ -104,11 +111,12 @@ impl<const N: usize> CoupledMaster<N> {
         }
         if epoch == 0 || epoch != newest_epoch {
             // The gain may rise before the slave has engaged: no force of an earlier engagement may rise with it.
-            (self.origin, self.force) = (None, Axes::zeros());
+            self.clear();
             return self.force;
         }
         let HandMotion { at: position, velocity, exerted, gain, dt } = *hand;
         let sent: Axes<N> = unpadded(vector);
+        let is_new = std::mem::replace(&mut self.sequence, peer.sequence) != peer.sequence;
         let sends_motion = peer.sends_motion();
         let of_slave = if sends_motion { sent } else { Axes::zeros() };
         let last = std::mem::replace(&mut self.last, *position);
@@ -137,6 +145,8 @@ impl<const N: usize> CoupledMaster<N> {
             velocity: &of_peer,
             vector: &if sends_motion { Axes::zeros() } else { sent },
             sum: sums[0],
+            is_new,
+            rests: false,
         };
         self.force = -map.rendered_force(&self.half.master(&own, &peer));
         self.force

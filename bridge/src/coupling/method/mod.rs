@@ -12,7 +12,7 @@ use haptether_safety::Axes;
 pub(crate) use master::{CoupledMaster, HandMotion};
 pub use registry::CouplingKind;
 pub(crate) use registry::Half;
-pub(crate) use slave::{CoupledSlave, OfMaster};
+pub(crate) use slave::{CoupledSlave, OfHalf, OfMaster};
 use space::Space;
 pub use tool::VirtualToolSettings;
 pub(crate) use tool::{VirtualTool, capped};
@@ -105,18 +105,24 @@ impl MethodSettings {
     /// Return an error for a change of frame or scale that this coupling does not allow. `is_open` is true if the clutch is
     /// open and no force is left.
     ///
-    /// The sides compare motions in the frame of the scene. If only one side changed, its spring would push.
+    /// The sides compare motions in the frame of the scene. If only one side changed, its spring would push. A coupling that
+    /// counts energy keeps its scales, because energy that it holds has their units. Waves hold no locked axis.
     pub(crate) fn check_change(&self, command: &OperatorCommand, is_open: bool) -> Result<(), CouplingError> {
         let kind = self.kind.name();
         let fixed = |name, while_engaged| Err(CouplingError::Fixed { name, kind, while_engaged });
         match command {
-            OperatorCommand::PositionScale(_) if self.kind.compares_motions() => {
+            OperatorCommand::PositionScale(_) if self.kind.compares_motions() || self.kind.sends_energy() => {
                 fixed("position_scale", false)
             }
-            OperatorCommand::RotationScale(_) if self.rotation.is_some() => fixed("rotation_scale", false),
-            OperatorCommand::Frame { .. } if self.kind.sends(Role::Slave).is_some() && !is_open => {
-                fixed("quat_wxyz", true)
+            OperatorCommand::ForceScale(_) if self.kind.sends_energy() => fixed("force_scale", false),
+            OperatorCommand::TorqueScale(_) if self.kind.sends_energy() => fixed("torque_scale", false),
+            OperatorCommand::Frame { locked, .. }
+                if self.kind.sends(Role::Master) == Some(Sends::Wave) && locked.contains(&true) =>
+            {
+                fixed("locked_axes", false)
             }
+            OperatorCommand::RotationScale(_) if self.rotation.is_some() => fixed("rotation_scale", false),
+            OperatorCommand::Frame { .. } if !is_open => fixed("quat_wxyz", true),
             _ => Ok(()),
         }
     }
@@ -150,6 +156,10 @@ pub(crate) struct Peer<'a, const N: usize> {
     pub(crate) vector: &'a Axes<N>,
     /// Its energy in J, which only rises; 0 for a coupling that sends none.
     pub(crate) sum: f64,
+    /// True if its frame is another one than at the last tick.
+    pub(crate) is_new: bool,
+    /// True if the half of the master is not engaged, or its frames are old: the set position of the slave then rests.
+    pub(crate) rests: bool,
 }
 
 /// Two pure halves of a coupling. Frame map, scales, anchors and locks stand outside, in [`CoupledMaster`] and
@@ -231,7 +241,14 @@ pub fn coupling_matrix(kind: CouplingKind, gains: Gains) -> Option<CouplingMatri
             gain: 1.0,
             dt: 1e-3,
         };
-        let peer = Peer { position: &peer_position, velocity: &peer_velocity, vector: &vector, sum: 0.0 };
+        let peer = Peer {
+            position: &peer_position,
+            velocity: &peer_velocity,
+            vector: &vector,
+            sum: 0.0,
+            is_new: true,
+            rests: false,
+        };
         if is_master { half.master(&own, &peer)[0] } else { half.slave(&own, &peer)[0] }
     };
     let master = [0, 1, 2, 3, 4].map(|at| step(at, true));

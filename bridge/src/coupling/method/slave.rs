@@ -9,11 +9,14 @@ use crate::{
     wire::{Role, unpadded},
 };
 
+/// Time in s without a new frame over which a half that keeps a ledger goes on in STALE.
+pub(super) const GAP_S: f64 = 0.01;
+
 /// Engagement of the master, as the half at the slave sees it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MasterEngagement {
     kind: CouplingKind,
-    /// Newest engagement of the master that is older than this one of the slave, or 0.
+    /// Newest count of the master's engagements when this one of the slave began, or 0.
     stale: u16,
     /// Engagement of the master that belongs to this one of the slave; 0 before it begins.
     present: u16,
@@ -49,12 +52,27 @@ pub(crate) struct OfMaster<'a, X, const N: usize> {
     pub(crate) at: &'a X,
     /// Velocity in m/s (rad/s).
     pub(crate) velocity: &'a Axes<N>,
-    /// Numbers of its half.
+    /// Its half of the coupling.
+    pub(crate) half: OfHalf<'a>,
+}
+
+/// Half of the master in a frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct OfHalf<'a> {
+    /// Its numbers.
     pub(crate) message: &'a CouplingMessage,
-    /// Newest epoch of that half in any frame.
+    /// Its newest epoch in any frame.
     pub(crate) epoch: u16,
-    /// True while the frame is old.
+    /// Sequence of the frame.
+    pub(crate) sequence: u64,
+    /// True while the newest frame is old.
     pub(crate) is_stale: bool,
+}
+
+impl OfHalf<'_> {
+    /// Half that has not been heard.
+    pub(crate) const NONE: Self =
+        Self { message: &CouplingMessage::ZERO, epoch: 0, sequence: 0, is_stale: false };
 }
 
 /// Half of a coupling at the slave, with its state since the engagement.
@@ -71,6 +89,9 @@ pub(crate) struct CoupledSlave<const N: usize> {
     /// True while engaged.
     engaged: bool,
     master: MasterEngagement,
+    /// Sequence of the frame at the last tick, and the time in s since it changed.
+    sequence: u64,
+    silent_s: f64,
     /// Position in m of the master at which its motion is zero, if it sends waves.
     origin: Option<Axes<N>>,
     /// Motion in m of the master in its last engaged frame.
@@ -101,6 +122,8 @@ impl<const N: usize> CoupledSlave<N> {
             tool,
             engaged,
             master,
+            sequence: 0,
+            silent_s: 0.0,
             origin,
             moved,
             wave,
@@ -121,7 +144,7 @@ impl<const N: usize> CoupledSlave<N> {
         master: &OfMaster<'_, Axes<N>, N>,
         dt: f64,
     ) -> Axes<N> {
-        let OfMaster { at, velocity, message, epoch, is_stale } = *master;
+        let OfMaster { at, velocity, half: OfHalf { message, epoch, sequence, is_stale } } = *master;
         if !self.engaged {
             // Each engagement begins at rest and without force: the anchor couples this position with zero motion.
             self.tool.rest_at(from);
@@ -136,10 +159,9 @@ impl<const N: usize> CoupledSlave<N> {
         // A master that is not engaged rests where it was, at first at zero.
         let is_engaged = self.master.takes(message.epoch);
         let sends_wave = self.kind.sends(Role::Master) == Some(Sends::Wave);
-        let mut is_new = false;
+        let is_new = std::mem::replace(&mut self.sequence, sequence) != sequence;
         if is_engaged {
             let numbers = unpadded(&message.vector);
-            is_new = numbers != if sends_wave { self.wave } else { self.moved };
             if sends_wave {
                 self.moved = at - *self.origin.get_or_insert(*at);
                 self.wave = numbers;
@@ -148,8 +170,9 @@ impl<const N: usize> CoupledSlave<N> {
             }
             self.energy_j = self.energy_j.max(message.sums[0]);
         }
-        // A half that keeps a ledger does not extrapolate.
-        let is_old = is_stale && !is_new && self.kind.sends_energy();
+        // A half that keeps a ledger does not extrapolate beyond a short gap.
+        self.silent_s = if is_new { 0.0 } else { self.silent_s + dt };
+        let is_old = is_stale && self.silent_s > GAP_S && self.kind.sends_energy();
         let moves = is_engaged && !is_old;
         let velocity = if moves { map.commanded_velocity(velocity) } else { Axes::zeros() };
         let target = map.commanded_position(&self.moved, from);
@@ -161,7 +184,14 @@ impl<const N: usize> CoupledSlave<N> {
             gain: 1.0,
             dt,
         };
-        let peer = Peer { position: &target, velocity: &velocity, vector: &self.wave, sum: self.energy_j };
+        let peer = Peer {
+            position: &target,
+            velocity: &velocity,
+            vector: &self.wave,
+            sum: self.energy_j,
+            is_new,
+            rests: !moves,
+        };
         self.force = self.half.slave(&own, &peer);
         self.sent = match self.kind.sends(Role::Slave) {
             Some(Sends::Motion) => self.moved + map.back(&(self.tool.position() - target)),

@@ -43,7 +43,7 @@ impl Space {
     pub(super) const fn small(self) -> f64 {
         match self {
             Self::Translation => 3e-4,
-            Self::Rotation => 6e-3,
+            Self::Rotation => 3e-3,
         }
     }
 }

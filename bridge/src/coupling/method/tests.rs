@@ -107,7 +107,8 @@ fn run(
                 dt: T,
             };
             let [x, v, vector] = [x, v, vector].map(axes);
-            let peer = Peer { position: &x, velocity: &v, vector: &vector, sum };
+            let is_new = now == 0 || paths[1 - side][now - 1] != *heard;
+            let peer = Peer { position: &x, velocity: &v, vector: &vector, sum, is_new, rests: false };
             let half = &mut halves[side];
             forces[side] = if side == 1 { half.slave(&own, &peer) } else { half.master(&own, &peer) }[0];
             let (numbers, energy_j) = half.sent();
@@ -264,7 +265,11 @@ fn a_master_that_is_not_engaged_rests_where_it_was() {
     let (zero, mut at) = (Axes::<1>::zeros(), Axes::<1>::new(0.4));
     let mut step = |epoch: u16, motion: f64| {
         let message = of_slave(epoch, motion).message;
-        let master = OfMaster { at: &zero, velocity: &zero, message: &message, epoch, is_stale: false };
+        let master = OfMaster {
+            at: &zero,
+            velocity: &zero,
+            half: OfHalf { message: &message, epoch, ..OfHalf::NONE },
+        };
         at = slave.step(&mut map, &at, &zero, &master, T);
         slave.tool().position()[0]
     };
@@ -417,7 +422,7 @@ fn drawn() -> impl Strategy<Value = Drawn> {
                     0.0
                 },
                 spread_s: if kind == CouplingKind::Wave { T + 0.04 * shares[3] } else { 0.0 },
-                start_j: if kind == CouplingKind::Pspm { 5e-3 * shares[3] } else { 0.0 },
+                start_j: if kind == CouplingKind::Tdpa { 0.0 } else { 5e-3 * shares[3] },
                 most_damping: defaults(kind).most_damping.min(0.2 / T * plants[0].mass),
                 ..Gains::spring(stiffness.min(2000.0), damping)
             };
@@ -461,11 +466,15 @@ fn played_beyond_sent(rule: Rule, waves: &[f64], path: &[Option<usize>]) -> f64 
 
 /// The rule of the coupling, the whole difference at once, and the last wave held.
 const RULES: [Rule; 3] = [
-    |state, [integral, sum], _| {
+    |state, [integral, sum], is_new| {
         let played = Axes::<1>::new(state.0);
-        let mut incoming = Incoming { played, energy_j: state.1, newest: played, age_s: 0.0 };
+        let mut incoming = Incoming { played, energy_j: state.1, wave: Axes::zeros(), age_s: 0.0 };
         let (zero, vector) = (Axes::zeros(), Axes::<1>::new(integral));
-        let wave = incoming.play(&Peer { position: &zero, velocity: &zero, vector: &vector, sum }, T, T)[0];
+        let wave = incoming.play(
+            &Peer { position: &zero, velocity: &zero, vector: &vector, sum, is_new, rests: false },
+            T,
+            T,
+        )[0];
         *state = (incoming.played[0], incoming.energy_j);
         wave
     },
@@ -565,4 +574,70 @@ fn tdpa_starts_from_rest_and_does_not_drift() {
         let seen = run(halves, reference(), [&path; 2], swing);
         assert!(seen.apart.abs() < 1e-3, "{delay} ms: {} m", seen.apart);
     }
+}
+
+/// Energy of an engagement counts once: a frame of an earlier engagement, and a master that engages twice, move nothing.
+#[test]
+fn frames_of_another_engagement_give_no_energy() {
+    let kind = CouplingKind::Pspm;
+    let mut slave =
+        CoupledSlave::<1>::new(&MethodSettings { gains: defaults(kind), ..settings(kind) }).unwrap();
+    let mut map = Mapping::new(1.0, 1.0).unwrap();
+    let (zero, mut at) = (Axes::<1>::zeros(), Axes::<1>::new(0.4));
+    let mut step = |epoch: u16, newest: u16, motion: f64| {
+        let message = CouplingMessage { sums: [1.0, 0.0], ..of_slave(epoch, motion).message };
+        let master = OfMaster {
+            at: &zero,
+            velocity: &zero,
+            half: OfHalf { message: &message, epoch: newest, ..OfHalf::NONE },
+        };
+        at = slave.step(&mut map, &at, &zero, &master, T);
+        slave.tool().position()[0]
+    };
+    assert_eq!(step(5, 5, 0.1), 0.4);
+    // Late frames of the engagements up to 5.
+    assert_eq!((0..50).map(|tick| step(if tick % 2 == 0 { 5 } else { 4 }, 5, 0.1)).fold(0.0, |_, x| x), 0.4);
+    let there = (0..3000).map(|_| step(6, 6, 0.1)).fold(0.0, |_, x| x);
+    assert!((there - 0.5).abs() < 1e-3, "{there}");
+    // A second engagement of the master within this one of the slave.
+    let left = (0..1000).map(|_| step(7, 7, 0.3)).fold(0.0, |_, x| x);
+    assert!((left - there).abs() < 1e-3, "{left}");
+    let mut master =
+        CoupledMaster::<1>::new(&MethodSettings { gains: defaults(kind), ..settings(kind) }).unwrap();
+    let master_map = Mapping::new(1.0, 1.0).unwrap();
+    let mut request = |x: f64, is_coupled: bool, frame: &Frame, newest: u16| {
+        let zero = Axes::zeros();
+        let hand = HandMotion { at: &Axes::<1>::new(x), velocity: &zero, exerted: &zero, gain: 1.0, dt: T };
+        master.request(&master_map, &hand, is_coupled, (frame, newest));
+        master.message(is_coupled, &Axes::<1>::new(x)).epoch
+    };
+    let frame = |epoch| Frame { coupling: kind, ..of_slave(epoch, 0.0) };
+    assert_eq!(request(0.0, true, &frame(3), 3), 1);
+    assert_eq!(request(0.0, true, &frame(3), 0), 0);
+    assert_eq!(request(0.0, false, &frame(3), 3), 0);
+    // The slave has not engaged anew, so the half stays out.
+    assert_eq!(request(0.0, true, &frame(3), 3), 0);
+    assert_eq!(request(0.0, true, &frame(4), 4), 2);
+}
+
+/// Gaps of 50 ms take no force from a contact: the last wave stays, and `E_0` advances its energy.
+#[test]
+fn a_gap_keeps_the_force_of_waves() {
+    let ramp = |now: usize| [0.06 * (now as f64 / 500.0).min(1.0), 0.0];
+    let gains = defaults(CouplingKind::Wave);
+    let gapped = |gap: usize, gains: Gains| {
+        let path = newest(60, 0, 0.0, &vec![(0.0, 0.5); 60_000]).into_iter().enumerate();
+        let frozen = |now: usize| (now / 500 * 500).checked_sub(61);
+        let path =
+            path.map(|(now, tick)| if now % 500 < gap { frozen(now) } else { tick }).collect::<Vec<_>>();
+        run([half(CouplingKind::Wave, gains); 2], reference(), [&path; 2], ramp)
+    };
+    let compliance = CouplingKind::Wave.compliance(&gains, 0.12, T).unwrap();
+    let expected = 0.03 / (1.0 / 40.0 + compliance + 1.0 / 2000.0);
+    let seen = gapped(50, gains);
+    assert!((seen.force / expected - 1.0).abs() < 1e-4, "{} of {expected} N", seen.force);
+    assert!(seen.lowest_j >= -2.0 * gains.start_j);
+    // Without `E_0` each gap takes some of the force.
+    let without = gapped(50, Gains { start_j: 0.0, ..gains });
+    assert!(without.force < 0.1 * expected, "{} of {expected} N", without.force);
 }

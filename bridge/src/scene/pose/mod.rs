@@ -168,6 +168,7 @@ pub(super) fn coupled_rotation<const N: usize>(
         damping: coupling.rotational_damping.unwrap_or(gains.damping * lever),
         impedance: gains.impedance * lever,
         most_damping: gains.most_damping * lever,
+        start_j: 0.5 * gains.start_j,
         ..*gains
     };
     let (w, lag_s) = match &arm.tool {

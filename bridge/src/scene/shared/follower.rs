@@ -26,8 +26,9 @@ use super::{
 use crate::{
     Event, MasterRecord, ModelPlant as _, SlaveReading, SlaveRecord,
     coupling::Mapping,
+    coupling::OfHalf,
     endpoint::{Arm, ArmInput, CarriedState, Hand, HandInput, MasterReading, MasterState},
-    port::{CouplingMessage, PortState},
+    port::PortState,
     scene::{
         assemble::{SceneError, exact_master},
         coupling::commands,
@@ -546,11 +547,10 @@ impl<const N: usize> SlavePart<N> {
         let newest = step.newest().map(|tick| master.of(tick));
         self.heard = step.newest().unwrap_or(0);
         let newest = newest.map(|Sent { position, velocity, .. }| MasterState {
-            epoch: 0,
+            half: OfHalf::NONE,
             position: *position,
             velocity: *velocity,
             rotation: None,
-            message: &CouplingMessage::ZERO,
         });
         let input = ArmInput { state: step.state, turns: false, stale_ns: step.stale_ns, newest };
         let tick = self.arm.tick(step.clock_ns, &reading, None, &input, &mut self.outgoing);

@@ -96,8 +96,15 @@ impl<const N: usize> Method<N> for Tdpa<N> {
         let (p, q) = (wanted.dot(&at_rest), per_speed * wanted.norm_squared());
         self.renew(peer);
         let most = self.left_j.max(0.0) / own.dt;
-        let share =
-            if p + q <= most { 1.0 } else { ((-p + (p * p + 4.0 * q * most).sqrt()) / (2.0 * q)).clamp(0.0, 1.0) };
+        let root = (p * p + 4.0 * q * most).sqrt();
+        // Each form of the root where it does not cancel.
+        let share = if p + q <= most {
+            1.0
+        } else if p > 0.0 {
+            (2.0 * most / (p + root)).clamp(0.0, 1.0)
+        } else {
+            ((root - p) / (2.0 * q)).clamp(0.0, 1.0)
+        };
         let velocity = wanted * share;
         self.stretch = self.space.advanced(&self.stretch, &(velocity * own.dt));
         self.force = at_rest + velocity * per_speed;

@@ -8,7 +8,7 @@ use super::super::{CouplingAbout, Gains, Local, Method, Peer, Sends, Space, capp
 const QUIET_S: f64 = 1.0;
 /// Rate in 1/s at which the slave removes a drift, and its largest speed in small distances per second.
 const DRIFT_PER_S: f64 = 2.0;
-const DRIFT_SPEED: f64 = 150.0;
+const DRIFT_SPEED: f64 = 100.0;
 /// Damping of the master in units of b, which pays for the damper b: it is held for a tick and takes less than it should.
 const PAYING: f64 = 0.05;
 
@@ -21,7 +21,8 @@ const PAYING: f64 = 0.05;
 /// tick. In series the coupling has the compliance `1/K + (T1 + T2 + dT + 2 (spread - dT)) / (2 b)`: a wave of the master describes the last tick.
 ///
 /// A frame has the integral of the wave and its energy. The receiver plays what it has not played, over `spread`, and never
-/// more energy than has arrived. So neither loss nor jitter nor order creates energy, and no motion is lost. Each sender
+/// more energy than has arrived, and `E_0`. So neither loss nor jitter nor order creates energy, and no motion is lost. Over a
+/// longer gap the last wave stays, and `E_0` advances its energy. Each sender
 /// pays its wave from the energy that its port has really received: force exerted times way. A damping of 5 % of b at the
 /// master pays for the damper b, which is held for a tick.
 ///
@@ -45,7 +46,7 @@ pub(crate) struct Wave<const N: usize> {
     quiet_s: f64,
 }
 
-/// Wave that a half sends: what its budget cannot pay waits.
+/// Wave that a half sends. The part that its budget does not pay is sent later.
 #[derive(Clone, Copy, Debug)]
 struct Outgoing<const N: usize> {
     waiting: Axes<N>,
@@ -71,19 +72,20 @@ impl<const N: usize> Outgoing<N> {
 pub(in super::super) struct Incoming<const N: usize> {
     pub(in super::super) played: Axes<N>,
     pub(in super::super) energy_j: f64,
-    /// Integral in the newest frame, and the time in s since it came.
-    pub(in super::super) newest: Axes<N>,
+    /// Wave of the last tick, and the time in s since the newest frame.
+    pub(in super::super) wave: Axes<N>,
     pub(in super::super) age_s: f64,
 }
 
 impl<const N: usize> Incoming<N> {
-    /// Return the wave of this tick: it reaches the newest integral `spread_s` after that came. So a wave stays constant over
-    /// a gap in the frames; the energy of a wave that varies does not pay for its integral.
+    /// Return the wave of this tick: it reaches the newest integral `spread_s` after that came, and then stays. So it is
+    /// constant over a gap in the frames: the energy of a wave that varies does not pay for its integral.
     pub(in super::super) fn play(&mut self, peer: &Peer<'_, N>, spread_s: f64, dt: f64) -> Axes<N> {
-        self.age_s = if self.newest == *peer.vector { self.age_s + dt } else { 0.0 };
-        self.newest = *peer.vector;
-        let left = peer.vector - self.played;
-        let wave = capped(&(left / (spread_s - self.age_s).max(dt)), (2.0 * (peer.sum - self.energy_j).max(0.0) / dt).sqrt());
+        self.age_s = if peer.is_new { 0.0 } else { self.age_s + dt };
+        let rest_s = spread_s.max(dt) - self.age_s;
+        let wanted = if rest_s > 0.5 * dt { (peer.vector - self.played) / rest_s.max(dt) } else { self.wave };
+        let wave = capped(&wanted, (2.0 * (peer.sum - self.energy_j).max(0.0) / dt).sqrt());
+        self.wave = wave;
         self.played += wave * dt;
         self.energy_j += 0.5 * dt * wave.norm_squared();
         wave
@@ -111,10 +113,11 @@ impl<const N: usize> Wave<N> {
             drift -= force * (force.dot(&drift) / squared);
         }
         let step = capped(&(drift * DRIFT_PER_S), DRIFT_SPEED * small) * own.dt;
-        let cost_j = step.dot(force) + self.gains.stiffness * step.norm_squared();
-        if cost_j <= peer.sum - self.incoming.energy_j {
+        let stretched = self.space.advanced(&self.stretch, &step);
+        let cost_j = 0.5 * self.gains.stiffness * (stretched.norm_squared() - self.stretch.norm_squared());
+        if cost_j <= peer.sum - self.incoming.energy_j - self.gains.start_j {
             self.incoming.energy_j += cost_j.max(0.0);
-            self.stretch = self.space.advanced(&self.stretch, &step);
+            self.stretch = stretched;
         }
     }
 }
@@ -125,7 +128,7 @@ impl<const N: usize> Method<N> for Wave<N> {
         title: "waves of motion and force, whose delay only stores energy",
         source: "Niemeyer and Slotine 1991, 2004; Chopra, Berestesky and Spong 2003",
     };
-    const DEFAULT: Gains = Gains { impedance: 4.0, spread_s: 0.005, ..Gains::spring(300.0, 8.0) };
+    const DEFAULT: Gains = Gains { impedance: 4.0, start_j: 2.5e-3, spread_s: 0.005, ..Gains::spring(300.0, 8.0) };
     const MASTER_SENDS: Sends = Sends::Wave;
     const SLAVE_SENDS: Sends = Sends::Wave;
     const SENDS_ENERGY: bool = true;
@@ -136,7 +139,7 @@ impl<const N: usize> Method<N> for Wave<N> {
     fn new(gains: Gains, space: Space) -> Self {
         let zero = Axes::zeros();
         let outgoing = Outgoing { waiting: zero, sent: zero, energy_j: 0.0 };
-        let incoming = Incoming { played: zero, energy_j: 0.0, newest: zero, age_s: 0.0 };
+        let incoming = Incoming { played: zero, energy_j: -gains.start_j, wave: zero, age_s: 0.0 };
         Self { gains, space, outgoing, incoming, budget_j: 0.0, paying: zero, stretch: zero, quiet_s: 0.0 }
     }
 
@@ -156,7 +159,7 @@ impl<const N: usize> Method<N> for Wave<N> {
         let of_wave = own.exerted - self.paying;
         self.outgoing.send(&((own.moved * b + of_wave * own.dt) / root), own.dt, &mut self.budget_j);
         if own.gain < 1.0 {
-            // The motion of a force that fades in stays behind.
+            // Motion while the force fades in is not sent.
             self.outgoing.waiting = Axes::zeros();
         }
         let wave = self.incoming.play(peer, self.gains.spread_s, own.dt);
@@ -169,6 +172,9 @@ impl<const N: usize> Method<N> for Wave<N> {
         let Gains { stiffness, damping, impedance: b, spread_s, .. } = self.gains;
         let (root, dt) = (self.root(), own.dt);
         self.stretch = self.space.left(&self.stretch, own.moved);
+        if peer.rests {
+            return self.stretch * stiffness - own.velocity * damping;
+        }
         let wave = self.incoming.play(peer, spread_s, dt);
         let at_rest = self.stretch * stiffness - own.velocity * damping;
         let per_speed = stiffness * dt + damping;

@@ -20,6 +20,8 @@ pub(crate) struct CoupledMasterTurn {
     /// The half before any tick.
     fresh: Half<3>,
     engagements: Engagements,
+    /// Sequence of the frame at the last tick.
+    sequence: u64,
     /// True if this half sends a wave instead of its turn.
     sends_wave: bool,
     /// Orientation of the hand at which its turn is zero; None while not engaged.
@@ -37,7 +39,21 @@ impl CoupledMasterTurn {
         let half = Half::new(settings.kind, gains, Space::Rotation)?;
         let sends_wave = settings.kind.sends(Role::Master) == Some(Sends::Wave);
         let (engagements, last) = (Engagements::new(settings.kind), UnitQuaternion::identity());
-        Some(Self { half, fresh: half, engagements, sends_wave, origin: None, last, torque: Axes::zeros() })
+        Some(Self {
+            half,
+            fresh: half,
+            engagements,
+            sequence: 0,
+            sends_wave,
+            origin: None,
+            last,
+            torque: Axes::zeros(),
+        })
+    }
+
+    /// End the engagement, without force.
+    pub(crate) fn clear(&mut self) {
+        (self.origin, self.torque) = (None, Axes::zeros());
     }
 
     /// Return `tau_m` in N m before the ladder's gain, as [`CoupledMaster::request`](super::super::CoupledMaster::request).
@@ -55,10 +71,11 @@ impl CoupledMasterTurn {
             return self.torque;
         }
         if epoch == 0 || epoch != newest_epoch {
-            (self.origin, self.torque) = (None, Axes::zeros());
+            self.clear();
             return self.torque;
         }
         let HandMotion { at: orientation, velocity, exerted, gain, dt } = *hand;
+        let is_new = std::mem::replace(&mut self.sequence, peer.sequence) != peer.sequence;
         let sends_motion = peer.sends_motion();
         let of_slave =
             if sends_motion { UnitQuaternion::from_scaled_axis(sent) } else { UnitQuaternion::identity() };
@@ -87,6 +104,8 @@ impl CoupledMasterTurn {
             velocity: &of_peer,
             vector: &if sends_motion { Axes::zeros() } else { sent },
             sum: sums[1],
+            is_new,
+            rests: false,
         };
         self.torque = -map.rendered_torque(&self.half.master(&own, &peer));
         self.torque

@@ -5,8 +5,8 @@ use nalgebra::{Unit, UnitQuaternion};
 
 use super::{
     super::{
-        Half, Local, MethodSettings, OfMaster, Peer, Sends, Space, VirtualToolSettings, capped,
-        slave::MasterEngagement,
+        Half, Local, MethodSettings, OfHalf, OfMaster, Peer, Sends, Space, VirtualToolSettings, capped,
+        slave::{GAP_S, MasterEngagement},
     },
     stretch,
 };
@@ -30,6 +30,9 @@ pub(crate) struct CoupledSlaveTurn {
     velocity: Axes<3>,
     engaged: bool,
     master: MasterEngagement,
+    /// Sequence of the frame at the last tick, and the time in s since it changed.
+    sequence: u64,
+    silent_s: f64,
     /// Orientation of the master at which its turn is zero, if it sends waves.
     origin: Option<UnitQuaternion<f64>>,
     /// Turn in rad of the master in its last engaged frame.
@@ -66,6 +69,8 @@ impl CoupledSlaveTurn {
             velocity,
             engaged,
             master,
+            sequence: 0,
+            silent_s: 0.0,
             origin,
             moved,
             wave,
@@ -87,7 +92,7 @@ impl CoupledSlaveTurn {
         master: &OfMaster<'_, UnitQuaternion<f64>, 3>,
         dt: f64,
     ) -> UnitQuaternion<f64> {
-        let OfMaster { at, velocity, message, epoch, is_stale } = *master;
+        let OfMaster { at, velocity, half: OfHalf { message, epoch, sequence, is_stale } } = *master;
         if !self.engaged {
             (self.orientation, self.velocity) = (*from, Axes::zeros());
             map.clear_anchor();
@@ -100,9 +105,8 @@ impl CoupledSlaveTurn {
         }
         let is_engaged = self.master.takes(message.epoch);
         let sends_wave = self.kind.sends(Role::Master) == Some(Sends::Wave);
-        let mut is_new = false;
+        let is_new = std::mem::replace(&mut self.sequence, sequence) != sequence;
         if is_engaged {
-            is_new = message.turned != if sends_wave { self.wave } else { self.moved };
             if sends_wave {
                 self.moved = (at * self.origin.get_or_insert(*at).inverse()).scaled_axis();
                 self.wave = message.turned;
@@ -113,8 +117,9 @@ impl CoupledSlaveTurn {
         }
         let turned = UnitQuaternion::from_scaled_axis(self.moved);
         let target = map.commanded_orientation(&turned, from);
-        // A half that keeps a ledger does not extrapolate.
-        let is_old = is_stale && !is_new && self.kind.sends_energy();
+        // A half that keeps a ledger does not extrapolate beyond a short gap.
+        self.silent_s = if is_new { 0.0 } else { self.silent_s + dt };
+        let is_old = is_stale && self.silent_s > GAP_S && self.kind.sends_energy();
         let moves = is_engaged && !is_old;
         let velocity = if moves { map.commanded_velocity(velocity) } else { Axes::zeros() };
         let own = Local {
@@ -126,7 +131,14 @@ impl CoupledSlaveTurn {
             dt,
         };
         let phi = stretch(&self.orientation, &target);
-        let peer = Peer { position: &phi, velocity: &velocity, vector: &self.wave, sum: self.energy_j };
+        let peer = Peer {
+            position: &phi,
+            velocity: &velocity,
+            vector: &self.wave,
+            sum: self.energy_j,
+            is_new,
+            rests: !moves,
+        };
         let coupled = self.half.slave(&own, &peer);
         self.sent = match self.kind.sends(Role::Slave) {
             // The turn beyond the target, in the frame of the master.
