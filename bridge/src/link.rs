@@ -183,7 +183,7 @@ pub struct FrameLink {
 struct PlayedFrames {
     waiting: Playout<Frame>,
     now: Option<Frame>,
-    /// Time in ns at which that was played.
+    /// Time in ns at which a frame was last due.
     played_ns: u64,
 }
 
@@ -230,8 +230,10 @@ impl FrameLink {
         let Some(playout) = &mut self.playout else { return };
         let played = |now: &Option<Frame>| now.as_ref().map_or(0, |frame| frame.sequence + 1);
         while let Some(due) = playout.waiting.next_due(now_ns) {
+            playout.played_ns = now_ns;
+            // After a time without any, the newest may be ahead.
             if due.sequence >= played(&playout.now) {
-                (playout.now, playout.played_ns) = (Some(due.payload), now_ns);
+                playout.now = Some(due.payload);
             }
         }
         if let Some(newest) = &self.newest

@@ -113,6 +113,11 @@ def coupling_findings(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Ite
     coupling, units, delays = spec["coupling"], Units.of(spec), link_delays_s(spec)
     if facts_of(spec).keeps_ledger:
         yield _ledger(spec, units)
+        if facts_of(spec).impedance is not None and coupling["kind"] == "wave" and coupling["command_reach"] is None:
+            yield Finding(
+                name="reach", state="warning", text="waves have no spring to the hand: a push moves the arm without"
+                " limit while the device is let go: set coupling.command_reach",
+            )  # fmt: skip
         yield from _felt(scene, spec, units, delays)
         yield from _push(spec)
         return

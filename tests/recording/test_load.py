@@ -215,7 +215,7 @@ def test_a_notebook_shows_metrics_and_charts(tmp_path: Path) -> None:
     page = simulate("remote_push", overrides=["run.duration_s=0.5"])._repr_html_()
     root = ET.fromstring(page)
     assert len(root.findall(".//svg")) == 4, "position, force on the hand, arm, force on the tool"
-    assert "peak_device_force" in {cell.text for cell in root.iter("td")}
+    assert "largest device force [N]" in {"".join(cell.itertext()) for cell in root.iter() if cell.tag in ("td", "th")}
     named = load(write_recording(tmp_path / "<b>.mcap", "master", [{}, {"position": [None], "true_position": [None]}]))
     assert "<b>.mcap" not in named._repr_html_()
     ET.fromstring(named._repr_html_())

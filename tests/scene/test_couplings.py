@@ -35,7 +35,11 @@ def pressed(kind: str, one_way_s: float, **changed: Any) -> Scene:  # noqa: ANN4
             "contact": {"stiffness": K_WALL, "damping": 1.0},
         }]},
         "link": {"forward": link, "backward": link},
-        "coupling": {"kind": kind, **({"stiffness": K, "damping": 3.0} if kind in WITH_GAINS else {})},
+        "coupling": {
+            "kind": kind,
+            **({"stiffness": K, "damping": 3.0} if kind in WITH_GAINS else {}),
+            **({"play_out_s": 0.0} if kind in ("wave", "tdpa") else {}),
+        },
         "safety": {"controllers": [], "limiter": LIMITER},
     }  # fmt: skip
     for table, fields in changed.items():
@@ -102,6 +106,23 @@ def test_scales_and_a_turned_frame_stand_outside_the_coupling(kind: str) -> None
     series = motion * share / K_HAND + compliance(kind, 0.01) + 1 / ARM_K + 1 / K_WALL
     expected = (motion * TARGET - WALL) / series
     assert end_force(scene) == pytest.approx(-share * turn.T @ [expected, 0.0, 0.0], rel=2e-3, abs=2e-3)
+
+
+def test_waves_over_jitter_and_loss_have_the_delay_of_their_play_out() -> None:
+    """60 ms with 20 ms of uniform jitter, 1 % loss, no order: the closed form with the waits that both sides report."""
+    link = {
+        "delay_s": 0.06, "jitter_s": 0.02 / 3**0.5, "distribution": "uniform", "jitter_correlation_s": 0.0,
+        "keep_order": False, "loss": 0.01,
+    }  # fmt: skip
+    safety = {"controllers": [], "limiter": LIMITER, "ladder": {"hold_after_s": 0.1}}
+    links = {"forward": link, "backward": link}
+    scene = pressed("wave", 0.0, run={"duration_s": 15.0}, link=links, safety=safety, coupling={"play_out_s": 0.06})
+    waits = [report.link.play_out_s for report in simulate(scene).reports or ()]
+    # The fastest frames take 40 ms a way, the slowest 40 ms more; a quarter and 1 ms are added.
+    assert all(0.045 < wait < 0.055 for wait in waits)
+    expected = (TARGET - WALL) / (1 / K_HAND + compliance("wave", 0.08 + sum(waits)) + 1 / ARM_K + 1 / K_WALL)
+    (force,) = end_force(scene)
+    assert force == pytest.approx(-expected, rel=0.01)
 
 
 @pytest.mark.parametrize("kind", WITH_GAINS)

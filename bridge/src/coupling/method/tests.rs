@@ -315,15 +315,23 @@ fn both_sides_keep_what_they_compare() {
     let change = |kind, command: OperatorCommand, is_open| settings(kind).check_change(&command, is_open);
     let frame = OperatorCommand::Frame { quat_wxyz: [1.0, 0.0, 0.0, 0.0], locked: [false; 7] };
     for (kind, scale, frame_engaged) in [
-        (CouplingKind::PositionForce, true, true),
         (CouplingKind::PositionForceComputed, true, false),
         (CouplingKind::PositionPosition, false, false),
         (CouplingKind::PdDamped, false, false),
+        (CouplingKind::Wave, false, false),
+        (CouplingKind::Tdpa, false, false),
+        (CouplingKind::Pspm, false, false),
     ] {
+        let locks = OperatorCommand::Frame {
+            quat_wxyz: [1.0, 0.0, 0.0, 0.0],
+            locked: [true, false, false, false, false, false, false],
+        };
+        assert_eq!(change(kind, locks, true).is_ok(), kind != CouplingKind::Wave, "{kind:?}");
         for is_open in [false, true] {
             assert_eq!(change(kind, OperatorCommand::PositionScale(2.0), is_open).is_ok(), scale, "{kind:?}");
             assert_eq!(change(kind, frame, is_open).is_ok(), frame_engaged || is_open, "{kind:?}");
-            assert!(change(kind, OperatorCommand::ForceScale(2.0), is_open).is_ok());
+            let force = change(kind, OperatorCommand::ForceScale(2.0), is_open);
+            assert_eq!(force.is_ok(), !kind.sends_energy(), "{kind:?}");
         }
     }
     let refused = change(CouplingKind::PdDamped, OperatorCommand::PositionScale(2.0), true).unwrap_err();
@@ -620,7 +628,7 @@ fn frames_of_another_engagement_give_no_energy() {
     assert_eq!(request(0.0, true, &frame(4), 4), 2);
 }
 
-/// Gaps of 50 ms take no force from a contact: the last wave stays, and `E_0` advances its energy.
+/// Gaps of 20 ms take no force from a contact: the last wave stays, and `E_0` advances its energy.
 #[test]
 fn a_gap_keeps_the_force_of_waves() {
     let ramp = |now: usize| [0.06 * (now as f64 / 500.0).min(1.0), 0.0];
@@ -634,10 +642,10 @@ fn a_gap_keeps_the_force_of_waves() {
     };
     let compliance = CouplingKind::Wave.compliance(&gains, 0.12, T).unwrap();
     let expected = 0.03 / (1.0 / 40.0 + compliance + 1.0 / 2000.0);
-    let seen = gapped(50, gains);
+    let seen = gapped(20, gains);
     assert!((seen.force / expected - 1.0).abs() < 1e-4, "{} of {expected} N", seen.force);
     assert!(seen.lowest_j >= -2.0 * gains.start_j);
     // Without `E_0` each gap takes some of the force.
-    let without = gapped(50, Gains { start_j: 0.0, ..gains });
+    let without = gapped(20, Gains { start_j: 0.0, ..gains });
     assert!(without.force < 0.1 * expected, "{} of {expected} N", without.force);
 }

@@ -27,7 +27,12 @@ fn log(to: &UnitQuaternion<f64>, from: &UnitQuaternion<f64>) -> Axes<3> {
 }
 
 /// Frame of an engaged side with these numbers.
-fn frame(kind: CouplingKind, (turned, energy_j): (&Axes<3>, f64), angular_velocity: Axes<3>) -> Frame {
+fn frame(
+    kind: CouplingKind,
+    sequence: usize,
+    (turned, energy_j): (&Axes<3>, f64),
+    angular_velocity: Axes<3>,
+) -> Frame {
     let turned = *turned;
     let rotation = RotationState { angular_velocity, ..RotationState::default() };
     Frame {
@@ -36,6 +41,7 @@ fn frame(kind: CouplingKind, (turned, energy_j): (&Axes<3>, f64), angular_veloci
         coupling: kind,
         message: CouplingMessage { epoch: 1, turned, sums: [0.0, energy_j], ..CouplingMessage::ZERO },
         rotation: Some(rotation),
+        sequence: sequence as u64,
         ..Frame::EMPTY
     }
 }
@@ -89,7 +95,7 @@ fn rest(kind: CouplingKind, delay: usize, target: UnitQuaternion<f64>, wall: Uni
             half: OfHalf { message: &message, epoch, sequence: tick as u64, is_stale: false },
         };
         command = slave.step(&mut of_slave, &command, &measured, &master_state, T);
-        back.push_back(frame(kind, slave.sent().unwrap(), *slave.velocity()));
+        back.push_back(frame(kind, tick, slave.sent().unwrap(), *slave.velocity()));
         if back.len() > delay {
             let newest = back.pop_front().unwrap();
             let motion = HandMotion { at: &hand, velocity: &w, exerted: &torque, gain: 1.0, dt: T };
@@ -116,7 +122,10 @@ fn torques_settle_at_the_closed_form_on_so3() {
     let wanted = frame * target * frame.inverse();
     for kind in CouplingKind::ALL[1..].iter().copied() {
         for delay in [0, 5, 20, 100, 250] {
-            if kind.is_linear() && kind != CouplingKind::PdDamped && delay > 20 {
+            // Waves of 250 ms have not come to rest after 20 s.
+            if (kind.is_linear() && kind != CouplingKind::PdDamped && delay > 20)
+                || (kind == CouplingKind::Wave && delay > 100)
+            {
                 continue;
             }
             // A message of the hand is read at the next tick.
@@ -127,7 +136,7 @@ fn torques_settle_at_the_closed_form_on_so3() {
             // TDPA ripples above 100 ms, where alpha takes back what the master gave.
             let tolerance = match kind {
                 // An integral of twists along a curved path is off by this much along the torque.
-                CouplingKind::Wave => 2e-2,
+                CouplingKind::Wave => 1e-2,
                 CouplingKind::Tdpa if delay > 20 => 0.15,
                 CouplingKind::Tdpa => 5e-3,
                 _ => 1e-4,
