@@ -50,7 +50,7 @@ def pages() -> dict[str, Page]:
 
 
 def pages_of(site: Path) -> dict[str, Page]:
-    """Return the pages of a site by their path in it, without the one that only a server shows."""
+    """Return the pages of a site by path. The page that only a server shows is left out."""
     found = (path for path in site.rglob("*.html") if path.name != "404.html")
     return {path.relative_to(site).as_posix(): Page(path.read_text("utf-8")) for path in found}
 

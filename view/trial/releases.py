@@ -33,7 +33,7 @@ class Measured(Struct, kw_only=True):
 
 
 class Pending(Struct, kw_only=True):
-    """Running measurement of one bridge."""
+    """Measurement of a bridge that has not ended."""
 
     begun_ns: int
     position: list[float]

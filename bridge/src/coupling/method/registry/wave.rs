@@ -9,7 +9,7 @@ const QUIET_S: f64 = 1.0;
 /// Rate in 1/s at which the slave removes a drift, and its largest speed in small distances per second.
 const DRIFT_PER_S: f64 = 2.0;
 const DRIFT_SPEED: f64 = 100.0;
-/// Damping of the master in units of b, which pays for the damper b: it is held for a tick and takes less than it should.
+/// Damping of the master in units of b that pays for the damper b, which is held for a tick.
 const PAYING: f64 = 0.05;
 
 /// Wave coupling of impedance b.
@@ -18,13 +18,15 @@ const PAYING: f64 = 0.05;
 /// is the difference of its waves: `F v = (u² - w²) / 2`. So a constant delay only stores energy.
 ///
 /// A spring K and a damper B hold the tool at `x_sd`: `F_s = K (x_sd - x_s) + B (v_sd - v_s)`, solved with `v_sd` of the same
-/// tick. In series the coupling has the compliance `1/K + (T1 + T2 + dT + 2 (spread - dT)) / (2 b)`: a wave of the master describes the last tick.
+/// tick. In series the coupling has the compliance `1/K + (T1 + T2 + dT + 2 (spread - dT)) / (2 b)`. The `dT` stands there
+/// because a wave of the master describes the last tick.
 ///
-/// A frame has the integral of the wave and its energy. The receiver plays what it has not played, over `spread`, and never
-/// more energy than has arrived, and `E_0`. So neither loss nor jitter nor order creates energy, and no motion is lost. Over a
-/// longer gap the last wave stays, and `E_0` advances its energy. Each sender
-/// pays its wave from the energy that its port has really received: force exerted times way. A damping of 5 % of b at the
-/// master pays for the damper b, which is held for a tick.
+/// A frame has the integral of the wave and its energy. The receiver plays over `spread` what it has not played yet, and at
+/// most the energy that has arrived and `E_0`. So loss, jitter and order create no energy. Over a longer gap the
+/// last wave stays, and `E_0` advances its energy.
+///
+/// A sender pays its wave from the energy that its port has received: the exerted force times the measured motion. The damper
+/// b of the master is held for a tick and takes less energy than its wave has. A damping of 5 % of b pays the difference.
 ///
 /// The slave moves `x_sd` towards the position of the master: across the force at all times, because an integral of twists
 /// is no orientation, and along it while both sides rest without force. It pays this from what the waves left.
