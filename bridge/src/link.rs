@@ -4,7 +4,7 @@ use crate::{
     SideKind,
     fault_text::TextPiece,
     path::PeerPath,
-    playout::{Playout, PlayoutError, PlayoutSettings},
+    playout::{self, Playout, PlayoutError, PlayoutSettings},
     port::PortState,
     session::{Arrival, Rejection, Rejections, ReplayWindow},
     wire::{Echo, Frame, FrameLayout, MAX_FRAME, Role, WireError},
@@ -183,13 +183,32 @@ pub struct FrameLink {
 struct PlayedFrames {
     waiting: Playout<Frame>,
     now: Option<Frame>,
-    /// Time in ns at which a frame was last due.
-    played_ns: u64,
 }
 
-/// Time in ns without a frame to play after which the newest is taken: before the ladder holds. A path that has become
-/// slower must not leave an old force on a hand.
-const STARVED_NS: u64 = 10_000_000;
+impl PlayedFrames {
+    /// Take a frame that arrived at `now_ns`. Its time is now if it is late: a path that has become slower must not leave an
+    /// old force on a hand.
+    fn take(&mut self, now_ns: u64, frame: &Frame) {
+        let arrival = self.waiting.arrived(frame.sequence, frame.sent_ns, now_ns, *frame);
+        if arrival == playout::Arrival::Late {
+            self.advance(frame);
+        }
+    }
+
+    /// Take the frames that are due at `now_ns`.
+    fn play(&mut self, now_ns: u64) {
+        while let Some(due) = self.waiting.next_due(now_ns) {
+            self.advance(&due.payload);
+        }
+    }
+
+    /// Take the frame if it is newer than the present one.
+    fn advance(&mut self, frame: &Frame) {
+        if self.now.as_ref().is_none_or(|now| frame.sequence > now.sequence) {
+            self.now = Some(*frame);
+        }
+    }
+}
 
 impl FrameLink {
     /// Create an end of `role`. A new `run_id` at every start shows a restart to the peer.
@@ -220,7 +239,7 @@ impl FrameLink {
             usize::try_from(2 * most_ns / period_ns.max(1)).unwrap_or(usize::MAX).saturating_add(64);
         let settings = PlayoutSettings { adapts: true, capacity, ..PlayoutSettings::new(most_ns) };
         let waiting = Playout::new(settings)?;
-        self.playout = Some(Box::new(PlayedFrames { waiting, now: None, played_ns: 0 }));
+        self.playout = Some(Box::new(PlayedFrames { waiting, now: None }));
         Ok(())
     }
 
@@ -228,20 +247,7 @@ impl FrameLink {
     #[inline]
     pub(crate) fn play(&mut self, now_ns: u64) {
         let Some(playout) = &mut self.playout else { return };
-        let played = |now: &Option<Frame>| now.as_ref().map_or(0, |frame| frame.sequence + 1);
-        while let Some(due) = playout.waiting.next_due(now_ns) {
-            playout.played_ns = now_ns;
-            // After a time without any, the newest may be ahead.
-            if due.sequence >= played(&playout.now) {
-                playout.now = Some(due.payload);
-            }
-        }
-        if let Some(newest) = &self.newest
-            && now_ns.saturating_sub(playout.played_ns) > STARVED_NS
-            && newest.frame.sequence >= played(&playout.now)
-        {
-            playout.now = Some(newest.frame);
-        }
+        playout.play(now_ns);
         self.statistics.play_out_ns = playout.waiting.wait_ns().unwrap_or(0);
     }
 
@@ -317,7 +323,7 @@ impl FrameLink {
                 self.path.arrived(frame.sequence, frame.sent_ns, by_ns);
                 let placed = self.place(frame.sequence);
                 if let (Some(playout), Ok(()) | Err(RejectReason::Late(_))) = (&mut self.playout, &placed) {
-                    playout.waiting.arrived(frame.sequence, frame.sent_ns, now_ns, *frame);
+                    playout.take(now_ns, frame);
                 }
                 placed?;
                 false
@@ -347,7 +353,7 @@ impl FrameLink {
                 if let Some(playout) = &mut self.playout {
                     playout.waiting.restart();
                     playout.now = None;
-                    playout.waiting.arrived(frame.sequence, frame.sent_ns, now_ns, *frame);
+                    playout.take(now_ns, frame);
                 }
                 true
             }
@@ -688,6 +694,44 @@ mod tests {
         master.receive(LinkTime::at(1000 * MS), &frames[0]).unwrap();
         assert_eq!(master.receive(LinkTime::at(1001 * MS), &frames[1000]), Ok(false));
         assert_eq!(master.receive(LinkTime::at(1002 * MS), &frames[999]), Err(RejectReason::Late(999)));
+    }
+
+    /// Age in ms of the frame for the coupling at each tick, over a path with a transit in ms for each frame.
+    fn played_ages(most_ms: u64, transits_ms: &[u64]) -> Vec<u64> {
+        let frames = frames(transits_ms.len(), 1);
+        let mut master = FrameLink::new(Role::Master, 1, 7, 10_000 * MS);
+        master.set_play_out(most_ms * MS, MS).unwrap();
+        (0..transits_ms.len())
+            .map(|now| {
+                let time = LinkTime::at(now as u64 * MS);
+                for sent in 0..=now {
+                    if sent as u64 + transits_ms[sent] == now as u64 {
+                        let _ = master.receive(time, &frames[sent]);
+                    }
+                }
+                master.play(time.tick_ns);
+                master.coupled().map_or(0, |frame| now as u64 - frame.sent_ns / MS)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn frames_for_the_coupling_have_a_constant_age() {
+        let jumps = |n: u64| if n.is_multiple_of(2) { 0 } else { 20 };
+        let ages = played_ages(60, &(0..3000).map(|n| 5 + jumps(n)).collect::<Vec<_>>());
+        // 20 ms of jitter, with a quarter and 1 ms more.
+        assert!(ages[2000..].iter().all(|age| (31..=32).contains(age)), "{:?}", &ages[2000..2010]);
+        // All of the frames find room.
+        let ages = played_ages(300, &(0..3000).map(|n| 5 + 12 * jumps(n)).collect::<Vec<_>>());
+        assert!(ages[2000..].iter().all(|age| (305..=307).contains(age)), "{:?}", &ages[2000..2010]);
+    }
+
+    /// A path that becomes slower by more than the wait: each frame is late, and its time is when it arrives.
+    #[test]
+    fn a_slower_path_leaves_no_old_frame_to_the_coupling() {
+        let ages = played_ages(10, &(0..4000).map(|n| if n < 2000 { 20 } else { 50 }).collect::<Vec<_>>());
+        assert!(ages[1500..2000].iter().all(|age| (20..=22).contains(age)), "{:?}", &ages[1500..1510]);
+        assert!(ages[2051..].iter().all(|age| (50..=60).contains(age)), "{:?}", ages[2051..].iter().max());
     }
 
     proptest! {

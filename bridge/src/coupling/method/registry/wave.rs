@@ -18,7 +18,7 @@ const PAYING: f64 = 0.05;
 /// is the difference of its waves: `F v = (u² - w²) / 2`. So a constant delay only stores energy.
 ///
 /// A spring K and a damper B hold the tool at `x_sd`: `F_s = K (x_sd - x_s) + B (v_sd - v_s)`, solved with `v_sd` of the same
-/// tick. In series the coupling has the compliance `1/K + (T1 + T2 + dT + 2 (spread - dT)) / (2 b)`. The `dT` stands there
+/// tick. In series the coupling has the compliance `1/K + (T1 + T2 + dT + 2 spread) / (2 b)`. The `dT` stands there
 /// because a wave of the master describes the last tick.
 ///
 /// A frame has the integral of the wave and its energy. The receiver plays over `spread` what it has not played yet, and at
@@ -80,13 +80,21 @@ pub(in super::super) struct Incoming<const N: usize> {
 }
 
 impl<const N: usize> Incoming<N> {
-    /// Return the wave of this tick: it reaches the newest integral `spread_s` after that came, and then stays. So it is
-    /// constant over a gap in the frames: the energy of a wave that varies does not pay for its integral.
+    /// Return the wave of this tick: it reaches the newest integral `spread_s` after the tick in which that came, and then
+    /// stays. So it is constant over a gap in the frames, and over a tick that is late: the energy of a wave that varies does
+    /// not pay for its integral.
+    ///
+    /// The energy that has arrived bounds the wave in two ways. This tick can play `w² dT / 2` of it. And all that has arrived
+    /// can be played as one constant wave: its energy and its integral then end together. Without the second bound a few long
+    /// gaps take the energy of a force at rest, and a part of its integral can never be played.
     pub(in super::super) fn play(&mut self, peer: &Peer<'_, N>, spread_s: f64, dt: f64) -> Axes<N> {
         self.age_s = if peer.is_new { 0.0 } else { self.age_s + dt };
-        let rest_s = spread_s.max(dt) - self.age_s;
-        let wanted = if rest_s > 0.5 * dt { (peer.vector - self.played) / rest_s.max(dt) } else { self.wave };
-        let wave = capped(&wanted, (2.0 * (peer.sum - self.energy_j).max(0.0) / dt).sqrt());
+        let rest_s = spread_s - self.age_s;
+        let left = peer.vector - self.played;
+        let left_j = (peer.sum - self.energy_j).max(0.0);
+        let wanted = if rest_s > -0.5 * dt { left / (rest_s.max(0.0) + dt) } else { self.wave };
+        // 0 / 0 is NaN, which min ignores.
+        let wave = capped(&wanted, (2.0 * left_j / dt).sqrt().min(2.0 * left_j / left.norm()));
         self.wave = wave;
         self.played += wave * dt;
         self.energy_j += 0.5 * dt * wave.norm_squared();
@@ -130,7 +138,7 @@ impl<const N: usize> Method<N> for Wave<N> {
         title: "waves of motion and force, whose delay only stores energy",
         source: "Niemeyer and Slotine 1991, 2004; Chopra, Berestesky and Spong 2003",
     };
-    const DEFAULT: Gains = Gains { impedance: 4.0, start_j: 2.5e-3, spread_s: 0.005, ..Gains::spring(300.0, 8.0) };
+    const DEFAULT: Gains = Gains { impedance: 4.0, start_j: 2.5e-3, spread_s: 0.004, ..Gains::spring(300.0, 8.0) };
     const MASTER_SENDS: Sends = Sends::Wave;
     const SLAVE_SENDS: Sends = Sends::Wave;
     const SENDS_ENERGY: bool = true;
@@ -151,8 +159,7 @@ impl<const N: usize> Method<N> for Wave<N> {
     }
 
     fn compliance(gains: &Gains, round_trip_s: f64, period_s: f64) -> f64 {
-        let spread_s = period_s + 2.0 * (gains.spread_s - period_s).max(0.0);
-        1.0 / gains.stiffness + (round_trip_s + spread_s) / (2.0 * gains.impedance)
+        1.0 / gains.stiffness + (round_trip_s + period_s + 2.0 * gains.spread_s) / (2.0 * gains.impedance)
     }
 
     fn master(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
