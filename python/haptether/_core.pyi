@@ -2834,13 +2834,13 @@ class CouplingFacts:
         """B in N s/m."""
     @property
     def master(self) -> list[float] | None:
-        """Coefficients of F_m in x_m, v_m, x_s', v_s', F_c' (N/m, N s/m, and 1 for a force); None if not linear."""
+        """Coefficients of F_m in x_m, v_m, x_s', v_s', F_c' (N/m, N s/m, and 1 for a force); None if not linear in them."""
     @property
     def slave(self) -> list[float] | None:
-        """Coefficients of F_c in x_s, v_s, x_m', v_m'; None if not linear."""
+        """Coefficients of F_c in x_s, v_s, x_m', v_m'; None if not linear in them."""
     @property
     def impedance(self) -> float | None:
-        """b in N s/m of waves, or d0 of the master's port; None if the coupling has none."""
+        """b in N s/m of waves, d0 of the master's port, or d at each side; None if the coupling has none."""
     @property
     def start_energy_j(self) -> float | None:
         """E_0 in J of each side at the engagement; None for a coupling that keeps no ledger of energy."""
@@ -2873,7 +2873,7 @@ def coupling_facts(
         name: Name in `COUPLINGS`.
         stiffness: K in N/m; by default that of the coupling.
         damping: B in N s/m; by default that of the coupling.
-        impedance: b in N s/m, or d0; by default that of the coupling.
+        impedance: b, d0 or d in N s/m; by default that of the coupling.
         spread_s: Time in s over which waves are spread; by default that of the coupling.
         round_trip_s: Round trip T1 + T2 in s, for the least damping and the compliance.
         period_s: Tick in s, for the same.

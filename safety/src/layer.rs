@@ -62,6 +62,8 @@ pub struct SafetyLayer<const N: usize, S = f64> {
     fault: Option<Fault>,
     /// Present only in simulated runs that configure one.
     research: Option<Research>,
+    /// True if `F_h` is estimated although no controller reads it.
+    needs_grasp_force: bool,
     /// Largest acceleration in m/s² (rad/s²) by the motors alone.
     acceleration: f64,
     /// Sample guard and held ticks; used by a scalar layer only.
@@ -152,6 +154,7 @@ impl<const N: usize> SafetyLayer<N> {
             device_force: Axes::zeros(),
             fault: None,
             research: None,
+            needs_grasp_force: false,
             acceleration: limiter.max_force_n / device.lightest(),
             entry: Entry::new(Guard::new(SampleBounds::UNBOUNDED, SampleBounds::UNBOUNDED, *period_s)),
         };
@@ -176,6 +179,19 @@ impl<const N: usize> SafetyLayer<N> {
     pub fn with_samples(self, bounds: SampleBounds) -> Self {
         let period_s = self.period_s;
         self.guarded(bounds, SampleBounds::UNBOUNDED, period_s)
+    }
+
+    /// Estimate `F_h` at every tick, for a coupling that uses it. Call this before the first tick.
+    #[must_use]
+    pub fn with_grasp_force(mut self) -> Self {
+        self.needs_grasp_force = true;
+        self
+    }
+
+    /// Return `F_h` in N of the last tick; zero in a fault, and if nothing needs it.
+    #[inline]
+    pub fn grasp_force(&self) -> Axes<N> {
+        if self.fault.is_some() { Axes::zeros() } else { self.entry.last.grasp_force }
     }
 
     /// Add a controller of the caller after the built-in ones. Call this before the first tick.
@@ -394,6 +410,11 @@ impl<const N: usize> SafetyLayer<N> {
         }
     }
 
+    /// Return whether lanes lack something that this layer has.
+    fn cannot_join_lanes(&self) -> bool {
+        self.fault.is_some() || self.research.is_some() || self.needs_grasp_force || self.entry.count > 0
+    }
+
     /// Return the force in N of the coupling that the device has exerted since the last tick: the share of `F_v` in
     /// `F_device`, without the controllers' damping, which is not power of the coupling.
     #[inline]
@@ -560,7 +581,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
     /// gathered. Period, estimator and the set of controllers must be equal; thresholds, bounds, times and the device
     /// may differ.
     pub fn gather(of: &[&SafetyLayer<N>]) -> Option<Self> {
-        if of.iter().any(|one| one.fault.is_some() || one.research.is_some() || one.entry.count > 0) {
+        if of.iter().any(|one| one.cannot_join_lanes()) {
             return None;
         }
         Some(Self {
@@ -579,6 +600,7 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
             device_force: pack(of, |one| one.device_force)?,
             fault: None,
             research: None,
+            needs_grasp_force: false,
         })
     }
 
@@ -687,18 +709,19 @@ impl<const N: usize, S: Real> SafetyLayer<N, S> {
         rendered_force: &Axes<N, S>,
         inertia: &mut impl Inertia<N, S>,
     ) -> Observation<N, S> {
-        let grasp_force = if self.controller.needs_grasp_force() || self.research.is_some() {
-            let held = &self.device_force;
-            let aligned = if velocity.is_some() {
-                inertia.align(motion, held, true, |force| self.measured.align(force))
+        let grasp_force =
+            if self.controller.needs_grasp_force() || self.research.is_some() || self.needs_grasp_force {
+                let held = &self.device_force;
+                let aligned = if velocity.is_some() {
+                    inertia.align(motion, held, true, |force| self.measured.align(force))
+                } else {
+                    let is_late = Estimator::<N, S>::has_late_velocity(&self.estimator);
+                    inertia.align(motion, held, is_late, |force| self.estimator.align(force))
+                };
+                self.device.grasp_force(motion, &aligned)
             } else {
-                let is_late = Estimator::<N, S>::has_late_velocity(&self.estimator);
-                inertia.align(motion, held, is_late, |force| self.estimator.align(force))
+                Axes::zeros()
             };
-            self.device.grasp_force(motion, &aligned)
-        } else {
-            Axes::zeros()
-        };
         let aligned_rendered_force = self.align_asked(position, velocity, rendered_force);
         Observation {
             velocity: motion.velocity,

@@ -179,6 +179,17 @@ impl RotationLayer {
         Self { layer, ..self }
     }
 
+    /// Estimate `tau_h` at every tick, see [`SafetyLayer::with_grasp_force`].
+    #[must_use]
+    pub fn with_grasp_torque(self) -> Self {
+        Self { layer: self.layer.with_grasp_force(), ..self }
+    }
+
+    /// Return `tau_h` in N m of the last tick in the base frame, see [`SafetyLayer::grasp_force`].
+    pub(crate) fn grasp_torque(&self) -> Axes<3> {
+        self.orientation.unwrap_or_default() * self.layer.grasp_force()
+    }
+
     /// Bounds that the motors of this device cannot exceed by themselves.
     pub(crate) fn reachable(&self, bounds: SampleBounds) -> SampleBounds {
         self.layer.reachable(bounds)

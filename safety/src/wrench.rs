@@ -97,6 +97,19 @@ impl<const N: usize> WrenchLayer<N> {
         self
     }
 
+    /// Estimate force and torque of the hand at every tick, see [`SafetyLayer::with_grasp_force`].
+    #[must_use]
+    pub fn with_grasp_wrench(mut self) -> Self {
+        self.translation = self.translation.with_grasp_force();
+        self.rotation = self.rotation.with_grasp_torque();
+        self
+    }
+
+    /// Return force in N and torque in N m of the hand at the last tick, see [`SafetyLayer::grasp_force`].
+    pub fn grasp_wrench(&self) -> (Axes<N>, Axes<3>) {
+        (self.translation.grasp_force(), self.rotation.grasp_torque())
+    }
+
     /// Compute one tick from the pose and the requested force in N and torque in N m.
     ///
     /// [`Guard`] holds a pose that leaves its path and replaces it by its prediction. A value that either layer

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from math import inf
 from typing import Any
 
+import msgspec
 from msgspec import Struct
 
 from haptether.bridge import COUPLINGS, CouplingFacts, Scene, SceneError, coupling_facts, override_scene
@@ -22,6 +23,7 @@ from haptether.studies.design.finding import (
     rounded_up,
 )
 from haptether.studies.design.loops import scene_loops
+from haptether.studies.design.press import Press, press
 
 DAMPING_MARGIN = 1.3
 """Ratio of an advised B to the least with which the coupling is passive."""
@@ -34,6 +36,28 @@ SOFTER = 0.8
 STEPS = 24
 STIFFER = 1.2
 """Least ratio of the stiffness of waves to that of the advised coupling, for which they are named too."""
+
+
+DEFAULT_MASS_KG = 0.157
+"""Mass in kg of the device for which the default gains are."""
+PRESSED_S = 0.004
+"""Shortest round trip in s that is pressed to find the largest stable one."""
+SHARES = (1.0, 0.5, 0.25)
+"""Gains that are tried for a pair, as shares of the defaults for its mass."""
+GAINS = (
+    "stiffness", "damping", "rotational_stiffness", "rotational_damping", "impedance", "start_energy_j", "spread_s",
+    "environment_gain", "grasp_gain", "play_out_s",
+)  # fmt: skip
+"""Keys of the table [coupling] that are of one kind."""
+
+
+class PressedCoupling(Struct, frozen=True, kw_only=True):
+    """Press of a pair under a coupling with gains for the pair."""
+
+    kind: str
+    changes: tuple[str, ...]
+    """Overrides that set it."""
+    press: Press
 
 
 class AdvisedCoupling(Struct, frozen=True, kw_only=True):
@@ -90,12 +114,27 @@ def bearable_delays(scene: Scene, up_to_s: float, wall_stiffness: float | None =
     """
     spec = scene_numbers(scene)
     if has_halves(spec):
-        if facts_of(spec).keeps_ledger:
+        facts = facts_of(spec)
+        if facts.keeps_ledger:
             return inf, ((0.0, up_to_s),)
+        if facts.master is None:
+            return _pressed_delays(scene, up_to_s, wall_stiffness)
         stable = coupled_delays(coupled_loops(scene, wall_stiffness), up_to_s)
         return _margin_s(stable, up_to_s), stable
     loops = scene_loops(scene, wall_stiffness)
     return min(map(largest_delay_s, loops)), stable_together(loops, up_to_s)
+
+
+def _pressed_delays(scene: Scene, up_to_s: float, wall: float | None) -> tuple[float, Intervals]:
+    """Return the same of a coupling that no loop describes: presses at doubled delays, up to the first that fails."""
+    wall = touched(scene, scene_numbers(scene)).stiffness if wall is None else wall
+    rests_s, delay_s = 0.0, PRESSED_S
+    while delay_s <= up_to_s:
+        ways = [f"link.{way}.{key}" for way in ("forward", "backward") for key in (f"delay_s={delay_s / 2.0!r}", "jitter_s=0")]
+        if press(override_scene(scene, ways), wall).outcome != "rests":
+            return delay_s, ((0.0, rests_s),) if rests_s else ()
+        rests_s, delay_s = delay_s, 2.0 * delay_s
+    return inf, ((0.0, up_to_s),)
 
 
 def _margin_s(stable: Intervals, up_to_s: float) -> float:
@@ -106,14 +145,17 @@ def _margin_s(stable: Intervals, up_to_s: float) -> float:
 
 def coupling_findings(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Iterator[Finding]:
     """Check delay margin, passivity and felt stiffness of a coupling with two halves."""
+    coupling, units, delays = spec["coupling"], Units.of(spec), link_delays_s(spec)
     if spec["master"]["kind"] == "pose":
-        text = f"{spec['coupling']['kind']} of a pose: only loops of points and joints are judged; simulate the scene"
+        yield _pressed(scene, spec, units)
+        text = f"{coupling['kind']} of a pose: of its rotation nothing is judged; simulate the scene"
         yield Finding(name="coupling", state="not judged", text=text)
         return
-    coupling, units, delays = spec["coupling"], Units.of(spec), link_delays_s(spec)
-    if facts_of(spec).keeps_ledger:
-        yield _ledger(spec, units)
-        if facts_of(spec).impedance is not None and coupling["kind"] == "wave" and coupling["command_reach"] is None:
+    facts = facts_of(spec)
+    if facts.master is None:
+        yield _ledger(spec, units) if facts.keeps_ledger else _unclaimed(coupling["kind"])
+        yield _pressed(scene, spec, units)
+        if coupling["kind"] == "wave" and coupling["command_reach"] is None:
             yield Finding(
                 name="reach", state="warning", text="waves have no spring to the hand: a push moves the arm without"
                 " limit while the device is let go: set coupling.command_reach",
@@ -153,6 +195,11 @@ def coupling_findings(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Ite
     yield from _push(spec)
 
 
+def _unclaimed(kind: str) -> Finding:
+    text = f"{kind} claims none: the press below is of this hand, device, arm, wall and link"
+    return Finding(name="passivity", state="note", text=text)
+
+
 def _push(spec: dict[str, Any]) -> Iterator[Finding]:
     """Report that HSC claims no bound where the push may grow."""
     kind = spec["coupling"]["kind"]
@@ -180,6 +227,29 @@ def _ledger(spec: dict[str, Any], units: Units) -> Finding:
         f" {stiffness:g} {units.stiffness} needs B above {least:.3g} {units.damping}, it has {damping:g}",
         value=least, limit=damping, unit=units.damping,
     )  # fmt: skip
+
+
+def _pressed(scene: Scene, spec: dict[str, Any], units: Units) -> Finding:
+    """Press the pair on its stiffest wall over the link, for a coupling that no linear loop describes."""
+    kind, wall = spec["coupling"]["kind"], touched(scene, spec).stiffness
+    seen = press(scene, wall)
+    length = "mrad" if units.stiffness == "N m/rad" else "mm"
+    on = f" on {wall:g} {units.stiffness}" if wall else " on a wall"
+    text = f"pressed{on} in virtual time, as a rigid tool with {seen.rigid:.2g} {units.force}, {kind}"
+    match seen.outcome:
+        case "held":
+            state: State = "not judged"
+            text += " is interrupted by the ladder over this link"
+        case "diverged":
+            state = "bad"
+            text += " diverges: gains, delay, lag of the arm and noise count"
+        case outcome:
+            state = "warning" if outcome == "swings" else "good"
+            text += (
+                f" {outcome} at {seen.felt * 100.0:.0f} % of that force, by {seen.swing:.2g} {units.force}; the arm is"
+                f" {seen.behind * 1e3:.2g} {length} behind"
+            )
+    return Finding(name="contact", state=state, text=text, value=seen.swing, unit=units.force)
 
 
 def _gains(spec: dict[str, Any]) -> tuple[float, float]:
@@ -283,13 +353,33 @@ def advised_coupling(scene: Scene, up_to_s: float, kinds: tuple[str, ...] = ()) 
     return best
 
 
+def _held_damping(spec: dict[str, Any], tool_kg: float = inf) -> float:
+    """Return the largest damping in N s/m that the device, and a tool, bear: it is held for a tick."""
+    scale = largest_scale(spec, "force_scale") * largest_scale(spec, "position_scale")
+    return float(MOST_DAMPING * min(min(spec["master"]["mass_kg"]) / scale, tool_kg) / _period_s(spec))
+
+
+def _softer_gains(spec: dict[str, Any], stiffness: float, damping: float) -> Iterator[tuple[str, ...]]:
+    """Yield softer gains of a coupling that no linear loop describes, with a B between `K dT` and 0.3 M/T."""
+    kind = spec["coupling"]["kind"]
+    most = _held_damping(spec, virtual_tool(spec).mass_kg)
+    per = _least(kind, 1.0, 0.0, spec) or _period_s(spec)
+    stiffest = most / (2.0 * DAMPING_MARGIN * per)
+    for share in (1.0, 0.5, 0.2, 0.1):
+        softer = min(share * stiffness, share * stiffest)
+        weaker = min(max(share * damping, DAMPING_MARGIN * per * softer), most)
+        changes = [f"coupling.stiffness={rounded_down(softer):g}", f"coupling.damping={rounded_up(weaker):g}"]
+        if kind == "wave":
+            changes.append(f"coupling.impedance={rounded_down(share * _most_damping(spec)):g}")
+        yield tuple(changes)
+
+
 def _most_damping(spec: dict[str, Any], tool_kg: float = inf) -> float:
     """Return the largest damping in N s/m that the device, and a tool, bear and that a hand tolerates."""
     scale = largest_scale(spec, "force_scale") * largest_scale(spec, "position_scale")
     speed = DRAG_SPEED_OF_JOINTS if spec["master"]["kind"] == "joints" else DRAG_SPEED
     drag_n = min(DRAG_N, 0.25 * largest_force_n(spec) * largest_scale(spec, "force_scale"))
-    mass_kg = min(min(spec["master"]["mass_kg"]) / scale, tool_kg)
-    return float(min(MOST_DAMPING * mass_kg / _period_s(spec), drag_n / speed / scale))
+    return float(min(_held_damping(spec, tool_kg), drag_n / speed / scale))
 
 
 def advised_waves(scene: Scene) -> tuple[float, float] | None:
@@ -305,6 +395,59 @@ def advised_waves(scene: Scene) -> tuple[float, float] | None:
     impedance = rounded_down(_most_damping(spec))
     facts = coupling_facts("wave", impedance=impedance, round_trip_s=delays[0], period_s=_period_s(spec))
     return impedance, 1.0 / (facts.compliance or inf)
+
+
+def pressed_couplings(
+    scene: Scene, up_to_s: float, kinds: tuple[str, ...] = (), wall: float | None = None
+) -> Iterator[PressedCoupling]:
+    """Press the pair of a scene under each coupling, over its link, without a controller.
+
+    Gains are those that `advised_coupling` and `advised_waves` find, else the defaults times mass of the device over
+    `DEFAULT_MASS_KG`. They are halved, twice at most, until the press rests.
+
+    Args:
+        scene: Scene with a [slave].
+        up_to_s: Largest delay in s that is examined.
+        kinds: Names of the couplings; by default all.
+        wall: Stiffness of the wall in N/m (N m/rad); by default the stiffest of the scene.
+    """
+    spec = scene_numbers(scene)
+    wall = touched(scene, spec).stiffness if wall is None else wall
+    coupling = scene.coupling and msgspec.structs.replace(scene.coupling, **dict.fromkeys(GAINS))
+    bare = msgspec.structs.replace(scene, coupling=coupling)
+    for kind, *_ in COUPLINGS:
+        if kinds and kind not in kinds:
+            continue
+        found = None
+        for changes in _gains_for(override_scene(bare, [f"coupling.kind={kind}"]), kind, up_to_s):
+            try:
+                found = PressedCoupling(kind=kind, changes=changes, press=press(override_scene(bare, changes), wall))
+            except SceneError:
+                break
+            if found.press.outcome == "rests":
+                break
+        if found is not None:
+            yield found
+
+
+def _gains_for(scene: Scene, kind: str, up_to_s: float) -> Iterator[tuple[str, ...]]:
+    """Yield overrides that set a coupling with gains for the pair of a scene, the stiffest first."""
+    spec, facts, changes = scene_numbers(scene), coupling_facts(kind), (f"coupling.kind={kind}",)
+    if facts.stiffness is None:
+        yield changes
+        return
+    if facts.least_damping is not None and not facts.keeps_ledger:
+        if (advised := advised_coupling(scene, up_to_s, (kind,))) is not None:
+            yield advised.changes
+        return
+    waves = advised_waves(scene) if kind == "wave" else None
+    for share in SHARES:
+        scale = share * min(spec["master"]["mass_kg"]) / DEFAULT_MASS_KG
+        gains = {"stiffness": facts.stiffness, "damping": facts.damping, "impedance": facts.impedance}
+        numbers = {name: rounded_down(scale * value) for name, value in gains.items() if value}
+        if waves is not None:
+            numbers |= {"stiffness": facts.stiffness, "damping": facts.damping or 0.0, "impedance": share * waves[0]}
+        yield *changes, *(f"coupling.{name}={value:g}" for name, value in numbers.items())
 
 
 def _stable(scene: Scene, up_to_s: float) -> Intervals:
@@ -324,6 +467,15 @@ def coupling_advice(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Itera
             f" [coupling] kind = \"wave\", impedance = {waves[0]:g}",
             value=waves[1], unit=units.stiffness,
         )  # fmt: skip
+    pressed = [*pressed_couplings(scene, up_to_s)]
+    ranked = sorted((one for one in pressed if one.press.outcome == "rests"), key=lambda one: -one.press.felt)
+    if ranked:
+        each = ", ".join(f"{one.kind} {one.press.felt * 100.0:.0f} %" for one in ranked)
+        others = [f"{one.kind} {one.press.outcome}" for one in pressed if one.press.outcome != "rests"]
+        yield Finding(
+            name="couplings", state="note", text=f"pressed over this link, each with gains for this pair, as a share of"
+            f" the force of a rigid tool: {', '.join((each, *others))}",
+        )  # fmt: skip
     yield Finding(
         name="coupling", state="note", text=f"over {delays[1] * 1e3:.0f} ms this pair bears {advised.kind} with K ="
         f" {advised.stiffness:g} {units.stiffness}, passive for any hand and tool; held"
@@ -336,8 +488,10 @@ def coupling_advice(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Itera
 def other_gains(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Iterator[tuple[str, ...]]:
     """Yield changes of a coupling's gains, the mildest first, then the advised coupling."""
     kind, (stiffness, damping), delays = spec["coupling"]["kind"], _gains(spec), link_delays_s(spec)
+    if facts_of(spec).master is None:
+        yield from _softer_gains(spec, stiffness, damping)
     least = None if delays is None else _least(kind, stiffness, delays[1], spec)
-    if least is not None and damping < DAMPING_MARGIN * least < inf:
+    if least is not None and damping < DAMPING_MARGIN * least < _held_damping(spec):
         yield (f"coupling.damping={rounded_up(DAMPING_MARGIN * least):g}",)
     if least is None:
         for share in (0.5, 0.25, 0.1):

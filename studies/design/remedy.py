@@ -40,6 +40,7 @@ LEAST_SHARE_OF_CAP = 0.5
 ADVICE = {
     "delay margin": "a softer contact, more damping, less delay",
     "passivity": "less delay and jitter, or a lower coupling.stiffness",
+    "contact": "other gains, or another coupling (docs/choosing-a-coupling.md)",
     "wall": "a softer wall, a shorter run.period_s, less delay or more damping",
     "ejection": "a device that measures V",
     "ejection of the handle": "a controller that watches",
@@ -196,7 +197,7 @@ def _candidates(scene: Scene, finding: Finding, limit: float | None) -> Iterator
     spec = scene_numbers(scene)
     safety = spec["safety"]
     match finding.name:
-        case "delay margin" | "passivity" if has_halves(spec):
+        case "delay margin" | "passivity" | "contact" if has_halves(spec):
             yield from other_gains(scene, spec, shown_delay_s(spec))
         case "delay margin":
             yield from _softer(scene, spec)

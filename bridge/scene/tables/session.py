@@ -143,13 +143,17 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     rotational_damping: NonNegative | None = None
     """B in N m s/rad of the same."""
     impedance: Positive | None = None
-    """b in N s/m (N m s/rad) of `wave`, and d0 of `tdpa`, the damping of the master's port that counts as energy; by
-    default that of the coupling. At most 0.3 M/T of the device.
+    """b in N s/m (N m s/rad) of `wave`; d0 of `tdpa`, the damping of the master's port that counts as energy; d at each
+    side of `four-channel` and its reduced forms. By default that of the coupling. At most 0.3 M/T of the device.
     """
     start_energy_j: NonNegative | None = None
     """E_0 in J of each side at the engagement, of `wave`, `tdpa` and `pspm`. At most a quarter of M (0.3 m/s)^2."""
     spread_s: NonNegative | None = None
     """Time in s over which `wave` spreads a wave; more is smoother, and adds to the delay."""
+    environment_gain: Positive | None = None
+    """C2 of `four-channel` and `three-channel-environment`: gain of F_e at the hand; its own share of F_h is 1 - C2."""
+    grasp_gain: Positive | None = None
+    """C3 of `four-channel` and `three-channel-grasp`: gain of F_h at the arm, which moves as 1/C3 of its mass."""
     play_out_s: NonNegative | None = None
     """Longest wait in s of a frame that `wave` and `tdpa` play with a constant delay; 0 for none. By default 0.06."""
     tool_mass_kg: Positive | None = None

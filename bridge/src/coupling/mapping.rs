@@ -48,7 +48,7 @@ impl<const N: usize> Mapping<N> {
     }
 
     /// Map a force of the device in N to the slave's frame, where a force of this size would have requested it.
-    pub(super) fn coupled_force(&self, of_device: &Axes<N>) -> Axes<N> {
+    pub(crate) fn coupled_force(&self, of_device: &Axes<N>) -> Axes<N> {
         let Changing { force, ref map, .. } = self.change;
         if force > 0.0 { map.to_slave(of_device) / force } else { Axes::zeros() }
     }

@@ -217,7 +217,7 @@ impl RotationCoupling {
     }
 
     /// Map a torque of the device in N m to the slave's frame, where a torque of this size would have requested it.
-    pub(super) fn coupled_torque(&self, of_device: &Vector3<f64>) -> Vector3<f64> {
+    pub(crate) fn coupled_torque(&self, of_device: &Vector3<f64>) -> Vector3<f64> {
         let force = self.change.force;
         if force > 0.0 { self.lock.of(self.change.map * of_device) / force } else { Vector3::zeros() }
     }

@@ -85,6 +85,16 @@ impl<const N: usize> Hand<N> {
         Self { layer: self.layer.with_samples(bounds), ..self }
     }
 
+    /// Estimate the wrench of the hand at every tick, before the first one.
+    pub(super) fn with_grasp(self) -> Self {
+        Self { layer: self.layer.with_grasp(), ..self }
+    }
+
+    /// Force in N and torque in N m of the hand at the last tick; zero unless something needs it.
+    pub(super) fn grasp(&self) -> (Axes<N>, Axes<3>) {
+        self.layer.grasp()
+    }
+
     /// Sample in use at this tick: the newest one, or its prediction.
     #[inline]
     pub(crate) fn sample_in_use(&self) -> &Sample<N> {

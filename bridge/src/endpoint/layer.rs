@@ -100,6 +100,22 @@ impl<const N: usize> Layer<N> {
         }
     }
 
+    /// Estimate the wrench of the hand at every tick, for a coupling that uses it.
+    pub(super) fn with_grasp(self) -> Self {
+        match self {
+            Self::Force(layer) => Self::Force(Box::new(layer.with_grasp_force())),
+            Self::Wrench(layer) => Self::Wrench(Box::new(layer.with_grasp_wrench())),
+        }
+    }
+
+    /// Force in N and torque in N m of the hand at the last tick; zero unless something needs it.
+    pub(super) fn grasp(&self) -> (Axes<N>, Axes<3>) {
+        match self {
+            Self::Force(layer) => (layer.grasp_force(), Axes::zeros()),
+            Self::Wrench(layer) => layer.grasp_wrench(),
+        }
+    }
+
     /// Sample in use at this tick: the newest one, or its prediction.
     #[inline]
     pub(super) fn sample_in_use(&self) -> &Sample<N> {

@@ -130,6 +130,9 @@ impl<const N: usize> MasterEndpoint<N> {
     pub fn with_coupling(mut self, settings: &MethodSettings) -> Self {
         self.exchange.set_coupling(settings.kind);
         self.method = Some(*settings);
+        if settings.kind.needs_grasp_force() {
+            self.hand = self.hand.with_grasp();
+        }
         self.coupled = CoupledMaster::new(settings).map(Box::new);
         self.turning = CoupledMasterTurn::new(settings).map(Box::new);
         self
@@ -319,16 +322,19 @@ impl<const N: usize> MasterEndpoint<N> {
         let epoch = self.exchange.link.newest().map_or(0, |newest| newest.message.epoch);
         let dt = self.period_s * (input.missed + 1) as f64;
         let (exerted, exerted_torque) = self.hand.exerted();
+        let (grasp, grasp_torque) = self.hand.grasp();
         let (mut force, mut torque) = (Axes::zeros(), Axes::zeros());
         let request = |at: &Coupled<'_, N>| {
-            let hand = HandMotion { at: at.position, velocity: at.velocity, exerted: &exerted, gain, dt };
+            let (at, velocity) = (at.position, at.velocity);
+            let hand = HandMotion { at, velocity, exerted: &exerted, grasp: &grasp, gain, dt };
             force = coupled.request(mapping, &hand, is_coupled, (peer, epoch));
             force
         };
         let request_torque = |at: &CoupledTurn<'_>| {
             if let (Some(turning), Some(map)) = (&mut self.turning, &self.rotation) {
                 let velocity = &at.angular_velocity;
-                let hand = HandMotion { at: at.orientation, velocity, exerted: &exerted_torque, gain, dt };
+                let (exerted, grasp) = (&exerted_torque, &grasp_torque);
+                let hand = HandMotion { at: at.orientation, velocity, exerted, grasp, gain, dt };
                 torque = turning.request(map, &hand, is_coupled, (peer, epoch));
             }
             torque
@@ -390,10 +396,8 @@ impl<const N: usize> MasterEndpoint<N> {
                 .map_or(0.0, |(last, now)| torque.dot(&(now.orientation * last.inverse()).scaled_axis()));
             outgoing.energy.add(-(force.dot(&(position - last)) + turned));
         }
-        let rotation = taken.rotation.zip(rotation).map(|(Turned { orientation, .. }, tick)| RotationState {
-            orientation,
-            angular_velocity: tick.motion.velocity,
-            torque: tick.device_force,
+        let mut rotation = taken.rotation.zip(rotation).map(|(Turned { orientation, .. }, tick)| {
+            RotationState { orientation, angular_velocity: tick.motion.velocity, torque: tick.device_force }
         });
         let epoch = self.exchange.epoch();
         self.last = (epoch != 0).then_some(position);
@@ -413,7 +417,16 @@ impl<const N: usize> MasterEndpoint<N> {
                 (outgoing.message.turned, outgoing.message.sums[1]) = (turned, energy_j);
             }
         }
-        outgoing.report(&position, &velocity, &safety.device_force, rotation);
+        let mut force = safety.device_force;
+        if self.method.is_some_and(|method| method.kind.needs_grasp_force()) {
+            // Frames of this coupling have F_h instead of F_device; in the frame and scale of the slave, as F_m.
+            let (grasp, grasp_torque) = self.hand.grasp();
+            force = self.mapping.coupled_force(&grasp);
+            if let (Some(rotation), Some(map)) = (&mut rotation, &self.rotation) {
+                rotation.torque = map.coupled_torque(&grasp_torque);
+            }
+        }
+        outgoing.report(&position, &velocity, &force, rotation);
     }
 
     /// Carry out an operator command; return whether it is an acknowledgement or concerns this side's

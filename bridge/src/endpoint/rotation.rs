@@ -205,8 +205,8 @@ impl SlaveRotation {
     ) -> Option<(Axes<3>, f64)> {
         let home = self.home.unwrap_or(measured.orientation);
         let from = self.command.unwrap_or(measured.orientation);
-        let RotationState { orientation: ref at, angular_velocity: ref velocity, .. } = *master;
-        let master = OfMaster { at, velocity, half: *half };
+        let RotationState { orientation: at, angular_velocity: velocity, torque: force } = master;
+        let master = OfMaster { at, velocity, force, half: *half };
         let wanted = self.coupled.as_mut()?.step(&mut self.coupling, &from, &measured.torque, &master, dt);
         let (command, acted) = self.bound(elapsed_s, [&home, &from, &wanted], limited);
         let coupled = self.coupled.as_mut()?;

@@ -178,6 +178,7 @@ impl<const N: usize> SlaveEndpoint<N> {
             rotation: frame.rotation.as_ref(),
             half: OfHalf {
                 message: &frame.message,
+                force: &frame.force,
                 epoch: exchange.link.epoch(),
                 sequence: frame.sequence,
                 is_stale: state == LadderState::Stale,

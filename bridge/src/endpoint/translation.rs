@@ -9,6 +9,7 @@ use super::{Arm, EndpointError, SlaveSettings, check_period, period_s};
 use crate::{
     coupling::{CoupledSlave, Mapping, OfHalf, OfMaster, bounded, capped, decayed},
     ladder::LadderState,
+    wire::unpadded,
 };
 
 /// Number of successive accepted samples that confirm the newest: more than the guard counts as outliers.
@@ -110,7 +111,7 @@ impl<const N: usize> SlaveTranslation<N> {
         let from = self.command.unwrap_or(*position);
         // A late loop must not make the spring unstable: the tool then moves for one period.
         let dt = self.period_s;
-        let master = OfMaster { at, velocity, half: *half };
+        let master = OfMaster { at, velocity, force: &unpadded(half.force), half: *half };
         let wanted = coupled.step(&mut self.coupling, &from, environment_force, &master, dt);
         let bounds @ [max_speed, _] = self.bounds();
         let (command, limited @ [hurries, leaves]) = bounded(bounds, elapsed_s, &home, &from, &wanted);

@@ -99,6 +99,13 @@ fn method<const N: usize>(scene: &SceneSpec<N>) -> Result<Option<MethodSettings>
         .and_then(|gains| Ok((gains, virtual_tool(scene, arm, coupling)?)))
         .map_err(EndpointError::from)?;
     let is_pose = scene.master.kind == SideKind::Pose;
+    let turning = coupling.rotational_stiffness.or(coupling.rotational_damping);
+    if let (Some(seen), false) = (turning, is_pose) {
+        return contradiction(format!(
+            "coupling.rotational_stiffness or coupling.rotational_damping = {seen}: only kind = \"pose\" turns; leave it \
+             out"
+        ));
+    }
     let rotation = if is_pose { Some(pose::coupled_rotation(scene, &gains)?) } else { None };
     let settings = MethodSettings { kind, gains, tool, position_scale, rotation };
     for (at_ns, command) in commands::<N>(coupling)? {
@@ -115,6 +122,10 @@ fn method<const N: usize>(scene: &SceneSpec<N>) -> Result<Option<MethodSettings>
 /// Largest b and largest damping that the master adds, in units of M/T: more, held for a tick, turns a motion around.
 const MOST_IMPEDANCE: f64 = 0.3;
 const MOST_ADDED: f64 = 0.2;
+/// Longest time in s over which a wave is spread.
+const MOST_SPREAD_S: f64 = 0.1;
+/// Largest gain of a measured force.
+const MOST_GAIN: f64 = 10.0;
 /// Speed in m/s of a device with the energies that both sides have at the engagement.
 const START_SPEED: f64 = 0.3;
 
@@ -126,6 +137,7 @@ fn limited_gains<const N: usize>(
 ) -> Result<Gains, SceneError> {
     let CouplingSpec { kind, impedance, start_energy_j, spread_s, play_out_s, position_scale, .. } =
         *coupling;
+    let CouplingSpec { environment_gain, grasp_gain, .. } = *coupling;
     let name = kind.name();
     let holds_none = |locked: &[usize]| locked.is_empty();
     let mut changed = coupling.changes.iter().filter_map(|change| change.locked_axes.as_deref());
@@ -142,6 +154,8 @@ fn limited_gains<const N: usize>(
         ("start_energy_j", start_energy_j, kind.sends_energy()),
         ("spread_s", spread_s, default.spread_s > 0.0),
         ("play_out_s", play_out_s, kind.plays_out()),
+        ("environment_gain", environment_gain, default.environment_gain > 0.0),
+        ("grasp_gain", grasp_gain, default.grasp_gain > 0.0),
     ] {
         if let (Some(seen), false) = (stated, used) {
             return contradiction(format!("coupling.{key} = {seen}: {name} does not use it; leave it out"));
@@ -154,6 +168,9 @@ fn limited_gains<const N: usize>(
     for (key, stated, most, why) in [
         ("impedance", impedance, MOST_IMPEDANCE * per_period, "0.3 M/T of the device"),
         ("start_energy_j", start_energy_j, most_j, "a quarter of M (0.3 m/s)² of the device"),
+        ("spread_s", spread_s, MOST_SPREAD_S, "because it adds to the delay"),
+        ("environment_gain", environment_gain, MOST_GAIN, "because its loop of force has no delay"),
+        ("grasp_gain", grasp_gain, MOST_GAIN, "because its loop of force has no delay"),
     ] {
         if let Some(seen) = stated.filter(|seen| *seen > most) {
             return contradiction(format!("coupling.{key} = {seen}: must be at most {most:.3e}, {why}"));
@@ -164,6 +181,8 @@ fn limited_gains<const N: usize>(
         start_j: start_energy_j.unwrap_or(default.start_j.min(most_j)),
         spread_s: spread_s.unwrap_or(default.spread_s),
         most_damping: default.most_damping.min(MOST_ADDED * per_period),
+        environment_gain: environment_gain.unwrap_or(default.environment_gain),
+        grasp_gain: grasp_gain.unwrap_or(default.grasp_gain),
         ..default
     })
 }
@@ -191,6 +210,8 @@ fn refuse_springs(coupling: &CouplingSpec) -> Result<(), SceneError> {
         ("start_energy_j", coupling.start_energy_j),
         ("spread_s", coupling.spread_s),
         ("play_out_s", coupling.play_out_s),
+        ("environment_gain", coupling.environment_gain),
+        ("grasp_gain", coupling.grasp_gain),
         ("stiffness", coupling.stiffness),
         ("damping", coupling.damping),
         ("rotational_stiffness", coupling.rotational_stiffness),

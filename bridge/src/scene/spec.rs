@@ -336,6 +336,12 @@ pub struct CouplingSpec {
     /// Time in s over which waves are spread.
     #[serde(default)]
     pub spread_s: Option<f64>,
+    /// C2: gain of `F_e` at the hand.
+    #[serde(default)]
+    pub environment_gain: Option<f64>,
+    /// C3: gain of `F_h` at the slave.
+    #[serde(default)]
+    pub grasp_gain: Option<f64>,
     /// Longest wait in s of a frame in the play-out; 0 for none.
     #[serde(default)]
     pub play_out_s: Option<f64>,

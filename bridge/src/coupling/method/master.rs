@@ -18,6 +18,8 @@ pub(crate) struct HandMotion<'a, X, const N: usize> {
     pub(crate) velocity: &'a Axes<N>,
     /// Force in N (N m) of the coupling that the device has exerted since the last tick.
     pub(crate) exerted: &'a Axes<N>,
+    /// Force in N (N m) of the hand on the device at the last tick; zero unless the coupling needs it.
+    pub(crate) grasp: &'a Axes<N>,
     /// Gain of the ladder.
     pub(crate) gain: f64,
     /// Time in s since the last tick.
@@ -114,7 +116,7 @@ impl<const N: usize> CoupledMaster<N> {
             self.clear();
             return self.force;
         }
-        let HandMotion { at: position, velocity, exerted, gain, dt } = *hand;
+        let HandMotion { at: position, velocity, exerted, grasp, gain, dt } = *hand;
         let sent: Axes<N> = unpadded(vector);
         let is_new = std::mem::replace(&mut self.sequence, peer.sequence) != peer.sequence;
         let sends_motion = peer.sends_motion();
@@ -137,12 +139,14 @@ impl<const N: usize> CoupledMaster<N> {
             velocity: &to_slave(velocity),
             moved: &to_slave(&(position - last)),
             exerted: &-map.coupled_force(exerted),
+            force: &map.coupled_force(grasp),
             gain,
             dt,
         };
         let peer = Peer {
             position: &to_slave(&of_slave),
             velocity: &of_peer,
+            force: &unpadded(&peer.force),
             vector: &if sends_motion { Axes::zeros() } else { sent },
             sum: sums[0],
             is_new,

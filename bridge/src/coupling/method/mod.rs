@@ -53,7 +53,7 @@ pub struct Gains {
     pub stiffness: f64,
     /// B in N s/m (N m s/rad).
     pub damping: f64,
-    /// b in N s/m (N m s/rad): impedance of a wave, or the damping `d0` at the master's port.
+    /// b in N s/m (N m s/rad): impedance of a wave, the damping `d0` at the master's port, or d at each side.
     pub impedance: f64,
     /// `E_0` in J, energy that each side has at the engagement.
     pub start_j: f64,
@@ -61,12 +61,25 @@ pub struct Gains {
     pub spread_s: f64,
     /// Largest damping in N s/m (N m s/rad) that the master may add.
     pub most_damping: f64,
+    /// C2: gain of `F_e` at the hand.
+    pub environment_gain: f64,
+    /// C3: gain of `F_h` at the slave.
+    pub grasp_gain: f64,
 }
 
 impl Gains {
     /// Return spring and damper alone.
     pub const fn spring(stiffness: f64, damping: f64) -> Self {
-        Self { stiffness, damping, impedance: 0.0, start_j: 0.0, spread_s: 0.0, most_damping: 0.0 }
+        Self {
+            stiffness,
+            damping,
+            impedance: 0.0,
+            start_j: 0.0,
+            spread_s: 0.0,
+            most_damping: 0.0,
+            environment_gain: 0.0,
+            grasp_gain: 0.0,
+        }
     }
 
     /// Check all numbers: K above 0, the others at least 0.
@@ -78,6 +91,8 @@ impl Gains {
             ("start_energy_j", "E_0", self.start_j),
             ("spread_s", "spread", self.spread_s),
             ("most_damping", "alpha_max", self.most_damping),
+            ("environment_gain", "C2", self.environment_gain),
+            ("grasp_gain", "C3", self.grasp_gain),
         ];
         match rest.into_iter().find(|(_, _, seen)| !(*seen >= 0.0 && seen.is_finite())) {
             Some((name, symbol, seen)) => Err(CouplingError::Negative { name, symbol, seen }),
@@ -139,6 +154,9 @@ pub(crate) struct Local<'a, const N: usize> {
     pub(crate) moved: &'a Axes<N>,
     /// `F_m` or `F_c` in N that was really exerted over that way.
     pub(crate) exerted: &'a Axes<N>,
+    /// Force in N on the device: `F_h` of the hand at the master, one tick old and zero unless the coupling needs it; `F_e`
+    /// of the environment at the slave.
+    pub(crate) force: &'a Axes<N>,
     /// Share of the damping in effect, 0 to 1: the gain of the ladder at the master, 1 at the slave.
     pub(crate) gain: f64,
     /// Time in s since the last tick.
@@ -152,6 +170,8 @@ pub(crate) struct Peer<'a, const N: usize> {
     pub(crate) position: &'a Axes<N>,
     /// Velocity in m/s.
     pub(crate) velocity: &'a Axes<N>,
+    /// Force in N on its device, as [`Local::force`].
+    pub(crate) force: &'a Axes<N>,
     /// Its own numbers, if they are a force in N or the integral of a wave; else zero.
     pub(crate) vector: &'a Axes<N>,
     /// Its energy in J, which only rises; 0 for a coupling that sends none.
@@ -178,7 +198,9 @@ pub(crate) trait Method<const N: usize> {
     const SENDS_ENERGY: bool = false;
     /// True if constant delay improves the coupling, so that frames pass a play-out.
     const PLAYS_OUT: bool = false;
-    /// True if each half is a linear function of the motions at one tick.
+    /// True if the coupling uses `F_h`, so that the safety layer estimates it and frames of the master have it.
+    const NEEDS_GRASP_FORCE: bool = false;
+    /// True if each half is a linear function of the motions alone, at one tick.
     const IS_LINEAR: bool = true;
     /// True if the push on a released stylus may grow, so that no bound may assume the force at the release.
     const PUSH_MAY_GROW: bool;
@@ -238,12 +260,14 @@ pub fn coupling_matrix(kind: CouplingKind, gains: Gains) -> Option<CouplingMatri
             velocity: &velocity,
             moved: &zero,
             exerted: &zero,
+            force: &zero,
             gain: 1.0,
             dt: 1e-3,
         };
         let peer = Peer {
             position: &peer_position,
             velocity: &peer_velocity,
+            force: &zero,
             vector: &vector,
             sum: 0.0,
             is_new: true,

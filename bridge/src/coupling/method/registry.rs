@@ -67,6 +67,14 @@ macro_rules! couplings {
                 }
             }
 
+            /// Return whether the coupling uses the force of the hand.
+            pub const fn needs_grasp_force(self) -> bool {
+                match self {
+                    Self::$measured => false,
+                    $(Self::$kind => <$file::$kind<1> as Method<1>>::NEEDS_GRASP_FORCE,)+
+                }
+            }
+
             /// Return whether both halves are linear.
             pub const fn is_linear(self) -> bool {
                 match self {
@@ -165,6 +173,12 @@ couplings! {
     Tdpa = 5: tdpa;
     /// Set positions modulated by energy.
     Pspm = 6: pspm;
+    /// Motions and forces both ways.
+    FourChannel = 7: four_channel;
+    /// Four-channel without the force of the hand on the way forward.
+    ThreeChannelEnvironment = 8: three_channel_environment;
+    /// Four-channel without the force of the environment on the way back.
+    ThreeChannelGrasp = 9: three_channel_grasp;
 }
 
 impl CouplingKind {

@@ -6,7 +6,7 @@ use super::{Half, Local, MethodSettings, Peer, Sends, Space, VirtualTool};
 use crate::{
     coupling::{CouplingKind, Mapping},
     port::CouplingMessage,
-    wire::{Role, unpadded},
+    wire::{Padded, Role, unpadded},
 };
 
 /// Time in s without a new frame over which a half that keeps a ledger goes on in STALE.
@@ -52,7 +52,9 @@ pub(crate) struct OfMaster<'a, X, const N: usize> {
     pub(crate) at: &'a X,
     /// Velocity in m/s (rad/s).
     pub(crate) velocity: &'a Axes<N>,
-    /// Its half of the coupling.
+    /// Force in N (N m) in the frame: `F_h` in the slave's frame if the coupling sends it.
+    pub(crate) force: &'a Axes<N>,
+    /// The rest of the frame.
     pub(crate) half: OfHalf<'a>,
 }
 
@@ -61,6 +63,8 @@ pub(crate) struct OfMaster<'a, X, const N: usize> {
 pub(crate) struct OfHalf<'a> {
     /// Its numbers.
     pub(crate) message: &'a CouplingMessage,
+    /// Force of the frame in N.
+    pub(crate) force: &'a Padded,
     /// Its newest epoch in any frame.
     pub(crate) epoch: u16,
     /// Sequence of the frame.
@@ -71,8 +75,13 @@ pub(crate) struct OfHalf<'a> {
 
 impl OfHalf<'_> {
     /// Half that has not been heard.
-    pub(crate) const NONE: Self =
-        Self { message: &CouplingMessage::ZERO, epoch: 0, sequence: 0, is_stale: false };
+    pub(crate) const NONE: Self = Self {
+        message: &CouplingMessage::ZERO,
+        force: &CouplingMessage::ZERO.vector,
+        epoch: 0,
+        sequence: 0,
+        is_stale: false,
+    };
 }
 
 /// Half of a coupling at the slave, with its state since the engagement.
@@ -144,7 +153,7 @@ impl<const N: usize> CoupledSlave<N> {
         master: &OfMaster<'_, Axes<N>, N>,
         dt: f64,
     ) -> Axes<N> {
-        let OfMaster { at, velocity, half: OfHalf { message, epoch, sequence, is_stale } } = *master;
+        let OfMaster { at, velocity, force, half: OfHalf { message, epoch, sequence, is_stale, .. } } = *master;
         if !self.engaged {
             // Each engagement begins at rest and without force: the anchor couples this position with zero motion.
             self.tool.rest_at(from);
@@ -181,12 +190,14 @@ impl<const N: usize> CoupledSlave<N> {
             velocity: self.tool.velocity(),
             moved: &(self.tool.position() - self.before),
             exerted: &self.force,
+            force: environment_force,
             gain: 1.0,
             dt,
         };
         let peer = Peer {
             position: &target,
             velocity: &velocity,
+            force: &if moves { *force } else { Axes::zeros() },
             vector: &self.wave,
             sum: self.energy_j,
             is_new,

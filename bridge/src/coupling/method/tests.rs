@@ -27,11 +27,19 @@ struct Plant {
 impl Plant {
     /// Step one tick under `force` towards `target`, by semi-implicit Euler; return the way.
     fn step(&mut self, force: f64, target: f64) -> f64 {
-        let wall = -self.wall * (self.x - self.wall_at).max(0.0);
-        let sum = force + self.spring * (target - self.x) - self.damper * self.v + wall;
-        self.v += T / self.mass * sum;
+        self.v += T / self.mass * (force + self.hand(target) + self.touched());
         self.x += T * self.v;
         T * self.v
+    }
+
+    /// Force of spring and damper.
+    fn hand(&self, target: f64) -> f64 {
+        self.spring * (target - self.x) - self.damper * self.v
+    }
+
+    /// Force of the wall.
+    fn touched(&self) -> f64 {
+        -self.wall * (self.x - self.wall_at).max(0.0)
     }
 }
 
@@ -72,9 +80,9 @@ struct Ledger {
     apart: f64,
 }
 
-/// Message of a side: motion, velocity, own numbers and energy.
+/// Message of a side: motion, velocity, force of hand or wall, own numbers and energy.
 #[derive(Clone, Copy, Default)]
-struct Message([f64; 4]);
+struct Message([f64; 5]);
 
 /// Couple two plants over two paths for as long as these are; `targets` are those of hand and slave at a tick.
 fn run(
@@ -98,34 +106,39 @@ fn run_limited(
     let starts = plants.map(|plant| plant.x);
     let mut sent: Vec<[Message; 2]> = Vec::new();
     let mut ledger = Ledger { lowest_j: 0.0, deficit_j: 0.0, force: 0.0, apart: 0.0 };
-    let (mut energy, mut forces, mut ways) = (0.0, [0.0; 2], [0.0; 2]);
+    let (mut energy, mut forces, mut ways, mut grasp) = (0.0, [0.0; 2], [0.0; 2], 0.0);
     for (now, path) in paths[0].iter().zip(paths[1]).enumerate() {
         let moved = [0, 1].map(|side| plants[side].x - starts[side]);
-        sent.push([0, 1].map(|side| Message([moved[side], plants[side].v, 0.0, 0.0])));
+        // The estimate of the hand's force is one tick old.
+        let felt = [grasp, plants[1].touched()];
+        grasp = plants[0].hand(targets(now)[0]);
+        sent.push([0, 1].map(|side| Message([moved[side], plants[side].v, felt[side], 0.0, 0.0])));
         for side in [1, 0] {
             // Before the first message the other side rests at its start.
             let heard = if side == 1 { path.0 } else { path.1 };
-            let Message([x, v, vector, sum]) =
+            let Message([x, v, peer_force, vector, sum]) =
                 heard.map_or_else(Message::default, |tick| sent[tick][1 - side]);
-            let [own_x, own_v, way, exerted] =
-                [moved[side], plants[side].v, ways[side], forces[side]].map(axes);
+            let [own_x, own_v, way, exerted, force] =
+                [moved[side], plants[side].v, ways[side], forces[side], felt[side]].map(axes);
             let own = Local {
                 position: &own_x,
                 velocity: &own_v,
                 moved: &way,
                 exerted: &exerted,
+                force: &force,
                 gain: 1.0,
                 dt: T,
             };
-            let [x, v, vector] = [x, v, vector].map(axes);
+            let [x, v, peer_force, vector] = [x, v, peer_force, vector].map(axes);
             let is_new = now == 0 || paths[1 - side][now - 1] != *heard;
-            let peer = Peer { position: &x, velocity: &v, vector: &vector, sum, is_new, rests: false };
+            let (position, velocity, force, vector) = (&x, &v, &peer_force, &vector);
+            let peer = Peer { position, velocity, force, vector, sum, is_new, rests: false };
             let half = &mut halves[side];
             forces[side] = if side == 1 { half.slave(&own, &peer) } else { half.master(&own, &peer) }[0];
             let (numbers, energy_j) = half.sent();
             let is_force = matches!(half, Half::PositionForceComputed(_) | Half::Tdpa(_));
             let numbers = if side == 1 && is_force { forces[1] } else { numbers[0] };
-            sent[now][side].0[2..].copy_from_slice(&[numbers, energy_j]);
+            sent[now][side].0[3..].copy_from_slice(&[numbers, energy_j]);
         }
         forces[0] = forces[0].clamp(-most_n, most_n);
         let target = targets(now);
@@ -239,6 +252,32 @@ fn contacts_settle_at_their_closed_form() {
     }
 }
 
+/// Both sides are at one place at rest, and the hand feels the wall itself, at each delay at which the form is stable.
+#[test]
+fn forces_both_ways_leave_no_compliance() {
+    let ramp = |now: usize| [0.06 * (now as f64 / 500.0).min(1.0), 0.0];
+    let expected = 0.03 / (1.0 / 40.0 + 1.0 / 2000.0);
+    let seen = |kind: CouplingKind, change: fn(Gains) -> Gains, delay: usize| {
+        let path = newest(delay, 0, 0.0, &vec![(0.0, 0.5); 16_000]);
+        run([half(kind, change(defaults(kind))); 2], reference(), [&path; 2], ramp)
+    };
+    for (kind, delays) in [
+        (CouplingKind::FourChannel, &[1, 5, 10, 25, 50, 100, 200][..]),
+        (CouplingKind::ThreeChannelEnvironment, &[1, 5, 10][..]),
+        (CouplingKind::ThreeChannelGrasp, &[1, 5, 10, 25, 50, 100, 200][..]),
+    ] {
+        for delay in delays {
+            let Ledger { force, apart, .. } = seen(kind, |gains| gains, *delay);
+            assert!((force / expected - 1.0).abs() < 1e-4, "{kind:?}, {delay} ms: {force} of {expected} N");
+            assert!(apart.abs() < 1e-6, "{kind:?}, {delay} ms: {apart} m");
+        }
+    }
+    // All four gains of 1, without own forces: a light master and a stiff wall do not bear it.
+    let ones = |gains| Gains { environment_gain: 1.0, grasp_gain: 1.0, impedance: 0.0, ..gains };
+    let swings = seen(CouplingKind::FourChannel, ones, 5).force;
+    assert!(!((swings / expected - 1.0).abs() < 0.01), "{swings} of {expected} N");
+}
+
 fn settings(kind: CouplingKind) -> MethodSettings {
     let (gains, tool) = (Gains::spring(100.0, 2.0), VirtualToolSettings::new(1.4, Some(14.0), 0.02).unwrap());
     MethodSettings { kind, gains, tool, position_scale: 1.0, rotation: None }
@@ -256,7 +295,8 @@ fn a_second_engagement_begins_without_the_force_of_the_first() {
     let map = Mapping::new(1.0, 1.0).unwrap();
     let mut request = |x: f64, is_coupled: bool, frame: &Frame| {
         let zero = Axes::zeros();
-        let hand = HandMotion { at: &Axes::<1>::new(x), velocity: &zero, exerted: &zero, gain: 1.0, dt: T };
+        let (at, zero) = (&Axes::<1>::new(x), &Axes::zeros());
+        let hand = HandMotion { at, velocity: zero, exerted: zero, grasp: zero, gain: 1.0, dt: T };
         master.request(&map, &hand, is_coupled, (frame, frame.message.epoch))[0]
     };
     assert_eq!(request(0.0, true, &of_slave(3, 0.0)), 0.0);
@@ -280,6 +320,7 @@ fn a_master_that_is_not_engaged_rests_where_it_was() {
         let master = OfMaster {
             at: &zero,
             velocity: &zero,
+            force: &zero,
             half: OfHalf { message: &message, epoch, ..OfHalf::NONE },
         };
         at = slave.step(&mut map, &at, &zero, &master, T);
@@ -497,7 +538,15 @@ const RULES: [Rule; 3] = [
         let mut incoming = Incoming { played, energy_j: state.1, wave: Axes::zeros(), age_s: 0.0 };
         let (zero, vector) = (Axes::zeros(), Axes::<1>::new(integral));
         let wave = incoming.play(
-            &Peer { position: &zero, velocity: &zero, vector: &vector, sum, is_new, rests: false },
+            &Peer {
+                position: &zero,
+                velocity: &zero,
+                force: &zero,
+                vector: &vector,
+                sum,
+                is_new,
+                rests: false,
+            },
             T,
             T,
         )[0];
@@ -615,6 +664,7 @@ fn frames_of_another_engagement_give_no_energy() {
         let master = OfMaster {
             at: &zero,
             velocity: &zero,
+            force: &zero,
             half: OfHalf { message: &message, epoch: newest, ..OfHalf::NONE },
         };
         at = slave.step(&mut map, &at, &zero, &master, T);
@@ -633,7 +683,8 @@ fn frames_of_another_engagement_give_no_energy() {
     let master_map = Mapping::new(1.0, 1.0).unwrap();
     let mut request = |x: f64, is_coupled: bool, frame: &Frame, newest: u16| {
         let zero = Axes::zeros();
-        let hand = HandMotion { at: &Axes::<1>::new(x), velocity: &zero, exerted: &zero, gain: 1.0, dt: T };
+        let (at, zero) = (&Axes::<1>::new(x), &Axes::zeros());
+        let hand = HandMotion { at, velocity: zero, exerted: zero, grasp: zero, gain: 1.0, dt: T };
         master.request(&master_map, &hand, is_coupled, (frame, newest));
         master.message(is_coupled, &Axes::<1>::new(x)).epoch
     };

@@ -55,7 +55,7 @@ impl<const N: usize> Method<N> for Pspm<N> {
         title: "springs to set positions that move only as far as energy allows",
         source: "Lee and Huang 2010",
     };
-    const DEFAULT: Gains = Gains { start_j: 2.5e-3, ..Gains::spring(60.0, 0.5) };
+    const DEFAULT: Gains = Gains { start_j: 2.5e-3, ..Gains::spring(300.0, 4.0) };
     const SLAVE_SENDS: Sends = Sends::Motion;
     const SENDS_ENERGY: bool = true;
     const IS_LINEAR: bool = false;

@@ -74,7 +74,7 @@ impl CoupledMasterTurn {
             self.clear();
             return self.torque;
         }
-        let HandMotion { at: orientation, velocity, exerted, gain, dt } = *hand;
+        let HandMotion { at: orientation, velocity, exerted, grasp, gain, dt } = *hand;
         let is_new = std::mem::replace(&mut self.sequence, peer.sequence) != peer.sequence;
         let sends_motion = peer.sends_motion();
         let of_slave =
@@ -90,18 +90,22 @@ impl CoupledMasterTurn {
         };
         let turned = orientation * origin.inverse();
         let frame = map.frame();
-        let of_peer = peer.rotation.map_or(Axes::zeros(), |slave| slave.angular_velocity);
+        let (of_peer, torque) = peer
+            .rotation
+            .map_or((Axes::zeros(), Axes::zeros()), |slave| (slave.angular_velocity, slave.torque));
         let own = Local {
             position: &Axes::zeros(),
             velocity: &(frame * velocity),
             moved: &(frame * (orientation * last.inverse()).scaled_axis()),
             exerted: &-map.coupled_torque(exerted),
+            force: &map.coupled_torque(grasp),
             gain,
             dt,
         };
         let peer = Peer {
             position: &(frame * stretch(&turned, &of_slave)),
             velocity: &of_peer,
+            force: &torque,
             vector: &if sends_motion { Axes::zeros() } else { sent },
             sum: sums[1],
             is_new,

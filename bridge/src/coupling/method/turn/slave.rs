@@ -92,7 +92,7 @@ impl CoupledSlaveTurn {
         master: &OfMaster<'_, UnitQuaternion<f64>, 3>,
         dt: f64,
     ) -> UnitQuaternion<f64> {
-        let OfMaster { at, velocity, half: OfHalf { message, epoch, sequence, is_stale } } = *master;
+        let OfMaster { at, velocity, force, half: OfHalf { message, epoch, sequence, is_stale, .. } } = *master;
         if !self.engaged {
             (self.orientation, self.velocity) = (*from, Axes::zeros());
             map.clear_anchor();
@@ -127,6 +127,7 @@ impl CoupledSlaveTurn {
             velocity: &self.velocity,
             moved: &(self.orientation * self.before.inverse()).scaled_axis(),
             exerted: &self.torque,
+            force: torque,
             gain: 1.0,
             dt,
         };
@@ -134,6 +135,7 @@ impl CoupledSlaveTurn {
         let peer = Peer {
             position: &phi,
             velocity: &velocity,
+            force: &if moves { *force } else { Axes::zeros() },
             vector: &self.wave,
             sum: self.energy_j,
             is_new,

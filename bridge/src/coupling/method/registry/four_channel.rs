@@ -1,0 +1,86 @@
+//! Four-channel coupling: motions and forces both ways.
+
+use haptether_safety::Axes;
+
+use super::super::{CouplingAbout, Gains, Local, Method, Peer, Sends, Space, spring_damper};
+
+/// Time constant in s of the filter on `F_h`: an estimate from the second difference of positions is noisy.
+const FILTER_S: f64 = 0.01;
+
+/// Spring and damper between the sides, with the force of the hand and of the environment.
+///
+/// `F_m = K (x_m - x_s') + B (v_m - v_s') - C2 F_e' - C6 F_h + d v_m`,
+/// `F_c = K (x_m' - x_s) + B (v_m' - v_s) + C3 F_h' + C5 F_e - d v_s`, with `C6 = C2 - 1` and `C5 = C3 - 1`. Then both sides
+/// are at the same place at rest, and the hand feels the force of the environment: the compliance in series is 0.
+///
+/// `C3 F_h + C5 F_e` is `C3` times what accelerates both together, less what the environment already does. So the tool moves
+/// as one of `1 / C3` of its mass. `C2` and `C3` of 0 are the two sound forms with three channels. To leave one of the four
+/// out alone would multiply the force.
+///
+/// `F_h` passes a low-pass of first order, 10 ms, at the half that uses it.
+///
+/// The acceleration form has the same equations: `C2 = M_m K_f`, `C3 = M_s K_f` and `K = M K_p`, where observers of the
+/// reaction force give `F_h` and `F_e`.
+///
+/// Source: Lawrence 1993; Hashtrudi-Zaad and Salcudean 2001, 2002; acceleration form: Sakaino, Sato and Ohnishi 2011.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FourChannel<const N: usize> {
+    gains: Gains,
+    /// `F_h` in N after the filter.
+    grasp: Axes<N>,
+}
+
+impl<const N: usize> FourChannel<N> {
+    pub(super) fn of(gains: Gains) -> Self {
+        Self { gains, grasp: Axes::zeros() }
+    }
+
+    /// Step the filter of `F_h`.
+    fn filter(&mut self, grasp: &Axes<N>, dt: f64) {
+        self.grasp += (grasp - self.grasp) * (dt / (FILTER_S + dt));
+    }
+
+    pub(super) fn at_master(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
+        let Gains { environment_gain, impedance, .. } = self.gains;
+        self.filter(own.force, own.dt);
+        let measured = self.grasp * (1.0 - environment_gain) - peer.force * environment_gain;
+        measured * own.gain + own.velocity * (impedance * own.gain) - spring_damper(&self.gains, own, peer)
+    }
+
+    pub(super) fn at_slave(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
+        let Gains { grasp_gain, impedance, .. } = self.gains;
+        self.filter(peer.force, own.dt);
+        let measured = self.grasp * grasp_gain + own.force * (grasp_gain - 1.0);
+        spring_damper(&self.gains, own, peer) + measured - own.velocity * impedance
+    }
+}
+
+impl<const N: usize> Method<N> for FourChannel<N> {
+    const ABOUT: CouplingAbout = CouplingAbout {
+        name: "four-channel",
+        title: "motions and forces both ways",
+        source: "Lawrence 1993; Hashtrudi-Zaad and Salcudean 2001",
+    };
+    const DEFAULT: Gains =
+        Gains { impedance: 2.0, environment_gain: 0.5, grasp_gain: 2.0, ..Gains::spring(300.0, 8.0) };
+    const SLAVE_SENDS: Sends = Sends::Motion;
+    const NEEDS_GRASP_FORCE: bool = true;
+    const IS_LINEAR: bool = false;
+    const PUSH_MAY_GROW: bool = true;
+
+    fn new(gains: Gains, _space: Space) -> Self {
+        Self::of(gains)
+    }
+
+    fn compliance(_gains: &Gains, _round_trip_s: f64, _period_s: f64) -> f64 {
+        0.0
+    }
+
+    fn master(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
+        self.at_master(own, peer)
+    }
+
+    fn slave(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
+        self.at_slave(own, peer)
+    }
+}
