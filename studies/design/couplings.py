@@ -23,7 +23,7 @@ from haptether.studies.design.finding import (
     rounded_up,
 )
 from haptether.studies.design.loops import scene_loops
-from haptether.studies.design.press import Press, press
+from haptether.studies.design.press import Outcome, Press, Stroke, press, stroke
 
 DAMPING_MARGIN = 1.3
 """Ratio of an advised B to the least with which the coupling is passive."""
@@ -58,6 +58,13 @@ class PressedCoupling(Struct, frozen=True, kw_only=True):
     changes: tuple[str, ...]
     """Overrides that set it."""
     press: Press
+    stroke: Stroke | None
+    """Stroke with the same gains; None if the press does not rest."""
+
+    @property
+    def outcome(self) -> Outcome:
+        """Outcome of the press, or of the stroke if the press rests."""
+        return self.press.outcome if self.stroke is None else self.stroke.outcome
 
 
 class AdvisedCoupling(Struct, frozen=True, kw_only=True):
@@ -130,7 +137,11 @@ def _pressed_delays(scene: Scene, up_to_s: float, wall: float | None) -> tuple[f
     wall = touched(scene, scene_numbers(scene)).stiffness if wall is None else wall
     rests_s, delay_s = 0.0, PRESSED_S
     while delay_s <= up_to_s:
-        ways = [f"link.{way}.{key}" for way in ("forward", "backward") for key in (f"delay_s={delay_s / 2.0!r}", "jitter_s=0")]
+        ways = [
+            f"link.{way}.{key}"
+            for way in ("forward", "backward")
+            for key in (f"delay_s={delay_s / 2.0!r}", "jitter_s=0")
+        ]
         if press(override_scene(scene, ways), wall).outcome != "rests":
             return delay_s, ((0.0, rests_s),) if rests_s else ()
         rests_s, delay_s = delay_s, 2.0 * delay_s
@@ -403,7 +414,8 @@ def pressed_couplings(
     """Press the pair of a scene under each coupling, over its link, without a controller.
 
     Gains are those that `advised_coupling` and `advised_waves` find, else the defaults times mass of the device over
-    `DEFAULT_MASS_KG`. They are halved, twice at most, until the press rests.
+    `DEFAULT_MASS_KG`. They are halved, twice at most, until press and stroke rest; gains do not mend a link over which
+    the ladder holds.
 
     Args:
         scene: Scene with a [slave].
@@ -413,21 +425,29 @@ def pressed_couplings(
     """
     spec = scene_numbers(scene)
     wall = touched(scene, spec).stiffness if wall is None else wall
-    coupling = scene.coupling and msgspec.structs.replace(scene.coupling, **dict.fromkeys(GAINS))
-    bare = msgspec.structs.replace(scene, coupling=coupling)
+    bare = without_gains(scene)
     for kind, *_ in COUPLINGS:
         if kinds and kind not in kinds:
             continue
         found = None
         for changes in _gains_for(override_scene(bare, [f"coupling.kind={kind}"]), kind, up_to_s):
             try:
-                found = PressedCoupling(kind=kind, changes=changes, press=press(override_scene(bare, changes), wall))
+                pair = override_scene(bare, changes)
+                pressed = press(pair, wall)
+                after = stroke(pair, wall) if pressed.outcome == "rests" else None
             except SceneError:
                 break
-            if found.press.outcome == "rests":
+            found = PressedCoupling(kind=kind, changes=changes, press=pressed, stroke=after)
+            if found.outcome in {"rests", "held"}:
                 break
         if found is not None:
             yield found
+
+
+def without_gains(scene: Scene) -> Scene:
+    """Return a scene whose coupling has the default gains of its kind."""
+    coupling = scene.coupling and msgspec.structs.replace(scene.coupling, **dict.fromkeys(GAINS))
+    return msgspec.structs.replace(scene, coupling=coupling)
 
 
 def _gains_for(scene: Scene, kind: str, up_to_s: float) -> Iterator[tuple[str, ...]]:
@@ -468,10 +488,10 @@ def coupling_advice(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Itera
             value=waves[1], unit=units.stiffness,
         )  # fmt: skip
     pressed = [*pressed_couplings(scene, up_to_s)]
-    ranked = sorted((one for one in pressed if one.press.outcome == "rests"), key=lambda one: -one.press.felt)
+    ranked = sorted((one for one in pressed if one.outcome == "rests"), key=lambda one: -one.press.felt)
     if ranked:
         each = ", ".join(f"{one.kind} {one.press.felt * 100.0:.0f} %" for one in ranked)
-        others = [f"{one.kind} {one.press.outcome}" for one in pressed if one.press.outcome != "rests"]
+        others = [f"{one.kind} {one.outcome}" for one in pressed if one.outcome != "rests"]
         yield Finding(
             name="couplings", state="note", text=f"pressed over this link, each with gains for this pair, as a share of"
             f" the force of a rigid tool: {', '.join((each, *others))}",
