@@ -59,6 +59,7 @@ def evaluate(
     limits: EvaluationLimits | None = None,
     bounds: HandBounds | None = None,
     overrides: Iterable[str] = (),
+    transmitted: bool = True,
     threads: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Evaluation:
@@ -81,6 +82,7 @@ def evaluate(
         limits: Limits of a safe verdict.
         bounds: Bounds of the hands; by default `HandBounds()`.
         overrides: Fields of each scene to change first, `table.key=value`.
+        transmitted: False leaves stiffness and damping that a pressing hand feels out, and the runs for them.
         threads: Number of threads; by default the number of processors.
         progress: If given, called with a description of the current run.
 
@@ -106,7 +108,7 @@ def evaluate(
                 assumed |= dict.fromkeys(task.replaced())
                 runs = _Runs(task, task.lasting(bounds), rows, releases, limits=limits, threads=threads)
                 for of_set in controllers:
-                    cell, release = runs.cell(of_set)
+                    cell, release = runs.cell(of_set, transmitted=transmitted)
                     cells.append(cell)
                     if release is not None and release.speed > (worst[of_set].speed if of_set in worst else -inf):
                         worst[of_set] = release
@@ -223,7 +225,7 @@ class _Runs:
         trip = np.asarray(found["time_to_trip_s"], dtype=np.float64)
         return speeds, trip if controllers else np.full(len(speeds), np.nan)
 
-    def cell(self, names: str) -> tuple[EvaluationCell, WorstRelease | None]:
+    def cell(self, names: str, *, transmitted: bool) -> tuple[EvaluationCell, WorstRelease | None]:
         """Return the cell of one controller set, and its worst release."""
         controllers = None if names == "none" else names.replace("+", ",")
         watched = self.task.with_controllers(self.lasting, controllers, {})
@@ -235,7 +237,7 @@ class _Runs:
         limit = self.limits.speed
         dangerous = (speeds > limit) | (uncontrolled > limit)
         trips = detected[dangerous & np.isfinite(detected)]
-        stiffness, damping = self._transmitted(controllers) if engaged else (None, None)
+        stiffness, damping = self._transmitted(controllers) if engaged and transmitted else (None, None)
 
         def over(name: str, of: Callable[[Array], np.floating]) -> float | None:
             known = [value for run in held if (value := getattr(run.metrics, name)) is not None]

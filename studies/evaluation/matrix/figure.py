@@ -108,7 +108,7 @@ def _felt(cells: "Sequence[PairCell]") -> Filled:
 
 
 def _thrown(found: CouplingMatrix, coupling: str, controllers: str) -> Filled:
-    words = controller_words(found, coupling, controllers).replace(" ms", "")
+    words = controller_words(found, coupling, controllers).replace(" ms", "").replace(" /h", "")
     if words == "-":
         return NOTHING
     if words.startswith("thrown"):

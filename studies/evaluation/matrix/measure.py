@@ -184,7 +184,7 @@ def evaluate_couplings(
                 evaluation = evaluate(
                     [replace(scene, title=task)], controllers=controllers, round_trips_s=[round_trip_s],
                     networks=[network], hands=hands, releases=releases, seed=seed, limits=limits, bounds=bounds,
-                    threads=threads,
+                    transmitted=False, threads=threads,
                 )  # fmt: skip
             except SceneError as error:
                 refused[f"{name} at {place}: {error}"] = None

@@ -57,10 +57,11 @@ def sections(found: CouplingMatrix) -> Iterator[Section]:
     yield Section(
         "Presses",
         "Medians over seeds of the network with distribution-free 95 % intervals; a network without jitter and loss"
-        " needs one seed. Held: runs that the ladder interrupts. Behind: distance of the arm behind the hand at rest in contact. Drift: distance between hand"
-        " and arm at rest after the contact. Dissipated: energy that a stroke into the wall and back takes from the"
-        " hand; below 0 the hand gets it. Thrown: largest speed after the hand lets go. Oscillates from: round trip at"
-        " which the loop with these gains becomes unstable; a dash if there is none up to 1 s.",
+        " needs one seed. Held: runs that the ladder interrupts. Behind: distance of the arm behind the hand at rest in"
+        " contact. Drift: distance between hand and arm at rest after the contact. Dissipated: energy that a stroke"
+        " into the wall and back takes from the hand; below 0 the hand gets it. Thrown: largest speed after the hand"
+        " lets go. Oscillates from: round trip at which the loop with these gains becomes unstable; a dash if there is"
+        " none up to 1 s.",
         table=_presses(found),
     )
     if of_hands:
