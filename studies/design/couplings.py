@@ -23,7 +23,7 @@ from haptether.studies.design.finding import (
     rounded_up,
 )
 from haptether.studies.design.loops import scene_loops
-from haptether.studies.design.press import Outcome, Press, Stroke, press, stroke
+from haptether.studies.design.press import FAILED, OUTCOMES, Outcome, Press, Stroke, press, stroke
 
 DAMPING_MARGIN = 1.3
 """Ratio of an advised B to the least with which the coupling is passive."""
@@ -42,8 +42,9 @@ DEFAULT_MASS_KG = 0.157
 """Mass in kg of the device for which the default gains are."""
 PRESSED_S = 0.004
 """Shortest round trip in s that is pressed to find the largest stable one."""
-SHARES = (1.0, 0.5, 0.25)
-"""Gains that are tried for a pair, as shares of the defaults for its mass."""
+SHARES = (4.0, 2.0, 1.0, 0.5, 0.25)
+"""Gains that are tried for a pair, as shares of the defaults for its mass; the largest B of them is below 0.3 M/T. A
+damper that the hand feels in free motion is at most the default."""
 GAINS = (
     "stiffness", "damping", "rotational_stiffness", "rotational_damping", "impedance", "start_energy_j", "spread_s",
     "environment_gain", "grasp_gain", "play_out_s",
@@ -57,14 +58,21 @@ class PressedCoupling(Struct, frozen=True, kw_only=True):
     kind: str
     changes: tuple[str, ...]
     """Overrides that set it."""
-    press: Press
-    stroke: Stroke | None
-    """Stroke with the same gains; None if the press does not rest."""
+    presses: tuple[Press, ...]
+    """One for each seed, up to the first that does not rest."""
+    strokes: tuple[Stroke, ...]
+    """The same."""
+
+    @property
+    def press(self) -> Press:
+        """Press with the seed of the scene."""
+        return self.presses[0]
 
     @property
     def outcome(self) -> Outcome:
-        """Outcome of the press, or of the stroke if the press rests."""
-        return self.press.outcome if self.stroke is None else self.stroke.outcome
+        """Worst outcome of the presses and strokes that the ladder does not interrupt; "held" if it interrupts all."""
+        outcomes = {one.outcome for one in self.presses} | {one.outcome for one in self.strokes}
+        return next(outcome for outcome in OUTCOMES if outcome in outcomes)
 
 
 class AdvisedCoupling(Struct, frozen=True, kw_only=True):
@@ -409,12 +417,12 @@ def advised_waves(scene: Scene) -> tuple[float, float] | None:
 
 
 def pressed_couplings(
-    scene: Scene, up_to_s: float, kinds: tuple[str, ...] = (), wall: float | None = None
+    scene: Scene, up_to_s: float, kinds: tuple[str, ...] = (), wall: float | None = None, seeds: int = 1
 ) -> Iterator[PressedCoupling]:
     """Press the pair of a scene under each coupling, over its link, without a controller.
 
     Gains are those that `advised_coupling` and `advised_waves` find, else the defaults times mass of the device over
-    `DEFAULT_MASS_KG`. They are halved, twice at most, until press and stroke rest; gains do not mend a link over which
+    `DEFAULT_MASS_KG`, each of `SHARES` until press and stroke rest with all seeds. Gains do not mend a link over which
     the ladder holds.
 
     Args:
@@ -422,6 +430,7 @@ def pressed_couplings(
         up_to_s: Largest delay in s that is examined.
         kinds: Names of the couplings; by default all.
         wall: Stiffness of the wall in N/m (N m/rad); by default the stiffest of the scene.
+        seeds: Number of seeds of the network, from that of the scene on.
     """
     spec = scene_numbers(scene)
     wall = touched(scene, spec).stiffness if wall is None else wall
@@ -432,16 +441,28 @@ def pressed_couplings(
         found = None
         for changes in _gains_for(override_scene(bare, [f"coupling.kind={kind}"]), kind, up_to_s):
             try:
-                pair = override_scene(bare, changes)
-                pressed = press(pair, wall)
-                after = stroke(pair, wall) if pressed.outcome == "rests" else None
+                found = _pressed_with(override_scene(bare, changes), kind, changes, wall, seeds)
             except SceneError:
-                break
-            found = PressedCoupling(kind=kind, changes=changes, press=pressed, stroke=after)
+                continue
             if found.outcome in {"rests", "held"}:
                 break
         if found is not None:
             yield found
+
+
+def _pressed_with(scene: Scene, kind: str, changes: tuple[str, ...], wall: float, seeds: int) -> PressedCoupling:
+    """Press a pair with each seed, up to the first one that does not rest."""
+    presses: list[Press] = []
+    strokes: list[Stroke] = []
+    for seed in range(scene.run.seed, scene.run.seed + seeds):
+        pair = override_scene(scene, [f"run.seed={seed}"])
+        presses.append(press(pair, wall))
+        if presses[-1].outcome in FAILED:
+            break
+        strokes.append(stroke(pair, wall))
+        if strokes[-1].outcome in FAILED:
+            break
+    return PressedCoupling(kind=kind, changes=changes, presses=tuple(presses), strokes=tuple(strokes))
 
 
 def without_gains(scene: Scene) -> Scene:
@@ -461,11 +482,18 @@ def _gains_for(scene: Scene, kind: str, up_to_s: float) -> Iterator[tuple[str, .
             yield advised.changes
         return
     waves = advised_waves(scene) if kind == "wave" else None
+    scale = min(spec["master"]["mass_kg"]) / DEFAULT_MASS_KG
     for share in SHARES:
-        scale = share * min(spec["master"]["mass_kg"]) / DEFAULT_MASS_KG
-        gains = {"stiffness": facts.stiffness, "damping": facts.damping, "impedance": facts.impedance}
-        numbers = {name: rounded_down(scale * value) for name, value in gains.items() if value}
+        felt = min(share, 1.0)
+        gains = {
+            "stiffness": (share, facts.stiffness),
+            "damping": (share, facts.damping),
+            "impedance": (felt, facts.impedance),
+        }
+        numbers = {name: rounded_down(scale * of * value) for name, (of, value) in gains.items() if value}
         if waves is not None:
+            if share > 1.0:
+                continue
             numbers |= {"stiffness": facts.stiffness, "damping": facts.damping or 0.0, "impedance": share * waves[0]}
         yield *changes, *(f"coupling.{name}={value:g}" for name, value in numbers.items())
 

@@ -1,6 +1,6 @@
 """Press of a scene's pair of devices on one wall, in virtual time: what a coupling does over the scene's link."""
 
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args
 
 import msgspec
 import numpy as np
@@ -11,7 +11,11 @@ from haptether.bridge import Run, Scene, simulate
 from haptether.studies.design.contact import largest_force_n, scene_numbers
 
 Array = npt.NDArray[np.float64]
-Outcome: TypeAlias = Literal["rests", "swings", "diverged", "held"]
+Outcome: TypeAlias = Literal["diverged", "swings", "rests", "held"]
+OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
+"""Outcomes, worst first; held, which says nothing, last."""
+FAILED = frozenset({"diverged", "swings"})
+"""Outcomes of gains that the pair does not bear."""
 
 HANDS: dict[str, tuple[float, float]] = {"linear": (300.0, 8.0), "joints": (5.0, 0.3)}
 """K and B of a hand in N/m and N s/m (N m/rad, N m s/rad) for a scene without one."""
@@ -26,6 +30,8 @@ ROUND_TRIPS = 20.0
 """Time to settle in round trips, added to `SETTLE_S`."""
 SWINGS, LEAST_SWING = 0.1, 0.01
 """Swing above which a press does not rest: as a share of its force, and of the force of a rigid tool."""
+ENGAGED_S, ENGAGED_ROUND_TRIPS = 0.2, 2.0
+"""Time in s for which the hand rests until both sides are engaged, with these round trips more."""
 CONTACT_S, APART_S, APART_ROUND_TRIPS = 1.0, 5.0, 8.0
 """Times in s of a stroke in contact and at rest after it, each with these round trips more."""
 
@@ -84,8 +90,10 @@ def press(scene: Scene, wall: float | None = None) -> Press:
     """
     tables, round_trips_s, rigid = _tables(scene, wall)
     operator, depth = tables["operator"], tables["operator"]["start"]
-    release_s = STROKE_S + SETTLE_S + ROUND_TRIPS * round_trips_s
-    operator |= {"legs": [_leg(STROKE_S, -depth)], "release": {"at_s": release_s, "decay_s": 0.05}}
+    begin_s = ENGAGED_S + ENGAGED_ROUND_TRIPS * round_trips_s
+    release_s = begin_s + STROKE_S + SETTLE_S + ROUND_TRIPS * round_trips_s
+    operator["legs"] = [_leg(begin_s, depth), _leg(STROKE_S, -depth)]
+    operator["release"] = {"at_s": release_s, "decay_s": 0.05}
     run = _run(tables, release_s + LET_GO_S)
     thrown = float(run.metrics.max_ejection_velocity or 0.0)
     none = {"rigid": rigid, "felt": 0.0, "behind": 0.0, "swing": 0.0, "thrown": thrown}
@@ -112,9 +120,11 @@ def stroke(scene: Scene, wall: float | None = None) -> Stroke:
     """
     tables, round_trips_s, rigid = _tables(scene, wall)
     operator, depth = tables["operator"], tables["operator"]["start"]
+    begin_s = ENGAGED_S + ENGAGED_ROUND_TRIPS * round_trips_s
     contact_s, apart_s = (time_s + APART_ROUND_TRIPS * round_trips_s for time_s in (CONTACT_S, APART_S))
-    operator["legs"] = [_leg(STROKE_S, -depth), _leg(contact_s, -depth), _leg(STROKE_S, depth)]
-    lasts_s = 2.0 * STROKE_S + contact_s + apart_s
+    path = ((begin_s, depth), (STROKE_S, -depth), (contact_s, -depth), (STROKE_S, depth))
+    operator["legs"] = [_leg(*one) for one in path]
+    lasts_s = begin_s + 2.0 * STROKE_S + contact_s + apart_s
     run = _run(tables, lasts_s)
     last = _last(run, lasts_s)
     if isinstance(last, str):

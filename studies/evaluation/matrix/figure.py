@@ -52,25 +52,30 @@ def draw_couplings(found: CouplingMatrix, path: str | PathLike[str] | None = Non
         height = len(mosaic) * (ROW_IN * len(found.couplings) + AXIS_IN) + 0.2
         figure = new_figure(columns, height, f"Couplings in {found.task}, pressed on {found.wall:g} N/{found.unit}")
         panels = figure.subplot_mosaic([[str(name) for name in row] for row in mosaic])
-        trips = [f"{round_trip_s * 1e3:g}" for round_trip_s in found.round_trips_s]
-        for name in names:
-            _map(panels[name], found.couplings, trips, [
+        maps = {
+            name: [
                 [_felt(found.of(coupling, trip_s, name)) for trip_s in found.round_trips_s]
                 for coupling in found.couplings
-            ])  # fmt: skip
-            panels[name].set_xlabel(f"round trip [ms], {name}: force at rest [%]")
+            ]
+            for name in names
+        }
+        trips = [f"{round_trip_s * 1e3:g}" for round_trip_s in found.round_trips_s]
+        for name in names:
+            _map(panels[name], maps[name], trips, f"round trip [ms], {name}: force at rest [%]")
         if found.evaluations:
             controllers = next(iter(found.evaluations.values())).controllers
-            _map(panels["controllers"], found.couplings, [controller_title(of) for of in controllers], [
-                [_thrown(found, coupling, of) for of in controllers] for coupling in found.couplings
-            ])  # fmt: skip
-            panels["controllers"].set_xlabel(
-                "round trip up to which no release throws [ms]; most false trips per hour held"
-            )
+            maps["controllers"] = [[_thrown(found, name, of) for of in controllers] for name in found.couplings]
+            label = "round trip up to which no release throws [ms]; most false trips per hour held"
+            _map(panels["controllers"], maps["controllers"], [controller_title(of) for of in controllers], label)
         for row in mosaic:
-            for name in row[1:]:
-                if name != row[0]:
-                    panels[name].set_yticklabels([])
+            for place, name in enumerate(row):
+                named = found.couplings if place == 0 else [""] * len(found.couplings)
+                if row.index(name) == place:
+                    panels[name].set_yticks(range(len(named)), named)
+        # The layout is known from here on.
+        figure.draw_without_rendering()
+        for name, cells in maps.items():
+            _write(panels[name], cells)
         letter([*panels.values()])
     return written(figure, path)
 
@@ -126,23 +131,27 @@ def shade(share: float) -> str:
     )
 
 
-def _map(panel: "Axes", rows: "Sequence[str]", columns: "Sequence[str]", cells: "Sequence[Sequence[Filled]]") -> None:
-    """Draw a map of texts in colours, small enough for the cells."""
+def _map(panel: "Axes", cells: "Sequence[Sequence[Filled]]", columns: "Sequence[str]", label: str) -> None:
+    """Draw the colours of a map."""
     from matplotlib.patches import Rectangle
 
-    figure = figure_of(panel)
     panel.grid(visible=False)
-    grid = panel.get_subplotspec()
-    assert grid is not None
-    room = (figure.bbox.width * grid.get_position(figure).width - 1.5 * figure.dpi) / len(columns)
-    widest = max(text_width(figure, words) for row in cells for words, _ in row)
-    size = small_pt() * min(1.0, 0.95 * room / widest)
     for place, row in enumerate(cells):
-        for column, (words, colour) in enumerate(row):
+        for column, (_, colour) in enumerate(row):
             panel.add_patch(Rectangle((column - 0.5, place - 0.5), 1.0, 1.0, fc=colour, ec="white"))
-            panel.text(column, place, words, ha="center", va="center", fontsize=size)
     panel.set_xlim(-0.5, len(columns) - 0.5)
-    panel.set_ylim(len(rows) - 0.5, -0.5)
+    panel.set_ylim(len(cells) - 0.5, -0.5)
     panel.set_xticks(range(len(columns)), columns)
-    panel.set_yticks(range(len(rows)), rows)
     panel.tick_params(length=0.0)
+    panel.set_xlabel(label)
+
+
+def _write(panel: "Axes", cells: "Sequence[Sequence[Filled]]") -> None:
+    """Write the texts of a map, small enough for the cells."""
+    figure = figure_of(panel)
+    room = panel.get_window_extent().width / len(cells[0])
+    widest = max(text_width(figure, words) for row in cells for words, _ in row)
+    size = small_pt() * min(1.0, 0.92 * room / widest)
+    for place, row in enumerate(cells):
+        for column, (words, _) in enumerate(row):
+            panel.text(column, place, words, ha="center", va="center_baseline", fontsize=size)

@@ -3,7 +3,6 @@
 import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from math import inf
 from statistics import median
 
@@ -13,7 +12,7 @@ from msgspec.structs import replace
 from haptether.bridge import COUPLINGS, Scene, SceneError, override_scene
 from haptether.studies.design.contact import scene_numbers, touched
 from haptether.studies.design.couplings import PressedCoupling, bearable_delays, pressed_couplings, without_gains
-from haptether.studies.design.press import WALLS, Outcome, Press, Stroke, press, stroke
+from haptether.studies.design.press import WALLS, Outcome, Press, Stroke
 from haptether.studies.evaluation.evaluate import check_evaluated, conditions, evaluate
 from haptether.studies.evaluation.result import (
     EVALUATED_CONTROLLERS,
@@ -28,8 +27,6 @@ COUPLING_NAMES = tuple(name for name, *_ in COUPLINGS)
 """Names of all couplings."""
 UP_TO_S = 1.0
 """Largest round trip in s that is examined for stability."""
-OUTCOMES: tuple[Outcome, ...] = ("diverged", "swings", "rests", "held")
-"""Outcomes of a press, worst first; one that the ladder interrupts counts if it interrupts all."""
 
 
 class Median(Struct, frozen=True, kw_only=True):
@@ -51,7 +48,8 @@ class PairCell(Struct, frozen=True, kw_only=True):
     outcome: Outcome
     """Worst of the presses and strokes that the ladder does not interrupt; "held" if it interrupts all."""
     runs: int
-    """Number of presses and strokes: one of each on a network without jitter and loss, else of each of six seeds."""
+    """Number of presses and strokes: one of each on a network without jitter and loss, else of each of six seeds up to
+    the first that does not rest."""
     held: int
     """Number of these that the ladder interrupts, which count nowhere else."""
     felt: Median | None
@@ -119,14 +117,13 @@ def evaluate_couplings(
     limits: EvaluationLimits | None = None,
     bounds: HandBounds | None = None,
     overrides: Iterable[str] = (),
-    wall: float | None = None,
     threads: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> CouplingMatrix:
     """Evaluate couplings by controllers, at each round trip, on each network, in one task.
 
-    The pair of the scene is pressed on a wall and withdrawn from it, and the task is evaluated, both with the gains
-    that `pressed_couplings` finds for pair and network.
+    The pair of the scene is pressed on a wall as stiff as the stiffest contact of the scene and withdrawn from it, and
+    the task is evaluated, both with the gains that `pressed_couplings` finds for pair and network.
 
     Args:
         task: Name of a bundled scene, or path of a scene, with a hand and an arm.
@@ -140,7 +137,6 @@ def evaluate_couplings(
         limits: Limits of a safe verdict.
         bounds: Bounds of the hands; by default `HandBounds()`.
         overrides: Fields of the scene to change first, `table.key=value`.
-        wall: Stiffness in N/m (N m/rad) of the pressed wall; by default that of the stiffest contact of the scene.
         threads: Number of threads; by default the number of processors.
         progress: If given, called with a description of the current run.
 
@@ -159,7 +155,7 @@ def evaluate_couplings(
     refused: dict[str, None] = {}
     met = [(round_trip_s, one) for round_trip_s, of in conditions(networks, round_trips_s).items() for one in of]
     is_turned = False
-    wall = wall or 0.0
+    wall = 0.0
     for round_trip_s, network in met:
         place = f"{round_trip_s * 1e3:g} ms, {network.name}"
         led = Task(task, round_trip_s, overrides, network=network, by_time=False)
@@ -168,15 +164,15 @@ def evaluate_couplings(
             raise ValueError(message)
         is_turned = led.base.master.kind == "joints"
         pair = override_scene(led.held, [f"run.seed={seed}"])
-        wall = wall or touched(pair, scene_numbers(pair)).stiffness or WALLS["joints" if is_turned else "linear"]
-        found = {one.kind: one for one in pressed_couplings(pair, UP_TO_S, tuple(couplings), wall)}
+        wall = touched(pair, scene_numbers(pair)).stiffness or WALLS["joints" if is_turned else "linear"]
+        found = {one.kind: one for one in _pressed(pair, network, couplings, wall, threads)}
         for name in couplings:
             if progress is not None:
                 progress(f"{name}, {place}")
             if name not in found:
                 refused[f"{name} at {place}: no gains are stable for this pair."] = None
                 continue
-            pairs.append(_pair_cell(found[name], pair, led, wall, threads))
+            pairs.append(_pair_cell(found[name], pair, led, wall))
             if is_turned:
                 continue
             scene = override_scene(without_gains(led.base), found[name].changes)
@@ -205,31 +201,37 @@ def evaluate_couplings(
     )
 
 
-def _pair_cell(found: PressedCoupling, pair: Scene, task: Task, wall: float, threads: int | None) -> PairCell:
-    """Press a pair, with gains that were found, once for each seed."""
-    scene, network, seed = override_scene(without_gains(pair), found.changes), task.network, pair.run.seed
-    assert network is not None
-    steady = not network.jitter and not network.loss and not network.own
-    scenes = [override_scene(scene, [f"run.seed={seed + place}"]) for place in range(1 if steady else FEWEST_OF_MEDIAN)]
+def _pressed(
+    pair: Scene, network: Network, couplings: Sequence[str], wall: float, threads: int | None
+) -> list[PressedCoupling]:
+    """Press a pair under each coupling that has gains, once for each seed of the network."""
+    seeds = FEWEST_OF_MEDIAN if network.jitter or network.loss or network.own else 1
+
+    def one(name: str) -> list[PressedCoupling]:
+        return [*pressed_couplings(pair, UP_TO_S, (name,), wall, seeds)]
+
     with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
-        presses = [found.press, *pool.map(partial(press, wall=wall), scenes[1:])]
-        strokes = [*pool.map(partial(stroke, wall=wall), scenes[found.stroke is not None :])]
-    strokes += [found.stroke] if found.stroke is not None else []
-    outcomes = [one.outcome for one in presses] + [one.outcome for one in strokes]
+        return [found for several in pool.map(one, couplings) for found in several]
+
+
+def _pair_cell(found: PressedCoupling, pair: Scene, task: Task, wall: float) -> PairCell:
+    scene, network = override_scene(without_gains(pair), found.changes), task.network
+    assert network is not None
+    outcomes = [one.outcome for one in found.presses] + [one.outcome for one in found.strokes]
     stable_s = bearable_delays(scene, UP_TO_S, wall)[0]
     return PairCell(
         coupling=found.kind,
         round_trip_s=task.round_trip_s,
         network=network.name,
         changes=found.changes,
-        outcome=next(outcome for outcome in OUTCOMES if outcome in outcomes),
+        outcome=found.outcome,
         runs=len(outcomes),
         held=outcomes.count("held"),
-        felt=_median(presses, "felt"),
-        behind_m=_median(presses, "behind"),
-        drift_m=_median(strokes, "drift"),
-        dissipated_j=_median(strokes, "dissipated_j"),
-        thrown=_median(presses, "thrown"),
+        felt=_median(found.presses, "felt"),
+        behind_m=_median(found.presses, "behind"),
+        drift_m=_median(found.strokes, "drift"),
+        dissipated_j=_median(found.strokes, "dissipated_j"),
+        thrown=_median(found.presses, "thrown"),
         stable_up_to_s=None if stable_s == inf else stable_s,
     )
 

@@ -159,8 +159,8 @@ def _hands(found: CouplingMatrix) -> Table:
 
 def _assumptions(found: CouplingMatrix) -> Iterator[str]:
     yield (
-        "Gains are those that check advises for pair and network, else the defaults, scaled with the mass of the device"
-        " and halved up to twice until the press rests."
+        "Gains are those that check advises for pair and network, else four times the defaults, scaled with the mass of"
+        " the device and halved up to four times until press and stroke rest."
     )
     yield from found.refused
     evaluations = [*found.evaluations.values()]

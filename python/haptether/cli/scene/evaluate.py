@@ -50,7 +50,7 @@ class Evaluate(PictureOptions):
 
     haptether evaluate --couplings all --controllers all --quick --out couplings
 
-    haptether evaluate cell.toml --couplings pd-damped pspm --controllers wsc --wall 2000
+    haptether evaluate cell.toml --couplings pd-damped pspm --controllers wsc --hands 40
     """
 
     scene: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE ...|all")]
@@ -63,9 +63,6 @@ class Evaluate(PictureOptions):
     for each built-in controller, unions and none."""
     coupling: Annotated[tuple[str, ...] | None, tyro.conf.arg(aliases=["--couplings"], metavar="NAME ...|all")] = None
     """Couplings that are compared, or all of `haptether list`; by default the scene's alone is evaluated."""
-    wall: float | None = None
-    """Stiffness in N/m (N m/rad of joints) of the wall on which --couplings presses the pair; by default the stiffest
-    contact of the scene."""
     round_trip_s: tuple[float, ...] | None = None
     """Round trips in s, of the networks without a delay of their own."""
     network: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME|PRESET|FILE ...")] = None
@@ -134,7 +131,7 @@ class Evaluate(PictureOptions):
         with controller_timed(console), spinner("evaluate") as say:
             if self.coupling is not None:
                 matrix = evaluate_couplings(
-                    tasks[0], couplings=self._couplings(), wall=self.wall, networks=networks, progress=say, **given
+                    tasks[0], couplings=self._couplings(), networks=networks, progress=say, **given
                 )
             else:
                 found = evaluate(tasks, networks=networks, progress=say, **given)
@@ -323,9 +320,6 @@ class Evaluate(PictureOptions):
         from haptether.bridge import SceneError, load_scene
         from haptether.studies import THRESHOLD_TASKS
 
-        if self.wall is not None and self.coupling is None:
-            message = "--wall: the wall of --couplings: give both, or leave it out"
-            raise ValueError(message)
         if self.coupling is not None:
             if self.latex is not None:
                 message = "--latex: has verdicts of controllers: leave it or --couplings out"
