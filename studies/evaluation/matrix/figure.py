@@ -50,7 +50,9 @@ def draw_couplings(found: CouplingMatrix, path: str | PathLike[str] | None = Non
         if found.evaluations:
             mosaic.append(["controllers"] * beside)
         height = len(mosaic) * (ROW_IN * len(found.couplings) + AXIS_IN) + 0.2
-        figure = new_figure(columns, height, f"Couplings in {found.task}, pressed on {found.wall:g} N/{found.unit}")
+        figure = new_figure(
+            columns, height, f"Couplings in {found.task}: share of a rigid tool's force, pressed on {found.on_wall}"
+        )
         panels = figure.subplot_mosaic([[str(name) for name in row] for row in mosaic])
         maps = {
             name: [

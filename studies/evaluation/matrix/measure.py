@@ -83,6 +83,11 @@ class CouplingMatrix(Struct, frozen=True, kw_only=True):
     refused: tuple[str, ...]
     """Couplings that a condition does not allow, each with the reason."""
 
+    @property
+    def on_wall(self) -> str:
+        """Stiffness of the pressed wall as text."""
+        return f"{self.wall:g} {'N m/rad' if self.unit == 'rad' else 'N/m'}"
+
     def of(self, coupling: str, round_trip_s: float | None = None, network: str | None = None) -> tuple[PairCell, ...]:
         """Return the pair's cells of a coupling, `round_trip_s` in s and network; None matches all."""
         return tuple(

@@ -37,10 +37,10 @@ def couplings_markdown(found: CouplingMatrix, *, command: str = "") -> str:
 
 def sections(found: CouplingMatrix) -> Iterator[Section]:
     """Yield the sections of the page."""
-    of_hands, turned = bool(found.evaluations), found.unit == "rad"
+    of_hands = bool(found.evaluations)
     yield Section(
         "Which coupling over which round trip",
-        f"A hand presses the pair on a wall of {found.wall:g} N{' m' if turned else ''}/{found.unit}, holds, withdraws"
+        f"A hand presses the pair on a wall of {found.on_wall}, holds, withdraws"
         " and lets go, without a controller, with gains for pair and network. A cell has the force at rest as a share"
         " of that of a rigid tool, of its worst network; or swings or diverged; or held, where the ladder interrupts"
         " every press. Presses that it interrupts do not count otherwise.",

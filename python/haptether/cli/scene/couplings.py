@@ -17,8 +17,8 @@ def print_couplings(console: "Console", found: "CouplingMatrix") -> None:
 
     _print_table(console, felt_table(found))
     console.print(
-        f"\nForce at rest as a share of that of a rigid tool on {found.wall:g} N{' m' if found.unit == 'rad' else ''}/"
-        f"{found.unit}, on the worst of {len(found.networks)} networks, without a controller.\n"
+        f"\nForce at rest as a share of that of a rigid tool on {found.on_wall}, on the worst of"
+        f" {len(found.networks)} networks, without a controller.\n"
     )
     for statement in statements(found):
         console.print(f"- {statement}")
