@@ -127,8 +127,8 @@ def evaluate_couplings(
 ) -> CouplingMatrix:
     """Evaluate couplings by controllers, at each round trip, on each network, in one task.
 
-    The pair of the scene is pressed on a wall as stiff as the stiffest contact of the scene and withdrawn from it, and
-    the task is evaluated, both with the gains that `pressed_couplings` finds for pair and network.
+    The pair of the scene is pressed on a wall as stiff as the stiffest contact of the scene, and withdrawn from it.
+    Hands do the task. Both have the gains that `pressed_couplings` finds for pair and network.
 
     Args:
         task: Name of a bundled scene, or path of a scene, with a hand and an arm.
