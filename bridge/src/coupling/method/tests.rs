@@ -263,7 +263,7 @@ fn forces_both_ways_leave_no_compliance() {
     };
     for (kind, delays) in [
         (CouplingKind::FourChannel, &[1, 5, 10, 25, 50, 100, 200][..]),
-        (CouplingKind::ThreeChannelEnvironment, &[1, 5, 10][..]),
+        (CouplingKind::ThreeChannelEnvironment, &[1, 5, 10, 25, 50][..]),
         (CouplingKind::ThreeChannelGrasp, &[1, 5, 10, 25, 50, 100, 200][..]),
     ] {
         for delay in delays {
@@ -294,8 +294,7 @@ fn a_second_engagement_begins_without_the_force_of_the_first() {
     let mut master = CoupledMaster::<1>::new(&settings(CouplingKind::PdDamped)).unwrap();
     let map = Mapping::new(1.0, 1.0).unwrap();
     let mut request = |x: f64, is_coupled: bool, frame: &Frame| {
-        let zero = Axes::zeros();
-        let (at, zero) = (&Axes::<1>::new(x), &Axes::zeros());
+        let (at, zero) = (&Axes::<1>::new(x), &Axes::<1>::zeros());
         let hand = HandMotion { at, velocity: zero, exerted: zero, grasp: zero, gain: 1.0, dt: T };
         master.request(&map, &hand, is_coupled, (frame, frame.message.epoch))[0]
     };
@@ -512,6 +511,46 @@ proptest! {
     }
 }
 
+/// A peer that asks for much and sends no energy gets the `E_0` of the slave's half, and no more.
+#[test]
+fn a_half_gives_its_start_energy_and_no_more() {
+    let (far, zero, start_j) = (Axes::<1>::new(1.0), Axes::zeros(), 2e-3);
+    // A wave that a hand can feel, and the share of E_0 that reaches the plant.
+    let wave = Axes::<1>::new(0.01);
+    for (kind, least) in [(CouplingKind::Wave, 0.1), (CouplingKind::Tdpa, 0.01), (CouplingKind::Pspm, 0.9)] {
+        let mut half = half(kind, Gains { start_j, ..defaults(kind) });
+        assert_eq!(half.left_j(), if kind == CouplingKind::Wave { 0.0 } else { start_j }, "{kind:?}");
+        let mut plant = Plant { mass: 0.5, damper: 0.5, spring: 0.0, wall: 0.0, wall_at: 0.0, x: 0.0, v: 0.0 };
+        let (mut force, mut way, mut given_j, mut most_j) = (0.0, 0.0, 0.0, 0.0f64);
+        for tick in 0..4000 {
+            let [x, v, moved, exerted] = [plant.x, plant.v, way, force].map(Axes::<1>::new);
+            let own = Local {
+                position: &x,
+                velocity: &v,
+                moved: &moved,
+                exerted: &exerted,
+                force: &zero,
+                gain: 1.0,
+                dt: T,
+            };
+            let peer = Peer {
+                position: &far,
+                velocity: &zero,
+                force: &zero,
+                vector: &if kind == CouplingKind::Wave { wave } else { zero },
+                sum: 0.0,
+                is_new: tick == 0,
+                rests: false,
+            };
+            force = half.slave(&own, &peer)[0];
+            way = plant.step(force, 0.0);
+            given_j += force * way;
+            most_j = most_j.max(given_j);
+        }
+        assert!((least * start_j..=start_j + 1e-12).contains(&most_j), "{kind:?}: {most_j} of {start_j} J");
+    }
+}
+
 /// Rule by which a receiver plays waves.
 type Rule = fn(&mut (f64, f64), [f64; 2], bool) -> f64;
 
@@ -682,8 +721,7 @@ fn frames_of_another_engagement_give_no_energy() {
         CoupledMaster::<1>::new(&MethodSettings { gains: defaults(kind), ..settings(kind) }).unwrap();
     let master_map = Mapping::new(1.0, 1.0).unwrap();
     let mut request = |x: f64, is_coupled: bool, frame: &Frame, newest: u16| {
-        let zero = Axes::zeros();
-        let (at, zero) = (&Axes::<1>::new(x), &Axes::zeros());
+        let (at, zero) = (&Axes::<1>::new(x), &Axes::<1>::zeros());
         let hand = HandMotion { at, velocity: zero, exerted: zero, grasp: zero, gain: 1.0, dt: T };
         master.request(&master_map, &hand, is_coupled, (frame, newest));
         master.message(is_coupled, &Axes::<1>::new(x)).epoch

@@ -62,7 +62,7 @@ impl<const N: usize> Method<N> for FourChannel<N> {
         source: "Lawrence 1993; Hashtrudi-Zaad and Salcudean 2001",
     };
     const DEFAULT: Gains =
-        Gains { impedance: 2.0, environment_gain: 0.5, grasp_gain: 2.0, ..Gains::spring(300.0, 8.0) };
+        Gains { impedance: 5.0, environment_gain: 0.3, grasp_gain: 1.0, ..Gains::spring(300.0, 8.0) };
     const SLAVE_SENDS: Sends = Sends::Motion;
     const NEEDS_GRASP_FORCE: bool = true;
     const IS_LINEAR: bool = false;

@@ -22,7 +22,7 @@ impl<const N: usize> Method<N> for ThreeChannelEnvironment<N> {
         title: "motions both ways, force of the environment back",
         source: "Hashtrudi-Zaad and Salcudean 2002",
     };
-    const DEFAULT: Gains = Gains { impedance: 10.0, environment_gain: 0.5, ..Gains::spring(300.0, 8.0) };
+    const DEFAULT: Gains = Gains { impedance: 10.0, environment_gain: 0.3, ..Gains::spring(300.0, 8.0) };
     const SLAVE_SENDS: Sends = Sends::Motion;
     const NEEDS_GRASP_FORCE: bool = true;
     const IS_LINEAR: bool = false;
