@@ -153,7 +153,8 @@ impl<const N: usize> CoupledSlave<N> {
         master: &OfMaster<'_, Axes<N>, N>,
         dt: f64,
     ) -> Axes<N> {
-        let OfMaster { at, velocity, force, half: OfHalf { message, epoch, sequence, is_stale, .. } } = *master;
+        let OfMaster { at, velocity, force, half: OfHalf { message, epoch, sequence, is_stale, .. } } =
+            *master;
         if !self.engaged {
             // Each engagement begins at rest and without force: the anchor couples this position with zero motion.
             self.tool.rest_at(from);

@@ -9,12 +9,11 @@ const FILTER_S: f64 = 0.01;
 
 /// Spring and damper between the sides, with the force of the hand and of the environment.
 ///
-/// ```text
-/// F_m = K (x_m - x_s') + B (v_m - v_s') - C2 F_e' - C6 F_h + d v_m,   C6 = C2 - 1
-/// F_c = K (x_m' - x_s) + B (v_m' - v_s) + C3 F_h' + C5 F_e - d v_s,   C5 = C3 - 1
-/// ```
+/// - `F_m = K (x_m - x_s') + B (v_m - v_s') - C2 F_e' - C6 F_h + d v_m`
+/// - `F_c = K (x_m' - x_s) + B (v_m' - v_s) + C3 F_h' + C5 F_e - d v_s`
 ///
-/// Then both sides are at the same place at rest, and the hand feels the force of the environment: the compliance in series is 0.
+/// With `C6 = C2 - 1` and `C5 = C3 - 1` both sides are at the same place at rest, and the hand feels the force of the environment: the
+/// compliance in series is 0.
 ///
 /// `C3 F_h + C5 F_e` is `C3` times what accelerates both together, less what the environment already does. So the tool moves
 /// as one of `1 / C3` of its mass. `C2` and `C3` of 0 are the two sound forms with three channels. To leave one of the four

@@ -92,7 +92,8 @@ impl CoupledSlaveTurn {
         master: &OfMaster<'_, UnitQuaternion<f64>, 3>,
         dt: f64,
     ) -> UnitQuaternion<f64> {
-        let OfMaster { at, velocity, force, half: OfHalf { message, epoch, sequence, is_stale, .. } } = *master;
+        let OfMaster { at, velocity, force, half: OfHalf { message, epoch, sequence, is_stale, .. } } =
+            *master;
         if !self.engaged {
             (self.orientation, self.velocity) = (*from, Axes::zeros());
             map.clear_anchor();
