@@ -18,7 +18,7 @@ def live(scene: Scene) -> Scene:
     return override_scene(scene, ["safety.ladder.hold_after_s=0.1", "safety.ladder.stop_after_s=1.0"])
 
 
-@pytest.mark.parametrize("kind", ["position-force-computed", "pd-damped"])
+@pytest.mark.parametrize("kind", ["position-force-computed", "pd-damped", "wave", "four-channel"])
 def test_a_live_contact_has_the_force_of_virtual_time(kind: str) -> None:
     """The hand presses for 1 s and holds; both runs then rest at the same force, over sockets and in virtual time."""
     scene = live(pressed(kind, 0.0, run={"duration_s": 6.0}, coupling={"damping": 8.0}))
