@@ -38,6 +38,14 @@ if TYPE_CHECKING:
         evaluation_markdown,
     )
     from haptether.studies.evaluation.evaluate import evaluate
+    from haptether.studies.evaluation.matrix import (
+        CouplingMatrix,
+        PairCell,
+        couplings_html,
+        couplings_markdown,
+        draw_couplings,
+        evaluate_couplings,
+    )
     from haptether.studies.falsifier import Falsified, Release, ReleaseBounds, falsify
     from haptether.studies.follow import FOLLOW_CONTROLLERS, FollowResult, FollowScene, draw_follow, run_follow
     from haptether.studies.link_summary import LinkSummary, LinkVerdict, judge_link, summarise_link
@@ -82,6 +90,7 @@ __all__ = [
     "TUNED_FIELDS",
     "Boundary",
     "ContactLoop",
+    "CouplingMatrix",
     "DemoScene",
     "DesignCheck",
     "Evaluation",
@@ -100,6 +109,7 @@ __all__ = [
     "LinkVerdict",
     "Network",
     "Operator",
+    "PairCell",
     "PaperReport",
     "PaperRow",
     "PickResult",
@@ -123,6 +133,9 @@ __all__ = [
     "WorstRelease",
     "check_at_once",
     "check_scene",
+    "couplings_html",
+    "couplings_markdown",
+    "draw_couplings",
     "draw_demo",
     "draw_evaluation",
     "draw_follow",
@@ -131,6 +144,7 @@ __all__ = [
     "draw_trade_off",
     "draw_tuning",
     "evaluate",
+    "evaluate_couplings",
     "evaluation_html",
     "evaluation_markdown",
     "falsify",

@@ -9,7 +9,8 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from haptether.bridge import write_key
+from haptether.bridge import COUPLINGS, load_scene, write_key
+from haptether.studies.design.couplings import pressed_couplings
 from haptether.studies.processes import (
     END_TIMEOUT_S,
     START_TIMEOUT_S,
@@ -25,6 +26,10 @@ from haptether.view.style.events import EventMark, name_events
 from haptether.view.style.figure import Columns, letter, new_figure, styled, write_figure
 from haptether.view.style.legend import legend_beside
 
+SCENE = "remote_push"
+"""Scene of pair and wall for a coupling or an arm of its own."""
+UP_TO_S = 1.0
+"""Largest round trip in s for which gains are examined."""
 DEMO_CONTROLLERS = ("none", "vfc", "hsc", "wsc")
 """Controllers of the demonstration, a run each."""
 
@@ -49,6 +54,31 @@ class DemoScene(msgspec.Struct, frozen=True, kw_only=True):
     duration_s: float = 3.6
     slave: Literal["simulated", "ur"] = "simulated"
     """Simulated arm, or an emulated UR controller driven by the vendor's client library."""
+    coupling: str = "position-force"
+    gains: tuple[str, ...] = ()
+    """Overrides that set the coupling with its gains; none for position-force."""
+
+
+def with_coupling(scene: DemoScene, coupling: str) -> DemoScene:
+    """Return the demonstration under a coupling, with gains that its pair bears over its link.
+
+    Raises:
+        ValueError: An unknown coupling, or no gains are stable over the link.
+    """
+    if coupling not in (names := [name for name, *_ in COUPLINGS]):
+        message = f"coupling = {coupling!r}: must be one of {', '.join(names)}"
+        raise ValueError(message)
+    links = [
+        f"link.{way}.{key}={value!r}"
+        for way in ("forward", "backward")
+        for key, value in (("delay_s", scene.delay_s), ("jitter_s", scene.jitter_s), ("loss", scene.loss))
+    ]
+    pair = load_scene(SCENE, [*links, f"environment.objects.0.contact.stiffness={scene.wall_stiffness}"])
+    found = next(pressed_couplings(pair, UP_TO_S, (coupling,)), None)
+    if found is None:
+        message = f"coupling = {coupling}: no gains are stable over {2.0 * scene.delay_s * 1e3:g} ms"
+        raise ValueError(message)
+    return msgspec.structs.replace(scene, coupling=coupling, gains=found.changes)
 
 
 def run_demo(
@@ -77,13 +107,15 @@ def run_demo(
         show(f"{controller}: starting", 0.0)
         key = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "demo.key"
         write_key(key)
-        arm = _ur_arm(scene, limit, stack, stopped) if scene.slave == "ur" else _simulated_arm(scene)
+        if scene.slave == "ur":
+            arm = _ur_arm(scene, limit, stack, stopped)
+        else:
+            arm = _far(scene) if scene.gains else _simulated_arm(scene)
         slave, address = slave_behind(scene, limit, stack, stopped, "--key", str(key), *arm)
         result, trace = folder / f"{controller}.json", folder / f"{controller}.npz"
         result.unlink(missing_ok=True)
         master = stack.enter_context(child_process(
-            "master", "--peer", address, "--listen", "127.0.0.1:0", "--key", str(key), "--controller", controller,
-            "--depth", str(scene.depth), "--release-at-s", str(scene.release_at_s),
+            "master", "--peer", address, "--listen", "127.0.0.1:0", "--key", str(key), *_hand(scene, controller),
             "--clutch", "auto", "--duration-s", str(scene.duration_s), "--json", str(result), "--trace", str(trace),
             "--force",
         ))  # fmt: skip
@@ -104,6 +136,33 @@ def run_demo(
         return msgspec.json.decode(result.read_bytes(), type=PushResult)
 
 
+def _hand(scene: DemoScene, controller: str) -> tuple[str, ...]:
+    """Return the master's options for hand, controller and coupling."""
+    if not scene.gains:
+        return "--controller", controller, "--depth", str(scene.depth), "--release-at-s", str(scene.release_at_s)
+    return _of_scene(
+        *scene.gains,
+        f"safety.controllers=[{'' if controller == 'none' else controller}]",
+        f"operator.legs.0.end={-scene.depth}",
+        f"operator.release.at_s={scene.release_at_s}",
+    )
+
+
+def _far(scene: DemoScene) -> tuple[str, ...]:
+    """Return the slave's options for wall, push and coupling."""
+    return _of_scene(
+        *scene.gains,
+        f"environment.objects.0.contact.stiffness={scene.wall_stiffness}",
+        f"environment.pushers.0.at_s={scene.push_at_s}",
+        f"environment.pushers.0.force_n={scene.push_force_n}",
+        f"environment.pushers.0.duration_s={scene.push_duration_s}",
+    )
+
+
+def _of_scene(*changes: str) -> tuple[str, ...]:
+    return ("--scene", SCENE, *(word for change in changes for word in ("--set", change)))
+
+
 def _simulated_arm(scene: DemoScene) -> tuple[str, ...]:
     """Return the slave's options for the simulated arm."""
     return (
@@ -114,13 +173,7 @@ def _simulated_arm(scene: DemoScene) -> tuple[str, ...]:
 
 def _ur_arm(scene: DemoScene, limit: str, stack: contextlib.ExitStack, stopped: StopRequest) -> tuple[str, ...]:
     """Start an emulated controller for `limit` s with wall and push at its tool; return the slave's options."""
-    far = (
-        "--scene", "remote_push",
-        "--set", f"environment.objects.0.contact.stiffness={scene.wall_stiffness}",
-        "--set", f"environment.pushers.0.at_s={scene.push_at_s}",
-        "--set", f"environment.pushers.0.force_n={scene.push_force_n}",
-        "--set", f"environment.pushers.0.duration_s={scene.push_duration_s}",
-    )  # fmt: skip
+    far = _far(scene)
     host = emulated_ur(limit, stack, stopped, *far)
     return (
         *far, "--set", "slave.device=ur", "--set", f"slave.options.host={host}", "--set", "slave.period_s=0.002",
@@ -145,7 +198,9 @@ def draw_demo(scene: DemoScene, results: Sequence[PushResult], folder: Path, pat
     labels = ("hand velocity [m/s]", "force on the hand [N]", "hand position [m]")
     title = (
         f"A remote push reaches a hand that lets go: {scene.delay_s * 1e3:g} ms (σ {scene.jitter_s * 1e3:g} ms) "
-        f"each way, {scene.loss:.1%} loss" + (", emulated UR5e" if scene.slave == "ur" else "")
+        f"each way, {scene.loss:.1%} loss"
+        + (", emulated UR5e" if scene.slave == "ur" else "")
+        + (f", {scene.coupling}" if scene.gains else "")
     )
     with styled():
         figure = new_figure(columns, 3.0 if columns == 2 else 5.6, title if columns == 2 else title.replace(": ", "\n"))

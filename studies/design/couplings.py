@@ -23,7 +23,7 @@ from haptether.studies.design.finding import (
     rounded_up,
 )
 from haptether.studies.design.loops import scene_loops
-from haptether.studies.design.press import Press, press
+from haptether.studies.design.press import FAILED, OUTCOMES, Outcome, Press, Stroke, press, stroke
 
 DAMPING_MARGIN = 1.3
 """Ratio of an advised B to the least with which the coupling is passive."""
@@ -42,8 +42,13 @@ DEFAULT_MASS_KG = 0.157
 """Mass in kg of the device for which the default gains are."""
 PRESSED_S = 0.004
 """Shortest round trip in s that is pressed to find the largest stable one."""
-SHARES = (1.0, 0.5, 0.25)
-"""Gains that are tried for a pair, as shares of the defaults for its mass."""
+PRESSED_STEP = 1.5
+"""Ratio of two round trips that are pressed."""
+FELT = 0.2
+"""Share of the force of a rigid tool below which a press is too soft."""
+SHARES = (4.0, 2.0, 1.0, 0.5, 0.25)
+"""Gains that are tried for a pair, as shares of the defaults for its mass; the largest B of them is below 0.3 M/T. A
+damper that the hand feels in free motion is at most the default."""
 GAINS = (
     "stiffness", "damping", "rotational_stiffness", "rotational_damping", "impedance", "start_energy_j", "spread_s",
     "environment_gain", "grasp_gain", "play_out_s",
@@ -57,7 +62,21 @@ class PressedCoupling(Struct, frozen=True, kw_only=True):
     kind: str
     changes: tuple[str, ...]
     """Overrides that set it."""
-    press: Press
+    presses: tuple[Press, ...]
+    """One for each seed, up to the first that does not rest."""
+    strokes: tuple[Stroke, ...]
+    """The same."""
+
+    @property
+    def press(self) -> Press:
+        """Press with the seed of the scene."""
+        return self.presses[0]
+
+    @property
+    def outcome(self) -> Outcome:
+        """Worst outcome of the presses and strokes that the ladder does not interrupt; "held" if it interrupts all."""
+        outcomes = {one.outcome for one in self.presses} | {one.outcome for one in self.strokes}
+        return next(outcome for outcome in OUTCOMES if outcome in outcomes)
 
 
 class AdvisedCoupling(Struct, frozen=True, kw_only=True):
@@ -107,6 +126,8 @@ def _period_s(spec: dict[str, Any]) -> float:
 def bearable_delays(scene: Scene, up_to_s: float, wall_stiffness: float | None = None) -> tuple[float, Intervals]:
     """Return the smallest sum of both delays in s at which a scene's loop oscillates, and the stable intervals.
 
+    A coupling that no linear loop describes is pressed; the first result is then the largest delay that still rests.
+
     Args:
         scene: Scene with a [slave], of any coupling.
         up_to_s: Largest delay in s that is examined; without oscillation up to it the first result is infinite.
@@ -126,15 +147,31 @@ def bearable_delays(scene: Scene, up_to_s: float, wall_stiffness: float | None =
 
 
 def _pressed_delays(scene: Scene, up_to_s: float, wall: float | None) -> tuple[float, Intervals]:
-    """Return the same of a coupling that no loop describes: presses at doubled delays, up to the first that fails."""
+    """Return the largest delay up to which presses rest, and the intervals of those that rest, of the tried delays.
+
+    A delay over which the ladder holds says nothing.
+    """
     wall = touched(scene, scene_numbers(scene)).stiffness if wall is None else wall
-    rests_s, delay_s = 0.0, PRESSED_S
-    while delay_s <= up_to_s:
-        ways = [f"link.{way}.{key}" for way in ("forward", "backward") for key in (f"delay_s={delay_s / 2.0!r}", "jitter_s=0")]
-        if press(override_scene(scene, ways), wall).outcome != "rests":
-            return delay_s, ((0.0, rests_s),) if rests_s else ()
-        rests_s, delay_s = delay_s, 2.0 * delay_s
-    return inf, ((0.0, up_to_s),)
+    found: list[tuple[float, float]] = []
+    margin_s, is_stable, delay_s = 0.0, True, PRESSED_S
+    while True:
+        at_s = min(delay_s, up_to_s)
+        ways = [
+            f"link.{way}.{key}" for way in ("forward", "backward") for key in (f"delay_s={at_s / 2.0!r}", "jitter_s=0")
+        ]
+        outcome = press(override_scene(scene, ways), wall).outcome
+        if outcome == "rests" and is_stable:
+            found = [*found[:-1], (found[-1][0], at_s)] if found else [(0.0, at_s)]
+        elif outcome == "rests":
+            found.append((at_s, at_s))
+        if outcome != "held":
+            is_stable = outcome == "rests"
+        if is_stable and len(found) == 1:
+            margin_s = found[0][1]
+        if at_s == up_to_s:
+            break
+        delay_s *= PRESSED_STEP
+    return inf if margin_s == up_to_s else margin_s, tuple(found)
 
 
 def _margin_s(stable: Intervals, up_to_s: float) -> float:
@@ -219,7 +256,9 @@ def _ledger(spec: dict[str, Any], units: Units) -> Finding:
     kind, (stiffness, damping) = spec["coupling"]["kind"], _gains(spec)
     least = _least(kind, stiffness, 0.0, spec)
     assert least is not None
-    claim = f"{kind} counts its energy: delay, jitter and loss create none at the virtual tool; the press has the arm's lag"
+    claim = (
+        f"{kind} counts its energy: delay, jitter and loss create none at the virtual tool; the press has the arm's lag"
+    )
     if kind == "tdpa":
         claim += ", but for a deficit that the master takes back with a bounded damping"
     return Finding(
@@ -236,21 +275,31 @@ def _pressed(scene: Scene, spec: dict[str, Any], units: Units) -> Finding:
     length = "mrad" if units.stiffness == "N m/rad" else "mm"
     on = f" on {wall:g} {units.stiffness}" if wall else " on a wall"
     text = f"pressed{on} in virtual time, as a rigid tool with {seen.rigid:.2g} {units.force}, {kind}"
+    off = {"swings": 2.0 + seen.swing / seen.rigid, "saturated": 2.0 + seen.felt}.get(seen.outcome, 1.0 - seen.felt)
+    held = f"{seen.felt * 100.0:.0f} % of that force"
+    behind = f"; the arm is {seen.behind * 1e3:.2g} {length} behind"
     match seen.outcome:
         case "held":
-            state: State = "not judged"
-            text += " is interrupted by the ladder over this link"
-        case "diverged":
-            state = "bad"
-            text += " diverges: gains, delay, lag of the arm and noise count"
-        case outcome:
-            state = "good" if outcome == "rests" else "warning"
-            how = "does not reach the wall: it holds" if outcome == "slack" else outcome
-            text += (
-                f" {how} at {seen.felt * 100.0:.0f} % of that force, peak to peak {seen.swing:.2g} {units.force}; the arm is"
-                f" {seen.behind * 1e3:.2g} {length} behind"
+            return Finding(
+                name="contact", state="not judged", text=f"{text} is interrupted by the ladder over this link"
             )
-    return Finding(name="contact", state=state, text=text, value=seen.swing, unit=units.force)
+        case "diverged":
+            return Finding(
+                name="contact", state="bad", text=f"{text} diverges: gains, delay, lag of the arm and noise count"
+            )
+        case "swings":
+            text += f" swings at {held}, peak to peak {seen.swing:.2g} {units.force}{behind}"
+        case "saturated":
+            text += f" is at the cap or at a stop, with {held}{behind}"
+        case "slack":
+            text += f" does not reach the wall: it holds {held}{behind}"
+        case _:
+            text += f" rests at {held}{behind}"
+            if stroke(scene, wall).outcome in FAILED:
+                text, off = f"{text}; it swings without contact", 2.0
+            elif seen.felt >= FELT:
+                return Finding(name="contact", state="good", text=text)
+    return Finding(name="contact", state="warning", text=text, value=off)
 
 
 def _gains(spec: dict[str, Any]) -> tuple[float, float]:
@@ -403,36 +452,58 @@ def advised_waves(scene: Scene) -> tuple[float, float] | None:
 
 
 def pressed_couplings(
-    scene: Scene, up_to_s: float, kinds: tuple[str, ...] = (), wall: float | None = None
+    scene: Scene, up_to_s: float, kinds: tuple[str, ...] = (), wall: float | None = None, seeds: int = 1
 ) -> Iterator[PressedCoupling]:
     """Press the pair of a scene under each coupling, over its link, without a controller.
 
     Gains are those that `advised_coupling` and `advised_waves` find, else the defaults times mass of the device over
-    `DEFAULT_MASS_KG`. They are halved, twice at most, until the press rests.
+    `DEFAULT_MASS_KG`, each of `SHARES` until press and stroke rest with all seeds. Gains do not mend a link over which
+    the ladder holds.
 
     Args:
         scene: Scene with a [slave].
         up_to_s: Largest delay in s that is examined.
         kinds: Names of the couplings; by default all.
         wall: Stiffness of the wall in N/m (N m/rad); by default the stiffest of the scene.
+        seeds: Number of seeds of the network, from that of the scene on.
     """
     spec = scene_numbers(scene)
     wall = touched(scene, spec).stiffness if wall is None else wall
-    coupling = scene.coupling and msgspec.structs.replace(scene.coupling, **dict.fromkeys(GAINS))
-    bare = msgspec.structs.replace(scene, coupling=coupling)
+    bare = without_gains(scene)
     for kind, *_ in COUPLINGS:
         if kinds and kind not in kinds:
             continue
         found = None
         for changes in _gains_for(override_scene(bare, [f"coupling.kind={kind}"]), kind, up_to_s):
             try:
-                found = PressedCoupling(kind=kind, changes=changes, press=press(override_scene(bare, changes), wall))
+                found = _pressed_with(override_scene(bare, changes), kind, changes, wall, seeds)
             except SceneError:
-                break
-            if found.press.outcome == "rests":
+                continue
+            if found.outcome in {"rests", "held"}:
                 break
         if found is not None:
             yield found
+
+
+def _pressed_with(scene: Scene, kind: str, changes: tuple[str, ...], wall: float, seeds: int) -> PressedCoupling:
+    """Press a pair with each seed, up to the first one that does not rest."""
+    presses: list[Press] = []
+    strokes: list[Stroke] = []
+    for seed in range(scene.run.seed, scene.run.seed + seeds):
+        pair = override_scene(scene, [f"run.seed={seed}"])
+        presses.append(press(pair, wall))
+        if presses[-1].outcome in FAILED:
+            break
+        strokes.append(stroke(pair, wall))
+        if strokes[-1].outcome in FAILED:
+            break
+    return PressedCoupling(kind=kind, changes=changes, presses=tuple(presses), strokes=tuple(strokes))
+
+
+def without_gains(scene: Scene) -> Scene:
+    """Return a scene whose coupling has the default gains of its kind."""
+    coupling = scene.coupling and msgspec.structs.replace(scene.coupling, **dict.fromkeys(GAINS))
+    return msgspec.structs.replace(scene, coupling=coupling)
 
 
 def _gains_for(scene: Scene, kind: str, up_to_s: float) -> Iterator[tuple[str, ...]]:
@@ -446,11 +517,18 @@ def _gains_for(scene: Scene, kind: str, up_to_s: float) -> Iterator[tuple[str, .
             yield advised.changes
         return
     waves = advised_waves(scene) if kind == "wave" else None
+    scale = min(spec["master"]["mass_kg"]) / DEFAULT_MASS_KG
     for share in SHARES:
-        scale = share * min(spec["master"]["mass_kg"]) / DEFAULT_MASS_KG
-        gains = {"stiffness": facts.stiffness, "damping": facts.damping, "impedance": facts.impedance}
-        numbers = {name: rounded_down(scale * value) for name, value in gains.items() if value}
+        felt = min(share, 1.0)
+        gains = {
+            "stiffness": (share, facts.stiffness),
+            "damping": (share, facts.damping),
+            "impedance": (felt, facts.impedance),
+        }
+        numbers = {name: rounded_down(scale * of * value) for name, (of, value) in gains.items() if value}
         if waves is not None:
+            if share > 1.0:
+                continue
             numbers |= {"stiffness": facts.stiffness, "damping": facts.damping or 0.0, "impedance": share * waves[0]}
         yield *changes, *(f"coupling.{name}={value:g}" for name, value in numbers.items())
 
@@ -473,10 +551,10 @@ def coupling_advice(scene: Scene, spec: dict[str, Any], up_to_s: float) -> Itera
             value=waves[1], unit=units.stiffness,
         )  # fmt: skip
     pressed = [*pressed_couplings(scene, up_to_s)]
-    ranked = sorted((one for one in pressed if one.press.outcome == "rests"), key=lambda one: -one.press.felt)
+    ranked = sorted((one for one in pressed if one.outcome == "rests"), key=lambda one: -one.press.felt)
     if ranked:
         each = ", ".join(f"{one.kind} {one.press.felt * 100.0:.0f} %" for one in ranked)
-        others = [f"{one.kind} {one.press.outcome}" for one in pressed if one.press.outcome != "rests"]
+        others = [f"{one.kind} {one.outcome}" for one in pressed if one.outcome != "rests"]
         yield Finding(
             name="couplings", state="note", text=f"pressed over this link, each with gains for this pair, as a share of"
             f" the force of a rigid tool: {', '.join((each, *others))}",

@@ -48,7 +48,7 @@ REPLACED = ("link.forward", "link.backward")
 
 
 def evaluate(
-    tasks: Sequence[str],
+    tasks: Sequence[str | Scene],
     *,
     controllers: Sequence[str] = EVALUATED_CONTROLLERS,
     round_trips_s: Sequence[float] = ROUND_TRIPS_S,
@@ -59,6 +59,7 @@ def evaluate(
     limits: EvaluationLimits | None = None,
     bounds: HandBounds | None = None,
     overrides: Iterable[str] = (),
+    transmitted: bool = True,
     threads: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Evaluation:
@@ -69,7 +70,7 @@ def evaluate(
     hands, releases and network draws. Device, arm, coupling, estimator, limits and release law come from the scene.
 
     Args:
-        tasks: Names of bundled scenes, or paths of scenes, with a working hand.
+        tasks: Names of bundled scenes, or paths of scenes, with a working hand; or scenes, each named by its title.
         controllers: Controller sets, names joined by "+", at most one in Python; "none" for no controller.
         round_trips_s: Sum of both link delays in s, or the force delay without an arm. A network with its own delay is
             evaluated at that delay only.
@@ -81,6 +82,7 @@ def evaluate(
         limits: Limits of a safe verdict.
         bounds: Bounds of the hands; by default `HandBounds()`.
         overrides: Fields of each scene to change first, `table.key=value`.
+        transmitted: False leaves stiffness and damping that a pressing hand feels out, and the runs for them.
         threads: Number of threads; by default the number of processors.
         progress: If given, called with a description of the current run.
 
@@ -88,40 +90,35 @@ def evaluate(
         ValueError: No hand, no task, an unknown controller, or a scene without a hand.
         SceneError: A scene is invalid.
     """
-    _check(tasks, controllers, round_trips_s, networks, {"hands": hands, "releases": releases})
+    names = [task.title if isinstance(task, Scene) else task for task in tasks]
     overrides, bounds, limits = tuple(overrides), bounds or HandBounds(), limits or EvaluationLimits()
-    refuse_fixed(overrides, (*FIXED, *REPLACED), "is what an evaluation varies")
-    at = {network.name: round_trips_of(network, round_trips_s) for network in networks}
-    if any(network.own for network in networks):
-        # Merge own round trips and requested ones in order.
-        round_trips_s = sorted({round_trip_s for trips in at.values() for round_trip_s in trips})
+    counts = {"hands": hands, "releases": releases}
+    check_evaluated(names, controllers, round_trips_s, networks, counts=counts, overrides=overrides)
+    met = conditions(networks, round_trips_s)
     assumed: dict[str, None] = {}
     cells: list[EvaluationCell] = []
     worst: dict[str, WorstRelease] = {}
-    for name in tasks:
-        for round_trip_s in round_trips_s:
-            met = [network for network in networks if round_trip_s in at[network.name]]
-            for place, network in enumerate(met):
-                if network.links(0.5 * round_trip_s) in [one.links(0.5 * round_trip_s) for one in met[:place]]:
-                    continue  # jitter without delay
+    for name, given in zip(names, tasks, strict=True):
+        for round_trip_s, several in met.items():
+            for network in several:
                 if progress is not None:
                     progress(f"{name}, {round_trip_s * 1e3:g} ms, {network.name}")
-                task = Task(name, round_trip_s, overrides, network=network, by_time=False)
+                task = Task(given, round_trip_s, overrides, network=network, by_time=False)
                 rows = task.hands(hands, seed, bounds)
                 assumed |= dict.fromkeys(task.replaced())
                 runs = _Runs(task, task.lasting(bounds), rows, releases, limits=limits, threads=threads)
-                for names in controllers:
-                    cell, release = runs.cell(names)
+                for of_set in controllers:
+                    cell, release = runs.cell(of_set, transmitted=transmitted)
                     cells.append(cell)
-                    if release is not None and release.speed > (worst[names].speed if names in worst else -inf):
-                        worst[names] = release
+                    if release is not None and release.speed > (worst[of_set].speed if of_set in worst else -inf):
+                        worst[of_set] = release
                 if task.base.slave is None:
                     break
     return Evaluation(
         cells=tuple(cells),
-        tasks=tuple(tasks),
+        tasks=tuple(names),
         controllers=tuple(controllers),
-        round_trips_s=tuple(round_trips_s),
+        round_trips_s=tuple(met),
         networks=tuple(networks),
         limits=limits,
         hands=hands,
@@ -138,13 +135,37 @@ def round_trips_of(network: Network, round_trips_s: Sequence[float]) -> Sequence
     return round_trips_s if network.round_trip_s is None else (network.round_trip_s,)
 
 
-def _check(
+def conditions(networks: Sequence[Network], round_trips_s: Sequence[float]) -> dict[float, list[Network]]:
+    """Return the networks that are evaluated at each round trip in s, without those that equal one before them."""
+    at = {network.name: round_trips_of(network, round_trips_s) for network in networks}
+    if any(network.own for network in networks):
+        # Merge own round trips and requested ones in order.
+        round_trips_s = sorted({round_trip_s for trips in at.values() for round_trip_s in trips})
+    met: dict[float, list[Network]] = {round_trip_s: [] for round_trip_s in round_trips_s}
+    for round_trip_s, several in met.items():
+        for network in networks:
+            links = [one.links(0.5 * round_trip_s) for one in several]
+            # Without delay there is no jitter.
+            if round_trip_s in at[network.name] and network.links(0.5 * round_trip_s) not in links:
+                several.append(network)
+    return met
+
+
+def check_evaluated(
     tasks: Sequence[str],
     controllers: Sequence[str],
     round_trips_s: Sequence[float],
     networks: Sequence[Network],
+    *,
     counts: Mapping[str, int],
+    overrides: Sequence[str],
 ) -> None:
+    """Refuse tasks, controllers, round trips, networks, counts and overrides that cannot be evaluated.
+
+    Raises:
+        ValueError: The message has what is allowed.
+    """
+    refuse_fixed(overrides, (*FIXED, *REPLACED), "is what an evaluation varies")
     for name, value in counts.items():
         if value < 1:
             message = f"{name} = {value}: must be 1 or more"
@@ -204,7 +225,7 @@ class _Runs:
         trip = np.asarray(found["time_to_trip_s"], dtype=np.float64)
         return speeds, trip if controllers else np.full(len(speeds), np.nan)
 
-    def cell(self, names: str) -> tuple[EvaluationCell, WorstRelease | None]:
+    def cell(self, names: str, *, transmitted: bool) -> tuple[EvaluationCell, WorstRelease | None]:
         """Return the cell of one controller set, and its worst release."""
         controllers = None if names == "none" else names.replace("+", ",")
         watched = self.task.with_controllers(self.lasting, controllers, {})
@@ -216,7 +237,7 @@ class _Runs:
         limit = self.limits.speed
         dangerous = (speeds > limit) | (uncontrolled > limit)
         trips = detected[dangerous & np.isfinite(detected)]
-        stiffness, damping = self._transmitted(controllers) if engaged else (None, None)
+        stiffness, damping = self._transmitted(controllers) if engaged and transmitted else (None, None)
 
         def over(name: str, of: Callable[[Array], np.floating]) -> float | None:
             known = [value for run in held if (value := getattr(run.metrics, name)) is not None]

@@ -4,13 +4,16 @@ import io
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from html import escape
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from msgspec import Struct
 
 from haptether.studies.evaluation.figure import VERDICT_COLOURS, VERDICT_WORDS, draw_evaluation, trip_words, words_of
 from haptether.studies.evaluation.result import Evaluation, EvaluationCell, Totals, totals
 from haptether.view.style.colours import controller_title
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Cell: TypeAlias = "str | tuple[str, str]"
 UNCONFIRMED = "unconfirmed"
@@ -58,7 +61,7 @@ def sections(found: Evaluation, worst: str | None) -> Iterator[Section]:
         " releases, with its distribution-free 95 % interval, a dash of fewer than six. Detection: median from where"
         " the grip begins to loosen. Already tripped: releases under an intervention, which are not counted."
         " Energy: largest that a hand that held was given over what it had put in.",
-        table=_numbers(found),
+        table=numbers(found),
     )
     yield Section(
         "Transparency while hands hold",
@@ -67,7 +70,7 @@ def sections(found: Evaluation, worst: str | None) -> Iterator[Section]:
         table=_transparency(found),
     )
     yield Section("Worst releases", _worst_text(worst), table=_worst(found))
-    yield Section("What was assumed", items=tuple(_assumptions(found)))
+    yield Section("What was assumed", items=tuple(assumptions(found)))
 
 
 def confirmation(found: Evaluation) -> str:
@@ -104,8 +107,13 @@ def evaluation_markdown(found: Evaluation, *, command: str = "", worst: str | No
         command: Command that produced it.
         worst: File name of the worst release; by default none is named.
     """
-    parts = [f"# {_plain(_title(found))}", _plain(_made_by(found, command))]
-    for section in sections(found, worst):
+    return page_markdown(_title(found), made_by(found, command), sections(found, worst))
+
+
+def page_markdown(title: str, made: str, parts_of: Iterable[Section]) -> str:
+    """Return a page as Markdown."""
+    parts = [f"# {_plain(title)}", _plain(made)]
+    for section in parts_of:
         parts += [f"## {_plain(section.title)}", _plain(section.text)]
         if section.items:
             parts.append("\n".join(f"- {_plain(item)}" for item in section.items))
@@ -120,12 +128,17 @@ def evaluation_html(found: Evaluation, *, command: str = "", worst: str | None =
     Raises:
         ImportError: matplotlib (`haptether[analysis]`) is not installed.
     """
+    return page_html(_title(found), made_by(found, command), sections(found, worst), draw_evaluation(found))
+
+
+def page_html(title: str, made: str, parts_of: Iterable[Section], figure: "Figure") -> str:
+    """Return a page as one self-contained HTML file, with the figure below its first section."""
     drawn = io.StringIO()
-    draw_evaluation(found).savefig(drawn, format="svg", metadata={"Date": None})
+    figure.savefig(drawn, format="svg", metadata={"Date": None})
     picture = drawn.getvalue()
     picture = picture[picture.index("<svg") :]
-    body = [f"<h1>{escape(_title(found))}</h1>", f"<p class=made>{escape(_made_by(found, command))}</p>"]
-    for place, section in enumerate(sections(found, worst)):
+    body = [f"<h1>{escape(title)}</h1>", f"<p class=made>{escape(made)}</p>"]
+    for place, section in enumerate(parts_of):
         body.append(f"<h2>{escape(section.title)}</h2>")
         if section.text:
             body.append(f"<p>{escape(section.text)}</p>")
@@ -141,7 +154,7 @@ def evaluation_html(found: Evaluation, *, command: str = "", worst: str | None =
     return (
         "<!doctype html>\n<html lang=en><head><meta charset=utf-8>"
         "<meta name=viewport content='width=device-width, initial-scale=1'>"
-        f"<title>{escape(_title(found))}</title><style>{STYLE}{colours}</style></head>\n<body>\n"
+        f"<title>{escape(title)}</title><style>{STYLE}{colours}</style></head>\n<body>\n"
         + "\n".join(body)
         + "\n</body></html>\n"
     )
@@ -162,7 +175,8 @@ def _title(found: Evaluation) -> str:
     return f"Safety under delay: {', '.join(found.tasks)}"
 
 
-def _made_by(found: Evaluation, command: str) -> str:
+def made_by(found: Evaluation, command: str) -> str:
+    """Return command, version, seed and numbers of hands and releases as text."""
     by = f"{command}; " if command else ""
     return f"{by}Haptether {found.version}, seed {found.seed}, {found.hands} hands, {found.releases} times of release."
 
@@ -223,7 +237,8 @@ def _verdict_table(found: Evaluation, task: str | None) -> Table:
     return Table(("controllers", *trips, "hatched"), tuple(rows))
 
 
-def _numbers(found: Evaluation) -> Table:
+def numbers(found: Evaluation) -> Table:
+    """Return counts, speeds and rates of each controller set at each round trip."""
     head = (
         "controllers", "round trip", "held", "false trips/h", "under intervention", "dangerous", "thrown",
         "already tripped", "speed [m/s]", "detection [ms]", "undetected", "peak force [N]", "energy [J]",
@@ -296,7 +311,8 @@ def _worst(found: Evaluation) -> Table:
     return Table(head, rows)
 
 
-def _assumptions(found: Evaluation) -> Iterator[str]:
+def assumptions(found: Evaluation) -> Iterator[str]:
+    """Yield what was assumed about hands, releases and networks."""
     yield (
         "Hands are impedances with a path and a tremor, drawn at random; people were not measured. Strokes are made to"
         " be hard, so rates compare set-ups, and do not say what a day's work has."

@@ -41,6 +41,7 @@ def from_folder(name: str, *command: str) -> Maker:
 
 MAKERS: Mapping[str, Maker] = {
     "console.png": lambda path: run(sys.executable, "-m", "tests.view.console.screenshot", str(path)),
+    "couplings.png": haptether("evaluate", "--couplings", "all", "--controllers", "all", "--quick", "--plot"),
     "demo.png": from_folder("demo.png", "-m", "haptether", "demo", "--out"),
     "flame_remote_push.png": lambda path: run(
         sys.executable, "benches/flame_graph.py", "--before", "benches/profiles/remote_push_before.json",

@@ -20,6 +20,7 @@ REMOTE_PUSH = "simulate remote_push"
 
 COMMANDS: dict[str, tuple[str, ...]] = {
     "console.png": (REMOTE_PUSH,),
+    "couplings.png": ("evaluate --couplings all --controllers all --quick",),
     "demo.png": tuple(f"{REMOTE_PUSH} --set safety.controllers={kinds}" for kinds in ("[]", "[vfc]", "[hsc]", "[wsc]")),
     "netsim_lte_driving.png": ("netsim sample --preset lte-driving --packets 20000",),
     "panel.png": (REMOTE_PUSH,),
@@ -48,7 +49,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 }
 """Commands by picture. `flame_remote_push.png` shows a stored profile; `work_precision.png` depends on the machine."""
 
-SLOW = frozenset(command for name in ("thresholds.png", "tune.png") for command in COMMANDS[name])
+SLOW = frozenset(command for name in ("couplings.png", "thresholds.png", "tune.png") for command in COMMANDS[name])
 """Commands that take more than 10 s."""
 
 

@@ -48,6 +48,8 @@ class Demo(PictureOptions):
 
     haptether demo --delay-s 0.02 --jitter-s 0.001 --loss 0 --out out/fast-link --json -
 
+    haptether demo --coupling pspm
+
     haptether demo --slave ur
 
     haptether demo --slave ur --task pick
@@ -72,6 +74,9 @@ class Demo(PictureOptions):
     emulated follower arm of Dynamixel servos."""
     task: Literal["push", "pick"] | None = None
     """A push that reaches the hand, or an object that a gripper picks up; by default the task that both arms can do."""
+    coupling: str | None = None
+    """Coupling of the push, of those of `haptether list`, with gains that the pair bears over this network; by default
+    position-force."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Folder of the picture and of every tick (.npz), empty or new; or the picture (.png, .pdf, .svg), with a folder
     beside it. By default out/demo, where a demo replaces the files of the previous demo."""
@@ -88,6 +93,7 @@ class Demo(PictureOptions):
         from haptether.extras import require
         from haptether.netsim import LinkSettings, link_spec
         from haptether.studies import DEMO_CONTROLLERS, DemoScene, FollowScene, PickScene, run_demo
+        from haptether.studies.demo import with_coupling
 
         check_seed(self.seed)
         check_target(self.json, force=self.force)
@@ -106,6 +112,11 @@ class Demo(PictureOptions):
         else:
             scene = DemoScene(loss=self.loss, seed=self.seed, slave=self.slave)
         scene = msgspec.structs.replace(scene, **given)
+        if self.coupling is not None:
+            if not isinstance(scene, DemoScene):
+                message = f"coupling = {self.coupling}: of the push with a simulated master only: leave it out"
+                raise ValueError(message)
+            scene = with_coupling(scene, self.coupling)
         # Refuses early.
         link_spec(LinkSettings(delay_s=scene.delay_s, jitter_s=scene.jitter_s, loss=scene.loss), "forward")
         self._picture("demo")  # Refuses a bad path before the runs.
@@ -123,6 +134,8 @@ class Demo(PictureOptions):
             f"at {scene.release_at_s:g} s the hand lets go",
             highlight=False,
         )
+        if scene.gains:
+            console.print(f"  {', '.join(scene.gains)}", highlight=False)
         runs = [partial(run_demo, scene, controller) for controller in DEMO_CONTROLLERS]
         results = self._results(console, scene.duration_s, runs)
         return 130 if results is None else self._report(console, scene, results)

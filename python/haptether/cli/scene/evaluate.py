@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -11,7 +11,7 @@ from haptether.cli.shared.picture import PictureOptions
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from haptether.studies import Evaluation, Network
+    from haptether.studies import CouplingMatrix, Evaluation, Network
 
 QUICK_ROUND_TRIPS_S = (0.0, 0.1, 0.3)
 QUICK_CONTROLLERS = ("none", "hsc", "wsc", "hsc+wsc")
@@ -44,14 +44,25 @@ class Evaluate(PictureOptions):
     haptether evaluate remote_push --hands 40 --style paper --columns 1 --plot safety.pdf --latex safety.tex
 
     haptether evaluate all --quick --json - --set safety.window=10
+
+    With --couplings, the couplings of one scene are compared, by default of remote_push: a hand presses the pair on a
+    wall, withdraws and lets go, and many hands do the task, each with gains for pair and network.
+
+    haptether evaluate --couplings all --controllers all --quick --out couplings
+
+    haptether evaluate cell.toml --couplings pd-damped pspm --controllers wsc --hands 40
     """
 
     scene: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SCENE ...|all")]
-    """Names of bundled scenes or paths of TOML files, or all: every bundled scene in which a hand works."""
+    """Names of bundled scenes or paths of TOML files, or all: every bundled scene in which a hand works. With
+    --couplings one; by default remote_push."""
     quick: bool = False
     """Few hands, round trips and networks, and with "all" no scenes that turn: a first look, in a minute."""
-    controller: tuple[str, ...] | None = None
-    """Sets of controllers, the names of each joined by +, at most one of them in Python; none for no controller."""
+    controller: Annotated[tuple[str, ...] | None, tyro.conf.arg(aliases=["--controllers"])] = None
+    """Sets of controllers, the names of each joined by +, at most one of them in Python; none for no controller; all
+    for each built-in controller, unions and none."""
+    coupling: Annotated[tuple[str, ...] | None, tyro.conf.arg(aliases=["--couplings"], metavar="NAME ...|all")] = None
+    """Couplings that are compared, or all of `haptether list`; by default the scene's alone is evaluated."""
     round_trip_s: tuple[float, ...] | None = None
     """Round trips in s, of the networks without a delay of their own."""
     network: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME|PRESET|FILE ...")] = None
@@ -79,7 +90,7 @@ class Evaluate(PictureOptions):
     threads: int | None = None
     """Number of threads; by default the number of processors."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Write evaluation.html, evaluation.md and worst.toml into this folder."""
+    """Write evaluation.html, evaluation.md and worst.toml into this folder; with --couplings the two pages."""
     plot: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
     """Draw the figure of the page as .png, .pdf or .svg."""
     latex: Annotated[Path | None, tyro.conf.arg(metavar="FILE.tex")] = None
@@ -97,27 +108,15 @@ class Evaluate(PictureOptions):
         from haptether.cli.shared.picture import asked_picture
         from haptether.cli.shared.screen import screen
         from haptether.cli.shared.unusual import ask_units, check_times, tasks_of
-        from haptether.studies import (
-            EVALUATED_CONTROLLERS,
-            EvaluationLimits,
-            HandBounds,
-            draw_evaluation,
-            evaluate,
-        )
-        from haptether.studies.task import HANDS, MAX_ROUND_TRIP_S, RELEASES, ROUND_TRIPS_S
+        from haptether.studies import draw_evaluation, evaluate, evaluate_couplings
+        from haptether.studies.task import MAX_ROUND_TRIP_S
 
         check_distinct(json=self.json, plot=self.plot, latex=self.latex)
         check_target(self.json, self.latex, force=self.force)
         picture = asked_picture(self.plot, self)
         check_random_seed(self.seed)
         check_times("--round-trip-s", self.round_trip_s or (), MAX_ROUND_TRIP_S)
-        limits = {
-            "speed": self.speed, "false_trips_per_h": self.false_trips_per_h, "thrown_share": self.thrown_share
-        }  # fmt: skip
-        for name, value in limits.items():
-            if value is not None and not 0.0 <= value < float("inf"):
-                message = f"{name.replace('_', '-')} = {value}: must be a number of at least 0"
-                raise ValueError(message)
+        given = self._given()
         tasks, networks = self._tasks(), self._networks()
         if self.out is not None:
             require_matplotlib()
@@ -130,20 +129,14 @@ class Evaluate(PictureOptions):
             (("--round-trip-s", each) for each in self.round_trip_s or ()),
         )
         with controller_timed(console), spinner("evaluate") as say:
-            found = evaluate(
-                tasks,
-                controllers=self.controller or (QUICK_CONTROLLERS if self.quick else EVALUATED_CONTROLLERS),
-                round_trips_s=self.round_trip_s or (QUICK_ROUND_TRIPS_S if self.quick else ROUND_TRIPS_S),
-                networks=networks,
-                hands=self.hands if self.hands is not None else QUICK_HANDS if self.quick else HANDS,
-                releases=self.releases if self.releases is not None else QUICK_RELEASES if self.quick else RELEASES,
-                seed=self.seed,
-                bounds=HandBounds(population=self.population),
-                limits=EvaluationLimits(**{name: value for name, value in limits.items() if value is not None}),
-                overrides=self.set,
-                threads=self.threads,
-                progress=say,
-            )
+            if self.coupling is not None:
+                matrix = evaluate_couplings(
+                    tasks[0], couplings=self._couplings(), networks=networks, progress=say, **given
+                )
+            else:
+                found = evaluate(tasks, networks=networks, progress=say, **given)
+        if self.coupling is not None:
+            return self._report_couplings(console, matrix, picture)
         self._print(console, found)
         if self.out is not None:
             self._write_pages(console, found, self.out)
@@ -154,6 +147,66 @@ class Evaluate(PictureOptions):
             self._write_latex(found, self.latex, picture)
         if self.json is not None:
             self._write_cells(found, self.json)
+        return 0
+
+    def _given(self) -> dict[str, Any]:
+        """Return the arguments of an evaluation that do not depend on its kind.
+
+        Raises:
+            ValueError: A limit out of its bounds.
+        """
+        from haptether.safety import CONTROLLERS
+        from haptether.studies import EVALUATED_CONTROLLERS, EvaluationLimits, HandBounds
+        from haptether.studies.task import HANDS, RELEASES, ROUND_TRIPS_S
+
+        limits = {
+            "speed": self.speed, "false_trips_per_h": self.false_trips_per_h, "thrown_share": self.thrown_share
+        }  # fmt: skip
+        for name, value in limits.items():
+            if value is not None and not 0.0 <= value < float("inf"):
+                message = f"{name.replace('_', '-')} = {value}: must be a number of at least 0"
+                raise ValueError(message)
+        controllers = self.controller or (QUICK_CONTROLLERS if self.quick else EVALUATED_CONTROLLERS)
+        if self.controller == ("all",):
+            single = [of for of in EVALUATED_CONTROLLERS if "+" not in of] + [name for name, *_ in CONTROLLERS]
+            controllers = tuple(dict.fromkeys((*single, *EVALUATED_CONTROLLERS)))
+        return {
+            "controllers": controllers,
+            "round_trips_s": self.round_trip_s or (QUICK_ROUND_TRIPS_S if self.quick else ROUND_TRIPS_S),
+            "hands": self.hands if self.hands is not None else QUICK_HANDS if self.quick else HANDS,
+            "releases": self.releases if self.releases is not None else QUICK_RELEASES if self.quick else RELEASES,
+            "seed": self.seed,
+            "bounds": HandBounds(population=self.population),
+            "limits": EvaluationLimits(**{name: value for name, value in limits.items() if value is not None}),
+            "overrides": self.set,
+            "threads": self.threads,
+        }
+
+    def _couplings(self) -> tuple[str, ...]:
+        """Return the names of the couplings; those that do not exist are refused where they are used."""
+        from haptether.studies.evaluation.matrix import COUPLING_NAMES
+
+        return COUPLING_NAMES if self.coupling == ("all",) else self.coupling or ()
+
+    def _report_couplings(self, console: "Console", found: "CouplingMatrix", picture: Path | None) -> int:
+        """Print a matrix of couplings, and write pages, picture and JSON that are asked for; return 0."""
+        from haptether.cli.scene.couplings import couplings_report, print_couplings
+        from haptether.cli.shared.output import write_report
+        from haptether.cli.shared.repeat import command_line
+        from haptether.private_file import write_private
+        from haptether.studies import couplings_html, couplings_markdown, draw_couplings
+
+        print_couplings(console, found)
+        command = command_line("evaluate", self)
+        for name, page in zip(PAGES, (couplings_html, couplings_markdown), strict=False):
+            if self.out is not None:
+                write_private(self.out / name, page(found, command=command).encode())
+                console.print(f"page: {self.out / name}")
+        if picture is not None:
+            draw_couplings(found, picture, self.page_columns)
+            console.print(f"picture: {picture}")
+        if self.json is not None:
+            write_report(self.json, couplings_report(found))
         return 0
 
     def _write_pages(self, console: "Console", found: "Evaluation", folder: Path) -> None:
@@ -217,6 +270,7 @@ class Evaluate(PictureOptions):
     @staticmethod
     def _write_cells(found: "Evaluation", path: Path) -> None:
         """Write all cells, and the results derived from them, as JSON."""
+        from haptether.cli.scene.couplings import network_report, verdict_report
         from haptether.cli.shared.output import write_report
 
         worst = [
@@ -227,24 +281,11 @@ class Evaluate(PictureOptions):
             name: {controllers: getattr(found, name)(controllers) for controllers in found.controllers}
             for name in ("safe_up_to_s", "confirmed_up_to_s", "unthrown_up_to_s")
         }
-        verdicts = [
-            {
-                "controllers": controllers,
-                "round_trip_s": round_trip_s,
-                "verdict": found.verdict(cells),
-                "confirmed": found.is_confirmed(cells),
-                "hands_needed": found.hands_needed(cells) if found.verdict(cells) == "safe" else None,
-            }
-            for controllers in found.controllers
-            for round_trip_s in found.round_trips_s
-            for cells in [found.of(controllers=controllers, round_trip_s=round_trip_s)]
-        ]
+        verdicts = verdict_report(found)
         hatched = {controllers: len(found.unconfirmed(controllers)) for controllers in found.controllers}
         fields = ("tasks", "networks", "limits", "hands", "releases", "seed", "version", "assumed", "cells")
         report = {name: getattr(found, name) for name in fields}
-        # The numbers of recordings are left out.
-        of_network = ("name", "jitter", "loss", "mean_burst", "title", "own_delay_s")
-        report["networks"] = [{name: getattr(network, name) for name in of_network} for network in found.networks]
+        report["networks"] = network_report(found.networks)
         write_report(path, {**report, "verdicts": verdicts, "hatched": hatched, **up_to, "worst": worst})
 
     def _networks(self) -> "list[Network]":
@@ -279,6 +320,14 @@ class Evaluate(PictureOptions):
         from haptether.bridge import SceneError, load_scene
         from haptether.studies import THRESHOLD_TASKS
 
+        if self.coupling is not None:
+            if self.latex is not None:
+                message = "--latex: has verdicts of controllers: leave it or --couplings out"
+                raise ValueError(message)
+            if len(self.scene) > 1 or self.scene == ("all",):
+                message = "SCENE: --couplings compares couplings of one scene: name one"
+                raise ValueError(message)
+            return self.scene or ("remote_push",)
         if not self.scene:
             message = (
                 "which scene? Name one or more of `haptether simulate --list`, paths of TOML files, or all for all"
