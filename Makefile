@@ -122,7 +122,7 @@ soak: $(EXTENSION) ## master, network and slave for SOAK_SECONDS (600): memory m
 	@$(BIN)/python -m tests.soak --seconds $(SOAK_SECONDS) --json out/soak.json
 
 .PHONY: faults
-faults: $(EXTENSION) ## every fault, what is expected, what was seen (about 8 minutes)
+faults: $(EXTENSION) ## every fault, what is expected, what was seen (about 25 minutes)
 	@$(BIN)/python -m tests.faults --json out/faults.json
 
 # After the environment, which is made anew without it when its requirements change.

@@ -4,7 +4,7 @@ use haptether_master::Aim;
 use haptether_slave::Push;
 
 use crate::{
-    coupling::{CouplingError, FrameMap, Mapping, RotationCoupling, ScaleRanges},
+    coupling::{CouplingError, CouplingKind, FrameMap, Mapping, RotationCoupling, ScaleRanges},
     port::MAX_AXES,
     wire::Role,
 };
@@ -37,6 +37,9 @@ pub enum OperatorCommand {
         /// True per locked axis of the slave; entries beyond its axes are ignored.
         locked: [bool; MAX_AXES],
     },
+    /// Switches both sides to another coupling of the scene, at the master: releases the clutch, and the next press engages
+    /// with it.
+    Coupling(CouplingKind),
     /// Aims the hand of an aimed model, at the master. It couples nothing.
     Aim(Aim<MAX_AXES>),
     /// Pushes the tool of an aimed model, at the slave.
@@ -52,6 +55,7 @@ impl OperatorCommand {
             | Self::Release
             | Self::Takeover
             | Self::Acknowledge
+            | Self::Coupling(_)
             | Self::Aim(_)
             | Self::Push(_) => Ok(()),
             Self::PositionScale(scale) => Mapping::<N>::new(*scale, 1.0).map(|_| ()),

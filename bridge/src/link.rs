@@ -2,12 +2,13 @@
 
 use crate::{
     SideKind,
+    coupling::CouplingKind,
     fault_text::TextPiece,
     path::PeerPath,
     playout::{self, Playout, PlayoutError, PlayoutSettings},
     port::PortState,
     session::{Arrival, Rejection, Rejections, ReplayWindow},
-    wire::{Echo, Frame, FrameLayout, MAX_FRAME, Role, WireError},
+    wire::{Echo, Frame, FrameLayout, MAX_FRAME, Role, WireError, coupling_code},
 };
 
 /// Counts of one end since it started.
@@ -174,13 +175,31 @@ pub struct FrameLink {
     lease_ns: u64,
     /// Newest epoch of the peer's half of the coupling that is not 0.
     epoch: u16,
+    /// Couplings that frames of the peer may have beside that of the layout: bit n for the code n.
+    alternatives: u16,
     /// Frames for a coupling that needs a constant delay; None for all others.
     playout: Option<Box<PlayedFrames>>,
 }
 
+/// Play-out of a coupling; none of one that needs no constant delay.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct PlayOut(Option<Box<PlayedFrames>>);
+
+impl PlayOut {
+    /// Let frames wait until their delay is constant: that of the largest jitter, up to `most_ns`. The peer sends at most
+    /// one frame per `period_ns`.
+    pub(crate) fn new(most_ns: u64, period_ns: u64) -> Result<Self, PlayoutError> {
+        // Room for a burst, too.
+        let capacity =
+            usize::try_from(2 * most_ns / period_ns.max(1)).unwrap_or(usize::MAX).saturating_add(64);
+        let settings = PlayoutSettings { adapts: true, capacity, ..PlayoutSettings::new(most_ns) };
+        Ok(Self(Some(Box::new(PlayedFrames { waiting: Playout::new(settings)?, now: None }))))
+    }
+}
+
 /// Frames that wait for their time, and the one whose time is now.
 #[derive(Clone, Debug)]
-struct PlayedFrames {
+pub(crate) struct PlayedFrames {
     waiting: Playout<Frame>,
     now: Option<Frame>,
 }
@@ -193,6 +212,12 @@ impl PlayedFrames {
         if arrival == playout::Arrival::Late {
             self.advance(frame);
         }
+    }
+
+    /// Forget all frames.
+    fn clear(&mut self) {
+        self.waiting.restart();
+        self.now = None;
     }
 
     /// Take the frames that are due at `now_ns`.
@@ -227,20 +252,39 @@ impl FrameLink {
             path: PeerPath::default(),
             lease_ns,
             epoch: 0,
+            alternatives: 0,
             playout: None,
         }
     }
 
-    /// Let frames for the coupling wait until their delay is constant: that of the largest jitter, up to `most_ns`. The peer
-    /// sends at most one frame per `period_ns`.
-    pub(crate) fn set_play_out(&mut self, most_ns: u64, period_ns: u64) -> Result<(), PlayoutError> {
-        // Room for a burst, too.
-        let capacity =
-            usize::try_from(2 * most_ns / period_ns.max(1)).unwrap_or(usize::MAX).saturating_add(64);
-        let settings = PlayoutSettings { adapts: true, capacity, ..PlayoutSettings::new(most_ns) };
-        let waiting = Playout::new(settings)?;
-        self.playout = Some(Box::new(PlayedFrames { waiting, now: None }));
-        Ok(())
+    /// Take frames of another coupling, too: either side may be the first to switch.
+    pub(crate) fn allow(&mut self, coupling: CouplingKind) {
+        self.alternatives |= 1 << self.layout.coupling.code() | 1 << coupling.code();
+    }
+
+    /// Couplings that frames may have: bit n for the code n.
+    pub(crate) fn couplings(&self) -> u16 {
+        self.alternatives | 1 << self.layout.coupling.code()
+    }
+
+    /// Layout of a received frame with the code of a coupling.
+    fn layout_for(&self, code: u16) -> FrameLayout {
+        let allowed = CouplingKind::from_code(code).filter(|_| self.alternatives >> code & 1 == 1);
+        FrameLayout { coupling: allowed.unwrap_or(self.layout.coupling), ..self.layout }
+    }
+
+    /// Switch to another coupling, with its play-out; `play_out` gets that of the coupling before.
+    pub(crate) fn switch(&mut self, coupling: CouplingKind, play_out: &mut PlayOut) {
+        self.layout.coupling = coupling;
+        std::mem::swap(&mut self.playout, &mut play_out.0);
+        if let Some(playout) = &mut self.playout {
+            playout.clear();
+        }
+    }
+
+    /// Let frames for the coupling pass a play-out.
+    pub(crate) fn set_play_out(&mut self, play_out: PlayOut) {
+        self.playout = play_out.0;
     }
 
     /// Take the frames from the play-out that are due at `now_ns`.
@@ -285,7 +329,7 @@ impl FrameLink {
         time: LinkTime,
         datagram: &[u8],
     ) -> Result<FrameHead, RejectReason> {
-        let decoded = Frame::decode(datagram, self.role.peer(), self.layout);
+        let decoded = Frame::decode(datagram, self.role.peer(), self.layout_for(coupling_code(datagram)));
         self.take(time, self.layout.axes, decoded.as_ref().map_err(|error| *error))
     }
 
@@ -305,7 +349,7 @@ impl FrameLink {
 
     #[inline(never)] // rare, and copies its frame
     fn take_other_frame(&mut self, time: LinkTime, frame: &Frame) -> Result<FrameHead, RejectReason> {
-        let received = frame.received(self.role.peer(), self.layout);
+        let received = frame.received(self.role.peer(), self.layout_for(frame.coupling.code()));
         self.take(time, self.layout.axes, received.as_deref().map_err(|error| *error))
     }
 
@@ -351,8 +395,7 @@ impl FrameLink {
                 self.path.arrived(frame.sequence, frame.sent_ns, by_ns);
                 self.epoch = 0;
                 if let Some(playout) = &mut self.playout {
-                    playout.waiting.restart();
-                    playout.now = None;
+                    playout.clear();
                     playout.take(now_ns, frame);
                 }
                 true
@@ -458,7 +501,8 @@ impl FrameLink {
     ) {
         let sent_ns = time.by_ns;
         let FrameLayout { kind, has_gripper, has_buttons, coupling, .. } = self.layout;
-        (frame.role, frame.kind, frame.coupling, frame.axes) = (self.role, kind, coupling, axes);
+        frame.change_coupling(coupling);
+        (frame.role, frame.kind, frame.axes) = (self.role, kind, axes);
         let Status { state, hears_peer, clutch, ending, reason, fault, text } = status;
         (frame.state, frame.hears_peer, frame.clutch, frame.ending) = (state, hears_peer, clutch, ending);
         (frame.reason, frame.fault, frame.text) = (reason, fault, text);
@@ -700,7 +744,7 @@ mod tests {
     fn played_ages(most_ms: u64, transits_ms: &[u64]) -> Vec<u64> {
         let frames = frames(transits_ms.len(), 1);
         let mut master = FrameLink::new(Role::Master, 1, 7, 10_000 * MS);
-        master.set_play_out(most_ms * MS, MS).unwrap();
+        master.set_play_out(PlayOut::new(most_ms * MS, MS).unwrap());
         (0..transits_ms.len())
             .map(|now| {
                 let time = LinkTime::at(now as u64 * MS);

@@ -165,6 +165,8 @@ impl<T: Copy> Playout<T> {
             return Arrival::Refused;
         }
         if self.next.is_some_and(|next| sequence < next) {
+            // The wait must learn from the slowest packets, too.
+            self.timeline.learn(now_ns, difference(now_ns, sent_ns));
             self.counts.late += 1;
             return Arrival::Late;
         }

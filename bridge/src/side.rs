@@ -336,6 +336,13 @@ impl<P: MasterPlant<N>, const N: usize, R: MasterTurn> Side for MasterSide<P, N,
                 let was_pressed = self.operator.release_clutch();
                 Ok(self.plant.clutch().unwrap_or(was_pressed))
             }
+            OperatorCommand::Coupling(_) => {
+                let switches = self.endpoint.command(now_ns, command)?;
+                if switches {
+                    self.command(now_ns, OperatorCommand::Release)?;
+                }
+                Ok(switches)
+            }
             OperatorCommand::Aim(aim) => Ok(self.plant.aim(&aim.with_target(unpadded(&aim.target)))),
             _ => self.endpoint.command(now_ns, command),
         }

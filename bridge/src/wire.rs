@@ -452,6 +452,14 @@ const HOLDS_OBJECT: u16 = 32;
 const FOLLOWS: u16 = 64;
 /// First bit of the coupling's code in the flags.
 const COUPLING_BIT: u16 = 8;
+/// Offset of the flags.
+const FLAGS: usize = 6;
+
+/// Return the code of the coupling in an encoded frame; 0 if it is too short.
+pub(crate) fn coupling_code(bytes: &[u8]) -> u16 {
+    let flags = bytes.get(FLAGS..FLAGS + 2).and_then(|flags| flags.first_chunk());
+    flags.map_or(0, |flags| u16::from_le_bytes(*flags) >> COUPLING_BIT & 15)
+}
 
 /// Return whether the sender of an encoded frame hears its peer; the frame must have been decoded before.
 pub(crate) fn hears_peer(frame: &[u8]) -> bool {
@@ -682,7 +690,8 @@ impl Frame {
             fault,
             text,
         } = other;
-        (self.role, self.axes, self.kind, self.coupling) = (*role, *axes, *kind, *coupling);
+        self.change_coupling(*coupling);
+        (self.role, self.axes, self.kind) = (*role, *axes, *kind);
         self.message.replace(message, *coupling);
         (self.state, self.hears_peer) = (*state, *hears_peer);
         (self.clutch, self.ending, self.reason, self.fault) = (*clutch, *ending, *reason, *fault);
@@ -696,6 +705,14 @@ impl Frame {
         }
         if gripper.is_some() || self.gripper.is_some() {
             self.gripper = *gripper;
+        }
+    }
+
+    /// Set the coupling. Numbers of another one do not stay.
+    #[inline(always)] // takes and makes a frame: docs/decisions/060-ticks-in-a-row.md
+    pub(crate) fn change_coupling(&mut self, coupling: CouplingKind) {
+        if self.coupling != coupling {
+            (self.coupling, self.message) = (coupling, CouplingMessage::ZERO);
         }
     }
 

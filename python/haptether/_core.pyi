@@ -2454,6 +2454,14 @@ class _MasterSide(_LiveSide):
             RuntimeError: The loop has ended, or hangs.
         """
 
+    def switch_coupling(self, kind: str) -> None:
+        """Release the clutch, and switch both sides to another coupling. The next press engages with it.
+
+        Raises:
+            ValueError: Unknown name, or neither the coupling of the scene nor one of `coupling.alternatives`.
+            RuntimeError: The loop has ended, or hangs.
+        """
+
     def finish(self) -> tuple[MasterTrace, LoopReport]:
         """End the loop; return its newest ticks (`keep_s`) and its report.
 

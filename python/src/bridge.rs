@@ -41,6 +41,13 @@ struct PyCouplingFacts {
     push_may_grow: bool,
 }
 
+/// Return the kind of a name.
+pub(crate) fn coupling_kind(name: &str) -> PyResult<CouplingKind> {
+    let kind = CouplingKind::ALL.iter().copied().find(|kind| kind.name() == name);
+    let names = || CouplingKind::ALL.iter().map(|kind| kind.name()).collect::<Vec<_>>().join(", ");
+    kind.ok_or_else(|| PyValueError::new_err(format!("coupling {name:?}: must be one of {}", names())))
+}
+
 #[documented]
 #[pyfunction]
 #[pyo3(signature = (
@@ -55,10 +62,7 @@ fn coupling_facts(
     round_trip_s: f64,
     period_s: f64,
 ) -> PyResult<PyCouplingFacts> {
-    let kind = CouplingKind::ALL.iter().copied().find(|kind| kind.name() == name);
-    let names = || CouplingKind::ALL.iter().map(|kind| kind.name()).collect::<Vec<_>>().join(", ");
-    let kind =
-        kind.ok_or_else(|| PyValueError::new_err(format!("coupling {name:?}: must be one of {}", names())))?;
+    let kind = coupling_kind(name)?;
     let gains = kind.default_gains().map(|default| {
         Gains {
             stiffness: stiffness.unwrap_or(default.stiffness),

@@ -312,6 +312,10 @@ macro_rules! master_methods {
                 self.command(OperatorCommand::ForceScale(scale))
             }
 
+            fn switch_coupling(&self, kind: &str) -> PyResult<()> {
+                self.command(OperatorCommand::Coupling(crate::bridge::coupling_kind(kind)?))
+            }
+
             fn finish(&self, py: Python<'_>) -> PyResult<(MasterTrace, PyLoopReport)> {
                 let (trace, report) = self.end(py)?;
                 Ok((MasterTrace { trace }, report))

@@ -85,11 +85,16 @@ impl<const N: usize, S: Real> DeviceModel<N, S> {
     /// Source: paper Eq. 4.
     #[inline(always)]
     pub fn grasp_force(&self, motion: &Motion<N, S>, aligned_device_force: &Axes<N, S>) -> Axes<N, S> {
-        let direction = direction(&motion.velocity);
         self.mass.component_mul(&motion.acceleration)
             + self.viscous.component_mul(&motion.velocity)
-            + self.coulomb.component_mul(&direction)
+            + self.coulomb_force(&motion.velocity)
             - aligned_device_force
+    }
+
+    /// Return the Coulomb friction `c V / |V|` in N, zero at rest.
+    #[inline(always)]
+    pub(crate) fn coulomb_force(&self, velocity: &Axes<N, S>) -> Axes<N, S> {
+        self.coulomb.component_mul(&direction(velocity))
     }
 
     /// Return the kinetic energy `V' M V / 2` in J.

@@ -32,6 +32,9 @@ pub struct LayerSettings<const N: usize> {
     pub limiter: LimiterSettings,
 }
 
+/// Speed in m/s (rad/s) below which Coulomb friction fades from the `F_h` of a coupling.
+const SLOW: f64 = 0.01;
+
 /// Default lever of a handle in m.
 pub(crate) const DEFAULT_LEVER_M: f64 = 0.05;
 
@@ -189,9 +192,16 @@ impl<const N: usize> SafetyLayer<N> {
     }
 
     /// Return `F_h` in N of the last tick; zero in a fault, and if nothing needs it.
+    ///
+    /// Near rest the estimated V changes its sign with its noise, so Coulomb friction fades to zero below [`SLOW`].
     #[inline]
     pub fn grasp_force(&self) -> Axes<N> {
-        if self.fault.is_some() { Axes::zeros() } else { self.entry.last.grasp_force }
+        if self.fault.is_some() || !self.needs_grasp_force {
+            return Axes::zeros();
+        }
+        let LastTick { motion, grasp_force, .. } = &self.entry.last;
+        grasp_force
+            - self.device.coulomb_force(&motion.velocity) * (1.0 - motion.velocity.norm() / SLOW).max(0.0)
     }
 
     /// Add a controller of the caller after the built-in ones. Call this before the first tick.

@@ -42,6 +42,10 @@ DEFAULT_MASS_KG = 0.157
 """Mass in kg of the device for which the default gains are."""
 PRESSED_S = 0.004
 """Shortest round trip in s that is pressed to find the largest stable one."""
+PRESSED_STEP = 1.5
+"""Ratio of two round trips that are pressed."""
+FELT = 0.2
+"""Share of the force of a rigid tool below which a press is too soft."""
 SHARES = (4.0, 2.0, 1.0, 0.5, 0.25)
 """Gains that are tried for a pair, as shares of the defaults for its mass; the largest B of them is below 0.3 M/T. A
 damper that the hand feels in free motion is at most the default."""
@@ -122,6 +126,8 @@ def _period_s(spec: dict[str, Any]) -> float:
 def bearable_delays(scene: Scene, up_to_s: float, wall_stiffness: float | None = None) -> tuple[float, Intervals]:
     """Return the smallest sum of both delays in s at which a scene's loop oscillates, and the stable intervals.
 
+    A coupling that no linear loop describes is pressed; the first result is then the largest delay that still rests.
+
     Args:
         scene: Scene with a [slave], of any coupling.
         up_to_s: Largest delay in s that is examined; without oscillation up to it the first result is infinite.
@@ -141,19 +147,31 @@ def bearable_delays(scene: Scene, up_to_s: float, wall_stiffness: float | None =
 
 
 def _pressed_delays(scene: Scene, up_to_s: float, wall: float | None) -> tuple[float, Intervals]:
-    """Return the same of a coupling that no loop describes: presses at doubled delays, up to the first that fails."""
+    """Return the largest delay up to which presses rest, and the intervals of those that rest, of the tried delays.
+
+    A delay over which the ladder holds says nothing.
+    """
     wall = touched(scene, scene_numbers(scene)).stiffness if wall is None else wall
-    rests_s, delay_s = 0.0, PRESSED_S
-    while delay_s <= up_to_s:
+    found: list[tuple[float, float]] = []
+    margin_s, is_stable, delay_s = 0.0, True, PRESSED_S
+    while True:
+        at_s = min(delay_s, up_to_s)
         ways = [
-            f"link.{way}.{key}"
-            for way in ("forward", "backward")
-            for key in (f"delay_s={delay_s / 2.0!r}", "jitter_s=0")
+            f"link.{way}.{key}" for way in ("forward", "backward") for key in (f"delay_s={at_s / 2.0!r}", "jitter_s=0")
         ]
-        if press(override_scene(scene, ways), wall).outcome != "rests":
-            return delay_s, ((0.0, rests_s),) if rests_s else ()
-        rests_s, delay_s = delay_s, 2.0 * delay_s
-    return inf, ((0.0, up_to_s),)
+        outcome = press(override_scene(scene, ways), wall).outcome
+        if outcome == "rests" and is_stable:
+            found = [*found[:-1], (found[-1][0], at_s)] if found else [(0.0, at_s)]
+        elif outcome == "rests":
+            found.append((at_s, at_s))
+        if outcome != "held":
+            is_stable = outcome == "rests"
+        if is_stable and len(found) == 1:
+            margin_s = found[0][1]
+        if at_s == up_to_s:
+            break
+        delay_s *= PRESSED_STEP
+    return inf if margin_s == up_to_s else margin_s, tuple(found)
 
 
 def _margin_s(stable: Intervals, up_to_s: float) -> float:
@@ -238,7 +256,9 @@ def _ledger(spec: dict[str, Any], units: Units) -> Finding:
     kind, (stiffness, damping) = spec["coupling"]["kind"], _gains(spec)
     least = _least(kind, stiffness, 0.0, spec)
     assert least is not None
-    claim = f"{kind} counts its energy: delay, jitter and loss create none at the virtual tool; the arm's lag is apart"
+    claim = (
+        f"{kind} counts its energy: delay, jitter and loss create none at the virtual tool; the press has the arm's lag"
+    )
     if kind == "tdpa":
         claim += ", but for a deficit that the master takes back with a bounded damping"
     return Finding(
@@ -255,20 +275,31 @@ def _pressed(scene: Scene, spec: dict[str, Any], units: Units) -> Finding:
     length = "mrad" if units.stiffness == "N m/rad" else "mm"
     on = f" on {wall:g} {units.stiffness}" if wall else " on a wall"
     text = f"pressed{on} in virtual time, as a rigid tool with {seen.rigid:.2g} {units.force}, {kind}"
+    off = {"swings": 2.0 + seen.swing / seen.rigid, "saturated": 2.0 + seen.felt}.get(seen.outcome, 1.0 - seen.felt)
+    held = f"{seen.felt * 100.0:.0f} % of that force"
+    behind = f"; the arm is {seen.behind * 1e3:.2g} {length} behind"
     match seen.outcome:
         case "held":
-            state: State = "not judged"
-            text += " is interrupted by the ladder over this link"
-        case "diverged":
-            state = "bad"
-            text += " diverges: gains, delay, lag of the arm and noise count"
-        case outcome:
-            state = "warning" if outcome == "swings" else "good"
-            text += (
-                f" {outcome} at {seen.felt * 100.0:.0f} % of that force, by {seen.swing:.2g} {units.force}; the arm is"
-                f" {seen.behind * 1e3:.2g} {length} behind"
+            return Finding(
+                name="contact", state="not judged", text=f"{text} is interrupted by the ladder over this link"
             )
-    return Finding(name="contact", state=state, text=text, value=seen.swing, unit=units.force)
+        case "diverged":
+            return Finding(
+                name="contact", state="bad", text=f"{text} diverges: gains, delay, lag of the arm and noise count"
+            )
+        case "swings":
+            text += f" swings at {held}, peak to peak {seen.swing:.2g} {units.force}{behind}"
+        case "saturated":
+            text += f" is at the cap or at a stop, with {held}{behind}"
+        case "slack":
+            text += f" does not reach the wall: it holds {held}{behind}"
+        case _:
+            text += f" rests at {held}{behind}"
+            if stroke(scene, wall).outcome in FAILED:
+                text, off = f"{text}; it swings without contact", 2.0
+            elif seen.felt >= FELT:
+                return Finding(name="contact", state="good", text=text)
+    return Finding(name="contact", state="warning", text=text, value=off)
 
 
 def _gains(spec: dict[str, Any]) -> tuple[float, float]:
@@ -314,11 +345,15 @@ def _felt(scene: Scene, spec: dict[str, Any], units: Units, delays: tuple[float,
     shares = [1.0 / (1.0 + contact * behind) for contact in found]
     each = ", ".join(f"{share:.2g} of {contact:g}" for share, contact in zip(shares, found, strict=True))
     length = "mrad" if units.stiffness == "N m/rad" else "mm"
-    series = "C" if _is_wave(spec) else "1/K"
+    series, more = "1/K", "; a stiffer coupling.stiffness feels more"
+    if _is_wave(spec):
+        series, more = "C, without the waits of the play-out,", "; a larger coupling.impedance feels more"
+    elif compliance == 0.0:
+        series, more = "C = 0", ""
     yield Finding(
         name="felt stiffness", state="note", value=min(shares), text=f"at rest{_delay(spec, delays)} the hand feels"
         f" {each} {units.stiffness} ({series} + 1/K_arm in series), and the arm stays {behind * 1e3:.3g} {length}"
-        f" behind per {units.force}; a stiffer coupling.stiffness feels more",
+        f" behind per {units.force}{more}",
     )  # fmt: skip
 
 

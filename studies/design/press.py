@@ -11,10 +11,10 @@ from haptether.bridge import Run, Scene, simulate
 from haptether.studies.design.contact import largest_force_n, scene_numbers
 
 Array = npt.NDArray[np.float64]
-Outcome: TypeAlias = Literal["diverged", "swings", "rests", "held"]
+Outcome: TypeAlias = Literal["diverged", "swings", "saturated", "slack", "rests", "held"]
 OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 """Outcomes, worst first; held, which says nothing, last."""
-FAILED = frozenset({"diverged", "swings"})
+FAILED = frozenset({"diverged", "swings", "saturated"})
 """Outcomes of gains that the pair does not bear."""
 
 HANDS: dict[str, tuple[float, float]] = {"linear": (300.0, 8.0), "joints": (5.0, 0.3)}
@@ -28,10 +28,13 @@ LOAD = 0.3
 STROKE_S, SETTLE_S, LAST_S, LET_GO_S = 1.0, 6.0, 1.0, 1.5
 ROUND_TRIPS = 20.0
 """Time to settle in round trips, added to `SETTLE_S`."""
+SLACK, SATURATED = 0.01, 1.2
+"""Shares of the force of a rigid tool below which the arm does not follow, and above which the cap or a stop acts."""
 SWINGS, LEAST_SWING = 0.1, 0.01
 """Swing above which a press does not rest: as a share of its force, and of the force of a rigid tool."""
-ENGAGED_S, ENGAGED_ROUND_TRIPS = 0.2, 2.0
-"""Time in s for which the hand rests until both sides are engaged, with these round trips more."""
+ENGAGED_S, ENGAGED_ROUND_TRIPS = 0.5, 2.0
+"""Time in s for which the hand rests until both sides are engaged and the force has faded in, with these round trips
+more."""
 CONTACT_S, APART_S, APART_ROUND_TRIPS = 1.0, 5.0, 8.0
 """Times in s of a stroke in contact and at rest after it, each with these round trips more."""
 
@@ -50,7 +53,9 @@ class Press(Struct, frozen=True, kw_only=True):
     """Result of a press: the hand pushes the tool into a wall, holds, and lets go. No controller acts."""
 
     outcome: Outcome
-    """Rests; swings while the hand holds; diverged; or held by the ladder, so that nothing else is known."""
+    """Rests; swings while the hand holds; saturated, at more than a rigid tool would have; slack, with nearly no force;
+    diverged; or held by the ladder, so that nothing else is known.
+    """
     rigid: float
     """Force in N (N m) that a rigid tool would have."""
     felt: float
@@ -102,8 +107,13 @@ def press(scene: Scene, wall: float | None = None) -> Press:
         return Press(outcome=last, **none)
     force, apart = _force_and_distance(run, tables)
     mean, swing = float(abs(force[last].mean())), float(np.ptp(force[last]))
+    outcome: Outcome = "rests"
+    if swing > max(SWINGS * mean, LEAST_SWING * rigid):
+        outcome = "swings"
+    elif not SLACK * rigid <= mean <= SATURATED * rigid:
+        outcome = "slack" if mean < rigid else "saturated"
     return Press(
-        outcome="swings" if swing > max(SWINGS * mean, LEAST_SWING * rigid) else "rests",
+        outcome=outcome,
         rigid=rigid,
         felt=mean / rigid,
         behind=float(abs(np.mean(apart[last]))),
@@ -191,6 +201,8 @@ def _tables(scene: Scene, wall: float | None) -> tuple[dict[str, Any], float, fl
         "gripper": None,
         "research": None,
     }
+    if (sensor := spec["slave"]["force_sensor"]) is not None:
+        sensor = {name: _of_axis(value, axis) for name, value in sensor.items() if value is not None}
     tables = {
         "schema": 1,
         "run": {"period_s": spec["run"]["period_s"], "seed": spec["run"]["seed"]},
@@ -201,7 +213,9 @@ def _tables(scene: Scene, wall: float | None) -> tuple[dict[str, Any], float, fl
         "operator": {
             "stiffness": stiffness, "damping": damping, "grip_strength_n": 1e3, "start": depth, "clutch": "once",
         },
-        "slave": {**_stated(spec["slave"], _SLAVE), "position": coupling["position_scale"] * depth},
+        "slave": {
+            **_stated(spec["slave"], _SLAVE), "position": coupling["position_scale"] * depth, "force_sensor": sensor,
+        },
         "environment": {"objects": [{"shape": {"kind": "plane"}, "contact": {"stiffness": wall}}]},
         "coupling": coupling,
         "link": link,

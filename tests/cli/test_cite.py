@@ -95,3 +95,18 @@ def test_every_shipped_scene_has_whole_entries(
     # No year is invented: each stands in a source.
     years = set(re.findall(r"year = \{(\d+)\}", text))
     assert years <= set(re.findall(r"\b\d{4}\b", " ".join(method["source"] for method in report["methods"])))
+
+
+def test_bibtex_goes_to_standard_output(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["cite", "remote_push", "--bibtex", "methods.bib"]) == 0
+    capsys.readouterr()
+    assert main(["cite", "remote_push", "--bibtex", "-"]) == 0
+    said = capsys.readouterr()
+    assert said.out == (tmp_path / "methods.bib").read_text()
+    assert "Hannaford 1989" in said.err
+    assert main(["cite", "remote_push", "--bibtex", "-", "--json", "-"]) == 2
+    assert "only one of the two can go to standard output" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["methods.bib"]

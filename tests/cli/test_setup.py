@@ -65,8 +65,12 @@ def test_scene_key_and_scripts_are_written_and_pass_their_checks(
     emulators: list[str],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    status, report, _ = setup(*options, capsys=capsys)
+    status, report, said = setup(*options, capsys=capsys)
     assert status == 0
+    answered = report["answers"]
+    for name, answer in answered.items():  # type: ignore[attr-defined]
+        option = f"--{name.replace('_', '-')}"
+        assert (f"{option} = {answer}: the default" in said) == (option not in options)
     written = load_scene(folder / "scene.toml")
     assert written.slave is not None
     kind = written.master.kind or "linear"
@@ -111,6 +115,10 @@ def test_scene_key_and_scripts_are_written_and_pass_their_checks(
         (["--arm", "dynamixel", "--arm-address", "/dev/ttyUSB0", "--arm-file", "no.toml"],
          "--arm-file = no.toml: no such file (haptether dynamixel calibrate writes it)"),
         (["--arm-options", "model"], "model"),
+        (["--arm", "ur", *EMULATED, "--arm-options", "modell=ur10e"], "modell = 'ur10e': is no option: must be one of"),
+        (["--arm", "ur", *EMULATED, "--gripper", "robotiq", "--gripper-options", "model=2f"], "model"),
+        (["--master", "inverse3", *EMULATED, "--master-options", "max_force=2"], "max_force = 2: is no option"),
+        (["--arm", "dynamixel", *EMULATED, "--arm-options", "speed=2"], "speed = 2: is no option"),
         (["--check"], "cell/setup.json: no such file: haptether setup cell writes it"),
         (["--check", "--arm", "ur"], "cell/setup.json: no such file"),
     ],

@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from tests.faults import (
     clocks,
+    coupled,
     drivers,
     grippers,
     hostile,
@@ -36,6 +37,7 @@ GROUPS: dict[str, Callable[[], list[Callable[[], Row]]]] = {
     "stopping": lambda: list(stopping.rows().values()),
     "machine": lambda: list(machine.rows().values()),
     "hostile": lambda: list(hostile.rows().values()),
+    "couplings": lambda: list(coupled.rows().values()),
 }
 """Groups of rows, in the order in which they run."""
 

@@ -14,6 +14,8 @@ class Row:
     """Method: virtual time, real processes and sockets, or calls from Python; - if it was not done."""
     expected: str
     """Reaction that the documents promise."""
+    coupling: str = "position-force"
+    """Kind of the coupling."""
     measured: str = ""
     """Measured reaction, in words."""
     reaction_s: float | None = None

@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from tests.faults.signals import Ticks
@@ -20,6 +20,8 @@ from tests.faults.signals import Ticks
 from haptether.bridge import read_recording, write_key
 
 HAPTETHER = (sys.executable, "-m", "haptether")
+DEFAULT_SCENE = "remote_push"
+"""Scene of both commands without --scene; changes need its name."""
 END_S = 30.0
 """Time in s in which any process has to end, or to print its first line."""
 PRESSED_S = 1.8
@@ -97,6 +99,8 @@ class Process:
 class Stage:
     """A folder, a key, and the processes of one row; all are removed when it ends."""
 
+    overrides: ClassVar[tuple[str, ...]] = ()
+    """Changes of the scene at both sides."""
     folder: Path
     processes: list[Process] = field(default_factory=list)
 
@@ -134,7 +138,7 @@ class Stage:
         record = more.pop("record", self.path(f"{name}.mcap"))
         return self._begun(Process(
             "slave", "--key", str(self.key), "--listen", listen, "--json", str(self.path(f"{name}.json")),
-            "--force", *arguments, record=record, **more,
+            "--force", *self._set(), *arguments, record=record, **more,
         ))  # fmt: skip
 
     def master(self, peer: str, name: str = "master", *arguments: str, key: Path | None = None, **more: Any) -> Process:  # noqa: ANN401  # those of Process
@@ -142,8 +146,13 @@ class Stage:
         record = more.pop("record", self.path(f"{name}.mcap"))
         return self._begun(Process(
             "master", "--key", str(key or self.key), "--peer", peer, "--json", str(self.path(f"{name}.json")),
-            "--force", *arguments, record=record, **more,
+            "--force", *self._set(), *arguments, record=record, **more,
         ))  # fmt: skip
+
+    @classmethod
+    def _set(cls) -> list[str]:
+        changes = [part for one in cls.overrides for part in ("--set", one)]
+        return ["--scene", DEFAULT_SCENE, *changes] if changes else []
 
     def _begun(self, process: Process) -> Process:
         self.processes.append(process)

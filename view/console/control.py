@@ -31,15 +31,16 @@ class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Identifier of the side, see `side_id`."""
     do: Literal[
         "status", "hold", "let_go", "release", "acknowledge",
-        "force_scale", "torque_scale", "position_scale", "rotation_scale",
+        "force_scale", "torque_scale", "position_scale", "rotation_scale", "coupling",
     ]  # fmt: skip
     held_ms: int | None = None
     token: int | None = None
     scale: float | None = None
+    kind: str | None = None
 
     def request(self) -> dict[str, Any]:
         """Return the request in the form of the control socket."""
-        given = {"held_ms": self.held_ms, "token": self.token, "scale": self.scale}
+        given = {"held_ms": self.held_ms, "token": self.token, "scale": self.scale, "kind": self.kind}
         return {"do": self.do} | {name: value for name, value in given.items() if value is not None}
 
 

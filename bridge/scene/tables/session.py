@@ -115,6 +115,8 @@ class ChangeTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """New rotation."""
     locked_axes: AxisIndices | None = None
     """New locked axes."""
+    kind: CouplingName | None = None
+    """Coupling to which the operator switches: that of `[coupling]` or one of its alternatives. The clutch is released."""
 
 
 class AlignmentTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -129,8 +131,8 @@ class AlignmentTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Largest angle in rad between the sides; above it the slave refuses and does not move."""
 
 
-class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """`[coupling]`: coupling of master and slave; `haptether list` has the kinds with their sources."""
+class CouplingGains(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Kind and numbers of a coupling."""
 
     kind: CouplingName = "position-force"
     """Coupling; by default position forward, measured force back."""
@@ -166,6 +168,15 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """tau in s by which the command leads the tool, the lag of the arm behind its command. By default 2/w of position
     control, 1/w of velocity control, and 0 of `pd`, which follows the velocity too.
     """
+
+
+class AlternativeTable(CouplingGains, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[[coupling.alternatives]]`: a coupling to which the operator may switch. All else is that of `[coupling]`."""
+
+
+class CouplingTable(CouplingGains, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """`[coupling]`: coupling of master and slave; `haptether list` has the kinds with their sources."""
+
     position_scale: Positive = 1.0
     """lambda_p: slave motion per master motion."""
     force_scale: Positive = 1.0
@@ -203,6 +214,8 @@ class CouplingTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """
     changes: tuple[ChangeTable, ...] = ()
     """Changes during the run; they fade like an engagement."""
+    alternatives: tuple[AlternativeTable, ...] = ()
+    """Couplings to which the operator may switch during a run, with their own numbers; the same at both sides."""
 
 
 class SecurityTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

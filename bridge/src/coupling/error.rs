@@ -53,6 +53,9 @@ pub enum CouplingError {
         /// True if it may change while the clutch is open.
         while_engaged: bool,
     },
+    /// Coupling to which this side cannot switch.
+    #[error("coupling {0}: must be that of the scene or one of its coupling.alternatives")]
+    NoAlternative(&'static str),
     /// Scale that this side does not have.
     #[error("{0}: only a side of kind \"pose\" has it")]
     NoScale(&'static str),

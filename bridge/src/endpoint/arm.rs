@@ -114,6 +114,19 @@ impl<const N: usize> Arm<N> {
         }
     }
 
+    /// Exchange the halves of the coupling with those of another one, while nothing couples the sides.
+    pub(super) fn switch(
+        &mut self,
+        coupled: &mut Option<Box<CoupledSlave<N>>>,
+        turning: &mut Option<Box<CoupledSlaveTurn>>,
+    ) {
+        std::mem::swap(&mut self.coupled, coupled);
+        if let Some(rotation) = &mut self.rotation {
+            std::mem::swap(&mut rotation.coupled, turning);
+        }
+        self.disengage();
+    }
+
     /// Add `rotation` (three axes). A press waits for at most `align_s`.
     pub(super) fn turning(
         mut self,

@@ -13,9 +13,9 @@ use crate::{
         LadderInputs, LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame, Reason,
         thresholds,
     },
-    link::{FrameHead, FrameLink, LinkStatistics, LinkTime, RejectReason, Status},
+    link::{FrameHead, FrameLink, LinkStatistics, LinkTime, PlayOut, RejectReason, Status},
     playout::PlayoutError,
-    port::{PortEnergy, PortState},
+    port::{CouplingMessage, PortEnergy, PortState},
     wire::{Frame, FrameLayout, MAX_FRAME, Role},
 };
 
@@ -81,6 +81,8 @@ pub struct Exchange {
     pub(super) events: TickEvents,
     /// Count of the engagements.
     epoch: u16,
+    /// True while this side waits to switch to another coupling.
+    switches: bool,
     /// Code of this side's fault (0 without one), and the driver's text on it.
     fault: u8,
     sent_text: SentText,
@@ -129,6 +131,7 @@ impl Exchange {
             left_j: f64::NAN,
             events: TickEvents::default(),
             epoch: 0,
+            switches: false,
             fault: 0,
             sent_text: SentText::default(),
             failing: None,
@@ -170,9 +173,26 @@ impl Exchange {
         self.link.set_layout(FrameLayout { coupling, ..self.link.layout() });
     }
 
-    /// Let frames for the coupling wait for at most `most_ns`, until their delay is constant.
-    pub(crate) fn set_play_out(&mut self, most_ns: u64) -> Result<(), PlayoutError> {
-        self.link.set_play_out(most_ns, self.period_ns.min(1_000_000))
+    /// Return a play-out in which frames wait for at most `most_ns`.
+    pub(crate) fn play_out(&self, most_ns: u64) -> Result<PlayOut, PlayoutError> {
+        PlayOut::new(most_ns, self.period_ns.min(1_000_000))
+    }
+
+    /// Return whether nothing couples the sides and no force is left, so that this side may switch to another coupling.
+    pub(super) fn may_switch(&self) -> bool {
+        !self.ladder.state().is_coupled() && self.ladder.gain() == 0.0
+    }
+
+    /// Set whether this side waits for its next [`switch`](Self::switch), and engages with nobody before.
+    pub(super) fn await_switch(&mut self, waits: bool) {
+        self.switches = waits;
+    }
+
+    /// Switch to another coupling, with its play-out; `play_out` gets that of the coupling before.
+    pub(super) fn switch(&mut self, coupling: CouplingKind, play_out: &mut PlayOut) {
+        self.link.switch(coupling, play_out);
+        (self.switches, self.left_j) = (false, f64::NAN);
+        self.outgoing.message = CouplingMessage::ZERO;
     }
 
     /// Energies through the port of this side since its engagement.
@@ -292,13 +312,22 @@ impl Exchange {
         (state, age_ns)
     }
 
+    /// Return whether both sides have the same coupling and this one keeps it, or are coupled.
+    fn may_couple_with(&self, frame: &Frame) -> bool {
+        let is_same = !self.switches && frame.coupling == self.link.layout().coupling;
+        is_same || self.ladder.state().is_coupled()
+    }
+
     /// Fields of the peer's newest frame that the ladder reads.
     fn peer_frame(&self, now_ns: u64, frame: &Frame) -> PeerFrame {
         // An echo of another run does not concern this run.
         let echo = frame.echo.filter(|echo| echo.run_id == self.link.run_id());
         PeerFrame {
             // A state that this version does not know must not couple.
-            state: LadderState::from_code(frame.state).unwrap_or(LadderState::Fault),
+            state: match LadderState::from_code(frame.state).unwrap_or(LadderState::Fault) {
+                state if state.is_held() || self.may_couple_with(frame) => state,
+                _ => LadderState::Disengaged,
+            },
             clutch: frame.clutch,
             hears: self.link.is_heard(),
             echo: echo.map(|echo| echo.sequence),

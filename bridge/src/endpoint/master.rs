@@ -2,14 +2,16 @@
 
 use haptether_safety::{
     Axes, Coupled, CoupledTurn, DeviceModel, Fault, LayerSettings, LimiterSettings, SafetyTick, SampleBounds,
-    Turned,
+    Signal, Turned,
     controller::{ResearchController, SafetySettings},
     estimator::EstimatorKind,
 };
 use nalgebra::UnitQuaternion;
 
 use super::{
-    EndpointError, Exchange, MasterReading, MasterRotationSettings, TriggerSettings, check_period,
+    EndpointError, Exchange, MasterReading, MasterRotationSettings, TriggerSettings,
+    alternative::{Alternative, check_change, kind_of, place},
+    check_period,
     hand::{CarriedState, Hand, HandInput},
     layer::Layer,
     period_s,
@@ -20,12 +22,17 @@ use crate::{
     command::OperatorCommand,
     coupling::{
         CHANGE_FACTOR, CoupledMaster, CoupledMasterTurn, CouplingError, HandMotion, Mapping, MethodSettings,
-        RotationCoupling, RotationLock, RotationState, ScaleRange, ScaleRanges,
+        RotationCoupling, RotationLock, RotationState, ScaleRange, ScaleRanges, capped,
     },
     ladder::{LAYERS, LadderSettings, LadderState, Observed, ROTATION, TRANSLATION, TRIGGER},
+    link::PlayOut,
     port::CouplingMessage,
     wire::{Role, unpadded},
 };
+
+/// Largest force in N of a hand in a frame, and the lever in m that gives its torque: an estimate may be far off.
+const MOST_GRASP_N: f64 = 100.0;
+const LEVER_M: f64 = 0.1;
 
 /// Settings of a master endpoint.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -91,6 +98,10 @@ pub struct MasterEndpoint<const N: usize> {
     period_s: f64,
     /// True if the operator has acknowledged the fault since the last tick.
     acknowledged: bool,
+    /// Couplings to which an operator may switch.
+    alternatives: Vec<Alternative<CoupledMaster<N>, CoupledMasterTurn>>,
+    /// Place of the one to which this side switches once nothing couples it.
+    switching: Option<usize>,
 }
 
 impl<const N: usize> MasterEndpoint<N> {
@@ -136,6 +147,38 @@ impl<const N: usize> MasterEndpoint<N> {
         self.coupled = CoupledMaster::new(settings).map(Box::new);
         self.turning = CoupledMasterTurn::new(settings).map(Box::new);
         self
+    }
+
+    /// Set the play-out of the coupling.
+    pub(crate) fn set_play_out(&mut self, play_out: PlayOut) {
+        self.exchange.link.set_play_out(play_out);
+    }
+
+    /// Add a coupling to which an operator may switch; None for position-force.
+    #[must_use]
+    pub(crate) fn with_alternative(mut self, method: Option<MethodSettings>, play_out: PlayOut) -> Self {
+        if method.is_some_and(|method| method.kind.needs_grasp_force()) {
+            self.hand = self.hand.with_grasp();
+        }
+        self.exchange.link.allow(kind_of(method.as_ref()));
+        let coupled = method.and_then(|method| CoupledMaster::new(&method)).map(Box::new);
+        let turning = method.and_then(|method| CoupledMasterTurn::new(&method)).map(Box::new);
+        self.alternatives.push(Alternative { method, coupled, turning, play_out });
+        self
+    }
+
+    /// Switch to another coupling, if the operator asked for one and nothing couples the sides.
+    #[inline(never)]
+    fn switch(&mut self) {
+        let Some(place) = self.switching.filter(|_| self.exchange.may_switch()) else { return };
+        self.switching = None;
+        let other = &mut self.alternatives[place];
+        self.exchange.switch(other.kind(), &mut other.play_out);
+        std::mem::swap(&mut self.method, &mut other.method);
+        std::mem::swap(&mut self.coupled, &mut other.coupled);
+        std::mem::swap(&mut self.turning, &mut other.turning);
+        self.coupled.iter_mut().for_each(|coupled| coupled.clear());
+        self.turning.iter_mut().for_each(|turning| turning.clear());
     }
 
     /// Add a trigger with force feedback.
@@ -223,6 +266,8 @@ impl<const N: usize> MasterEndpoint<N> {
             },
             period_s: period_s(settings.period_ns),
             acknowledged: false,
+            alternatives: Vec::new(),
+            switching: None,
         })
     }
 
@@ -239,6 +284,9 @@ impl<const N: usize> MasterEndpoint<N> {
         let device_failed = self.exchange.events.device_failed;
         if device_failed {
             self.exchange.fault(now_ns, Fault::Device);
+        }
+        if self.switching.is_some() {
+            self.switch();
         }
         let (_, age_ns) = self.exchange.advance(now_ns, clutch);
         let newest = self.exchange.link().newest();
@@ -421,9 +469,11 @@ impl<const N: usize> MasterEndpoint<N> {
         if self.method.is_some_and(|method| method.kind.needs_grasp_force()) {
             // Frames of this coupling have F_h instead of F_device; in the frame and scale of the slave, as F_m.
             let (grasp, grasp_torque) = self.hand.grasp();
-            force = self.mapping.coupled_force(&grasp);
+            let bound = Signal::RenderedForce.bound();
+            force = capped(&self.mapping.coupled_force(&capped(&grasp, MOST_GRASP_N)), bound);
             if let (Some(rotation), Some(map)) = (&mut rotation, &self.rotation) {
-                rotation.torque = map.coupled_torque(&grasp_torque);
+                let torque = map.coupled_torque(&capped(&grasp_torque, MOST_GRASP_N * LEVER_M));
+                rotation.torque = capped(&torque, Signal::RenderedTorque.bound());
             }
         }
         outgoing.report(&position, &velocity, &force, rotation);
@@ -438,8 +488,14 @@ impl<const N: usize> MasterEndpoint<N> {
             self.exchange.acknowledge(now_ns);
             return Ok(true);
         }
+        if let OperatorCommand::Coupling(kind) = command {
+            let is_present = kind == kind_of(self.method.as_ref());
+            self.switching = if is_present { None } else { Some(place(&self.alternatives, kind)?) };
+            self.exchange.await_switch(!is_present);
+            return Ok(!is_present);
+        }
         command.check_scale(Role::Master, &self.ranges, self.exchange.is_open())?;
-        self.method.map_or(Ok(()), |method| method.check_change(&command, self.exchange.is_open()))?;
+        check_change(self.method.as_ref(), &self.alternatives, &command, self.exchange.is_open())?;
         self.change(command, self.exchange.fade_ticks())
     }
 

@@ -1,5 +1,6 @@
 //! Endpoints: one side's work at a tick, without socket, thread or clock.
 
+mod alternative;
 mod arm;
 mod exchange;
 mod hand;

@@ -3,15 +3,20 @@
 use haptether_safety::{Axes, Fault, SampleBounds};
 use nalgebra::UnitQuaternion;
 
-use super::{Arm, ArmInput, EndpointError, Exchange, MasterState, SlaveRotationSettings, period_s};
+use super::{
+    Arm, ArmInput, EndpointError, Exchange, MasterState, SlaveRotationSettings,
+    alternative::{Alternative, check_change, kind_of, place},
+    period_s,
+};
 use crate::{
     SideKind,
     command::OperatorCommand,
     coupling::{
-        CHANGE_FACTOR, CommandBounds, CouplingError, Limited, MethodSettings, OfHalf, RotationState,
-        ScaleRange, ScaleRanges,
+        CHANGE_FACTOR, CommandBounds, CoupledSlave, CoupledSlaveTurn, CouplingError, Limited, MethodSettings,
+        OfHalf, RotationState, ScaleRange, ScaleRanges,
     },
     ladder::{LAYERS, LadderSettings, LadderState, Observed},
+    link::PlayOut,
     wire::{Role, unpadded},
 };
 
@@ -80,6 +85,8 @@ pub struct SlaveEndpoint<const N: usize> {
     arm: Arm<N>,
     /// Settings of the coupling; None for position-force.
     method: Option<MethodSettings>,
+    /// Couplings to which an operator may switch at the master.
+    alternatives: Vec<Alternative<CoupledSlave<N>, CoupledSlaveTurn>>,
     /// Bounds of `lambda_p` and `lambda_r` during the run.
     ranges: ScaleRanges,
     /// Link and ladder towards the peer.
@@ -95,7 +102,7 @@ impl<const N: usize> SlaveEndpoint<N> {
             translation: Some(ScaleRange::position(settings.position_scale, CHANGE_FACTOR, [])),
             rotation: None,
         };
-        Ok(Self { arm, method: None, ranges, exchange })
+        Ok(Self { arm, method: None, alternatives: Vec::new(), ranges, exchange })
     }
 
     /// Build the endpoint of a pose (three axes, with `rotation`).
@@ -103,11 +110,11 @@ impl<const N: usize> SlaveEndpoint<N> {
         settings: &SlaveSettings,
         rotation: &SlaveRotationSettings,
     ) -> Result<Self, EndpointError> {
-        let Self { arm, method, mut ranges, mut exchange } = Self::new(settings)?;
+        let Self { arm, method, alternatives, mut ranges, mut exchange } = Self::new(settings)?;
         let arm = arm.turning(rotation, period_s(settings.ladder.align_ns))?;
         ranges.rotation = Some(ScaleRange::rotation(rotation.rotation_scale, CHANGE_FACTOR, []));
         exchange.set_kind(SideKind::Pose);
-        Ok(Self { arm, method, ranges, exchange })
+        Ok(Self { arm, method, alternatives, ranges, exchange })
     }
 
     /// Set a coupling with two halves; the default is position-force.
@@ -117,6 +124,32 @@ impl<const N: usize> SlaveEndpoint<N> {
         self.arm.set_coupling(settings);
         self.method = Some(*settings);
         self
+    }
+
+    /// Set the play-out of the coupling.
+    pub(crate) fn set_play_out(&mut self, play_out: PlayOut) {
+        self.exchange.link.set_play_out(play_out);
+    }
+
+    /// Add a coupling to which an operator may switch at the master; None for position-force.
+    #[must_use]
+    pub(crate) fn with_alternative(mut self, method: Option<MethodSettings>, play_out: PlayOut) -> Self {
+        self.exchange.link.allow(kind_of(method.as_ref()));
+        let coupled = method.and_then(|method| CoupledSlave::new(&method)).map(Box::new);
+        let turning = method.and_then(|method| CoupledSlaveTurn::new(&method)).map(Box::new);
+        self.alternatives.push(Alternative { method, coupled, turning, play_out });
+        self
+    }
+
+    /// Follow the master to another coupling, while nothing couples the sides. A frame engages nobody.
+    #[inline(never)]
+    fn switch(&mut self) {
+        let Some(newest) = self.exchange.link.newest().filter(|_| self.exchange.may_switch()) else { return };
+        let Ok(place) = place(&self.alternatives, newest.coupling) else { return };
+        let other = &mut self.alternatives[place];
+        self.exchange.switch(other.kind(), &mut other.play_out);
+        std::mem::swap(&mut self.method, &mut other.method);
+        self.arm.switch(&mut other.coupled, &mut other.turning);
     }
 
     /// Replace the bounds of the scales during the run; the default bounds use [`CHANGE_FACTOR`].
@@ -152,6 +185,9 @@ impl<const N: usize> SlaveEndpoint<N> {
     /// Step one tick on the measurements of the arm.
     #[inline(always)] // once per tick, from few callers
     pub fn tick(&mut self, now_ns: u64, reading: &SlaveReading<N>) -> SlaveTick<N> {
+        if !self.alternatives.is_empty() {
+            self.switch();
+        }
         let Self { arm, exchange, .. } = self;
         if exchange.events.peer_began {
             arm.disengage();
@@ -222,7 +258,7 @@ impl<const N: usize> SlaveEndpoint<N> {
             self.exchange.acknowledge(now_ns);
         }
         command.check_scale(Role::Slave, &self.ranges, self.exchange.is_open())?;
-        self.method.map_or(Ok(()), |method| method.check_change(&command, self.exchange.is_open()))?;
+        check_change(self.method.as_ref(), &self.alternatives, &command, self.exchange.is_open())?;
         self.arm.command(command, self.exchange.fade_ticks())
     }
 

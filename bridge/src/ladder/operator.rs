@@ -108,9 +108,10 @@ impl ClutchOperator {
         (self.requested, self.requested_ns) = (false, None);
     }
 
-    /// Release the clutch: the start was too long ago to be a press. Returns whether that start would have
-    /// been an operator's press.
+    /// Release the clutch: by command, or because the start was too long ago to be a press. Returns whether that start
+    /// would have been an operator's press. A simulated operator reacts anew.
     pub fn release_clutch(&mut self) -> bool {
+        self.ready_ns = None;
         std::mem::replace(&mut self.pressed, false) && matches!(self.clutch, Clutch::Once)
     }
 

@@ -287,6 +287,8 @@ impl Ineffective {
 pub(super) struct Shared {
     role: Role,
     ranges: ScaleRanges,
+    /// Couplings of the side: bit n for the code n.
+    couplings: u16,
     /// Number of axes, if this is the side of an aimed model.
     aimed_axes: Option<usize>,
     /// True if the clutch is open and no coupling remains.
@@ -313,10 +315,11 @@ pub(super) struct Shared {
 }
 
 impl Shared {
-    pub(super) fn new(role: Role, ranges: ScaleRanges, aimed_axes: Option<usize>) -> Self {
+    pub(super) fn new(role: Role, ranges: ScaleRanges, couplings: u16, aimed_axes: Option<usize>) -> Self {
         Self {
             role,
             ranges,
+            couplings,
             aimed_axes,
             is_open: AtomicBool::new(true),
             stop: AtomicBool::default(),
@@ -345,6 +348,9 @@ impl Shared {
         match command {
             OperatorCommand::Aim(_) | OperatorCommand::Push(_) if self.aimed_axes.is_none() => {
                 return Err(CommandError::NotAimed);
+            }
+            OperatorCommand::Coupling(kind) if self.couplings >> kind.code() & 1 == 0 => {
+                return Err(CouplingError::NoAlternative(kind.name()).into());
             }
             OperatorCommand::Aim(aim) => aim.check()?,
             OperatorCommand::Push(push) => push.check()?,

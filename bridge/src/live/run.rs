@@ -103,7 +103,9 @@ fn prepared<S: Side + Send + 'static>(
     let layout = side.exchange().link().layout();
     let channel = LiveChannel::start(settings.role, layout, settings.period_ns, security)?;
     let started_ns = settings.started_ns.unwrap_or_else(system::now_ns);
-    let shared = Arc::new(Shared::new(settings.role, side.ranges(), side.is_aimed().then(|| side.axes())));
+    let couplings = side.exchange().link().couplings();
+    let aimed_axes = side.is_aimed().then(|| side.axes());
+    let shared = Arc::new(Shared::new(settings.role, side.ranges(), couplings, aimed_axes));
     let (channels, sinks, watch, records) =
         channels(started_ns, socket.local_address()?, outputs, Arc::clone(&shared));
     let plant = Box::new(RecordedSide::new(side, sinks));

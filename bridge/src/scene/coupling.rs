@@ -55,6 +55,16 @@ pub(crate) fn commands<const N: usize>(
         if let Some(scale) = torque_scale {
             add(OperatorCommand::TorqueScale(*scale));
         }
+        if let Some(kind) = change.kind {
+            let kinds = spec.alternatives.iter().map(|one| one.kind);
+            if kinds.chain([spec.kind]).all(|one| one != kind) {
+                return contradiction(format!(
+                    "coupling.changes.{index}.kind = {:?}: must be that of [coupling] or of one of its alternatives",
+                    kind.name()
+                ));
+            }
+            add(OperatorCommand::Coupling(kind));
+        }
         if change.quat_wxyz.is_some() || change.locked_axes.is_some() {
             quat_wxyz = change.quat_wxyz.unwrap_or(quat_wxyz);
             locked_axes = change.locked_axes.as_ref().unwrap_or(locked_axes);

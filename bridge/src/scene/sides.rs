@@ -15,7 +15,7 @@ use super::{
     coupling::commands,
     pose,
     research::{ResearchFactory, research_controller},
-    spec::{ChangeSpec, CouplingSpec, SceneSpec},
+    spec::{AlternativeSpec, ChangeSpec, CouplingSpec, SceneSpec},
     timed::Timed,
 };
 use crate::{
@@ -23,6 +23,7 @@ use crate::{
     MasterSide, SideKind, SlaveEndpoint, SlaveGripper, SlaveRotation, SlaveSettings, SlaveSide, Trigger,
     coupling::{CouplingError, Gains, Mapping, MethodSettings, ScaleRange, ScaleRanges, VirtualToolSettings},
     endpoint::{Arm, Exchange, Hand, TOOL_LEVER_M, period_s},
+    link::PlayOut,
 };
 
 /// Deceleration in m/s² of a driven arm that no longer follows, unless the scene bounds its acceleration.
@@ -124,8 +125,10 @@ const MOST_IMPEDANCE: f64 = 0.3;
 const MOST_ADDED: f64 = 0.2;
 /// Longest time in s over which a wave is spread.
 const MOST_SPREAD_S: f64 = 0.1;
-/// Largest gain of a measured force.
-const MOST_GAIN: f64 = 10.0;
+/// Range of C2: above 1 the estimate of `F_h` feeds back with a positive sign, and near 0 its error is all that the hand
+/// feels. Largest C3.
+const ENVIRONMENT_GAINS: [f64; 2] = [0.05, 1.5];
+const MOST_GRASP_GAIN: f64 = 4.0;
 /// Speed in m/s of a device with the energies that both sides have at the engagement.
 const START_SPEED: f64 = 0.3;
 
@@ -169,12 +172,18 @@ fn limited_gains<const N: usize>(
         ("impedance", impedance, MOST_IMPEDANCE * per_period, "0.3 M/T of the device"),
         ("start_energy_j", start_energy_j, most_j, "a quarter of M (0.3 m/s)² of the device"),
         ("spread_s", spread_s, MOST_SPREAD_S, "because it adds to the delay"),
-        ("environment_gain", environment_gain, MOST_GAIN, "because its loop of force has no delay"),
-        ("grasp_gain", grasp_gain, MOST_GAIN, "because its loop of force has no delay"),
+        ("environment_gain", environment_gain, ENVIRONMENT_GAINS[1], "because F_h then feeds back"),
+        ("grasp_gain", grasp_gain, MOST_GRASP_GAIN, "because its loop of force has no delay"),
     ] {
         if let Some(seen) = stated.filter(|seen| *seen > most) {
             return contradiction(format!("coupling.{key} = {seen}: must be at most {most:.3e}, {why}"));
         }
+    }
+    if let Some(seen) = environment_gain.filter(|seen| *seen < ENVIRONMENT_GAINS[0]) {
+        let least = ENVIRONMENT_GAINS[0];
+        return contradiction(format!(
+            "coupling.environment_gain = {seen}: must be at least {least}, or errors of F_h are all that the hand feels"
+        ));
     }
     Ok(Gains {
         impedance: impedance.unwrap_or(default.impedance.min(MOST_IMPEDANCE * per_period)),
@@ -190,17 +199,38 @@ fn limited_gains<const N: usize>(
 /// Longest wait in s in the play-out of a scene that states none.
 const PLAY_OUT_S: f64 = 0.06;
 
-/// Let the frames for a coupling that needs it pass a play-out.
-fn play_out<const N: usize>(scene: &SceneSpec<N>, exchange: &mut Exchange) -> Result<(), SceneError> {
-    let (_, coupling) = scene.coupled()?;
+/// Return the play-out of a coupling that needs one.
+fn play_out(coupling: &CouplingSpec, exchange: &Exchange) -> Result<PlayOut, SceneError> {
     let most_s = coupling.play_out_s.unwrap_or(PLAY_OUT_S);
     if !(0.0..=1.0).contains(&most_s) {
         return contradiction(format!("coupling.play_out_s = {most_s}: must be between 0 and 1 s"));
     }
-    if coupling.kind.plays_out() && most_s > 0.0 {
-        exchange.set_play_out(ns(most_s)).map_err(|error| SceneError::Contradiction(error.to_string()))?;
+    if !(coupling.kind.plays_out() && most_s > 0.0) {
+        return Ok(PlayOut::default());
     }
-    Ok(())
+    exchange.play_out(ns(most_s)).map_err(|error| SceneError::Contradiction(error.to_string()))
+}
+
+/// Settings and play-out of each coupling to which the operator may switch.
+type Alternatives = Vec<(Option<MethodSettings>, PlayOut)>;
+
+fn alternatives<const N: usize>(
+    scene: &SceneSpec<N>,
+    exchange: &Exchange,
+) -> Result<Alternatives, SceneError> {
+    let (_, coupling) = scene.coupled()?;
+    let mut kinds = vec![coupling.kind];
+    let build = |alternative: &AlternativeSpec| {
+        let (kind, coupling) = (alternative.kind, coupling.with(alternative));
+        if kinds.contains(&kind) {
+            return contradiction(format!("coupling.alternatives: {} is there twice", kind.name()));
+        }
+        kinds.push(kind);
+        let play_out = play_out(&coupling, exchange)?;
+        let other = SceneSpec { coupling: Some(coupling), ..scene.clone() };
+        Ok((method(&other)?, play_out))
+    };
+    coupling.alternatives.iter().map(build).collect()
 }
 
 /// Return an error for numbers of springs in the table of position-force, which has none.
@@ -301,7 +331,11 @@ pub(super) fn master_endpoint<const N: usize>(
     let mut endpoint = endpoint.with_ranges(ranges).with_samples(master_samples(scene));
     if let Some(method) = method(scene)? {
         endpoint = endpoint.with_coupling(&method);
-        play_out(scene, &mut endpoint.exchange)?;
+        let play_out = play_out(coupling, &endpoint.exchange)?;
+        endpoint.set_play_out(play_out);
+    }
+    for (method, play_out) in alternatives(scene, &endpoint.exchange)? {
+        endpoint = endpoint.with_alternative(method, play_out);
     }
     endpoint.exchange.set_kind(scene.master.kind);
     if let Some(trigger) = trigger_feedback(scene, arm)? {
@@ -363,7 +397,11 @@ pub(super) fn slave_endpoint<const N: usize>(
     let mut endpoint = endpoint.with_ranges(ranges).with_samples(slave_samples(scene));
     if let Some(method) = method(scene)? {
         endpoint = endpoint.with_coupling(&method);
-        play_out(scene, &mut endpoint.exchange)?;
+        let play_out = play_out(coupling, &endpoint.exchange)?;
+        endpoint.set_play_out(play_out);
+    }
+    for (method, play_out) in alternatives(scene, &endpoint.exchange)? {
+        endpoint = endpoint.with_alternative(method, play_out);
     }
     endpoint.exchange.set_kind(scene.master.kind);
     if scene.master.buttons.is_some() {

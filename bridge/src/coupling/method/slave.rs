@@ -9,7 +9,7 @@ use crate::{
     wire::{Padded, Role, unpadded},
 };
 
-/// Time in s without a new frame over which a half that keeps a ledger goes on in STALE.
+/// Time in s without a new frame over which a half that keeps a ledger goes on in STALE, and a force of the hand stays.
 pub(super) const GAP_S: f64 = 0.01;
 
 /// Engagement of the master, as the half at the slave sees it.
@@ -153,7 +153,8 @@ impl<const N: usize> CoupledSlave<N> {
         master: &OfMaster<'_, Axes<N>, N>,
         dt: f64,
     ) -> Axes<N> {
-        let OfMaster { at, velocity, force, half: OfHalf { message, epoch, sequence, is_stale, .. } } = *master;
+        let OfMaster { at, velocity, force, half: OfHalf { message, epoch, sequence, is_stale, .. } } =
+            *master;
         if !self.engaged {
             // Each engagement begins at rest and without force: the anchor couples this position with zero motion.
             self.tool.rest_at(from);
@@ -181,8 +182,8 @@ impl<const N: usize> CoupledSlave<N> {
         }
         // A half that keeps a ledger does not extrapolate beyond a short gap.
         self.silent_s = if is_new { 0.0 } else { self.silent_s + dt };
-        let is_old = is_stale && self.silent_s > GAP_S && self.kind.sends_energy();
-        let moves = is_engaged && !is_old;
+        let is_silent = is_stale && self.silent_s > GAP_S;
+        let moves = is_engaged && !(is_silent && self.kind.sends_energy());
         let velocity = if moves { map.commanded_velocity(velocity) } else { Axes::zeros() };
         let target = map.commanded_position(&self.moved, from);
         let own = Local {
@@ -197,7 +198,7 @@ impl<const N: usize> CoupledSlave<N> {
         let peer = Peer {
             position: &target,
             velocity: &velocity,
-            force: &if moves { *force } else { Axes::zeros() },
+            force: &if is_engaged && !is_silent { *force } else { Axes::zeros() },
             vector: &self.wave,
             sum: self.energy_j,
             is_new,

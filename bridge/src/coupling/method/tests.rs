@@ -91,16 +91,17 @@ fn run(
     paths: [&[Option<usize>]; 2],
     targets: impl Fn(usize) -> [f64; 2],
 ) -> Ledger {
-    run_limited(&mut halves, plants, paths, targets, f64::INFINITY)
+    run_limited(&mut halves, plants, paths, targets, (f64::INFINITY, 0.0))
 }
 
-/// The same, with a limiter at the master that leaves at most `most_n` in N of its force.
+/// The same, with a limiter at the master that leaves at most `most_n` of its force, and an error of the estimated force of
+/// the hand, both in N.
 fn run_limited(
     halves: &mut [Half<1>; 2],
     mut plants: [Plant; 2],
     paths: [&[Option<usize>]; 2],
     targets: impl Fn(usize) -> [f64; 2],
-    most_n: f64,
+    (most_n, error_n): (f64, f64),
 ) -> Ledger {
     let axes = Axes::<1>::new;
     let starts = plants.map(|plant| plant.x);
@@ -111,7 +112,7 @@ fn run_limited(
         let moved = [0, 1].map(|side| plants[side].x - starts[side]);
         // The estimate of the hand's force is one tick old.
         let felt = [grasp, plants[1].touched()];
-        grasp = plants[0].hand(targets(now)[0]);
+        grasp = plants[0].hand(targets(now)[0]) + error_n;
         sent.push([0, 1].map(|side| Message([moved[side], plants[side].v, felt[side], 0.0, 0.0])));
         for side in [1, 0] {
             // Before the first message the other side rests at its start.
@@ -263,7 +264,7 @@ fn forces_both_ways_leave_no_compliance() {
     };
     for (kind, delays) in [
         (CouplingKind::FourChannel, &[1, 5, 10, 25, 50, 100, 200][..]),
-        (CouplingKind::ThreeChannelEnvironment, &[1, 5, 10][..]),
+        (CouplingKind::ThreeChannelEnvironment, &[1, 5, 10, 25, 50][..]),
         (CouplingKind::ThreeChannelGrasp, &[1, 5, 10, 25, 50, 100, 200][..]),
     ] {
         for delay in delays {
@@ -271,6 +272,21 @@ fn forces_both_ways_leave_no_compliance() {
             assert!((force / expected - 1.0).abs() < 1e-4, "{kind:?}, {delay} ms: {force} of {expected} N");
             assert!(apart.abs() < 1e-6, "{kind:?}, {delay} ms: {apart} m");
         }
+    }
+    // An error of F_h of 0.05 N: F_h - F_w = (1 - C2 - C3) / (C2 + C3) times that, and x_m - x_s = C3 (F_w - F_h - error) / K.
+    for kind in
+        [CouplingKind::FourChannel, CouplingKind::ThreeChannelEnvironment, CouplingKind::ThreeChannelGrasp]
+    {
+        let (gains, error_n, path) = (defaults(kind), 0.05, newest(5, 0, 0.0, &vec![(0.0, 0.5); 16_000]));
+        let seen =
+            run_limited(&mut [half(kind, gains); 2], reference(), [&path; 2], ramp, (f64::INFINITY, error_n));
+        let Gains { environment_gain, grasp_gain, stiffness, .. } = gains;
+        let both = environment_gain + grasp_gain;
+        let more_n = error_n * (1.0 - both) / both;
+        let apart = -grasp_gain * (more_n + error_n) / stiffness;
+        let expected = (0.03 - apart + more_n / 2000.0) / (1.0 / 40.0 + 1.0 / 2000.0);
+        assert!((seen.apart - apart).abs() < 1e-6, "{kind:?}: {} of {apart} m", seen.apart);
+        assert!((seen.force - expected).abs() < 1e-4, "{kind:?}: {} of {expected} N", seen.force);
     }
     // All four gains of 1, without own forces: a light master and a stiff wall do not bear it.
     let ones = |gains| Gains { environment_gain: 1.0, grasp_gain: 1.0, impedance: 0.0, ..gains };
@@ -294,8 +310,7 @@ fn a_second_engagement_begins_without_the_force_of_the_first() {
     let mut master = CoupledMaster::<1>::new(&settings(CouplingKind::PdDamped)).unwrap();
     let map = Mapping::new(1.0, 1.0).unwrap();
     let mut request = |x: f64, is_coupled: bool, frame: &Frame| {
-        let zero = Axes::zeros();
-        let (at, zero) = (&Axes::<1>::new(x), &Axes::zeros());
+        let (at, zero) = (&Axes::<1>::new(x), &Axes::<1>::zeros());
         let hand = HandMotion { at, velocity: zero, exerted: zero, grasp: zero, gain: 1.0, dt: T };
         master.request(&map, &hand, is_coupled, (frame, frame.message.epoch))[0]
     };
@@ -464,7 +479,7 @@ impl Drawn {
             })
         };
         let mut halves = [half(self.kind, self.gains); 2];
-        run_limited(&mut halves, self.plants, [&paths[0], &paths[1]], targets, self.most_n)
+        run_limited(&mut halves, self.plants, [&paths[0], &paths[1]], targets, (self.most_n, 0.0))
     }
 }
 
@@ -509,6 +524,47 @@ proptest! {
         let deficit_j = if drawn.kind == CouplingKind::Tdpa { ledger.deficit_j } else { 0.0 };
         let given_j = 2.0 * drawn.gains.start_j + deficit_j;
         prop_assert!(ledger.lowest_j >= -given_j - 1e-9, "{} J of {given_j} J", ledger.lowest_j);
+    }
+}
+
+/// A peer that asks for much and sends no energy gets the `E_0` of the slave's half, and no more.
+#[test]
+fn a_half_gives_its_start_energy_and_no_more() {
+    let (far, zero, start_j) = (Axes::<1>::new(1.0), Axes::zeros(), 2e-3);
+    // A wave that a hand can feel, and the share of E_0 that reaches the plant.
+    let wave = Axes::<1>::new(0.01);
+    for (kind, least) in [(CouplingKind::Wave, 0.1), (CouplingKind::Tdpa, 0.01), (CouplingKind::Pspm, 0.9)] {
+        let mut half = half(kind, Gains { start_j, ..defaults(kind) });
+        assert_eq!(half.left_j(), if kind == CouplingKind::Wave { 0.0 } else { start_j }, "{kind:?}");
+        let mut plant =
+            Plant { mass: 0.5, damper: 0.5, spring: 0.0, wall: 0.0, wall_at: 0.0, x: 0.0, v: 0.0 };
+        let (mut force, mut way, mut given_j, mut most_j) = (0.0, 0.0, 0.0, 0.0f64);
+        for tick in 0..4000 {
+            let [x, v, moved, exerted] = [plant.x, plant.v, way, force].map(Axes::<1>::new);
+            let own = Local {
+                position: &x,
+                velocity: &v,
+                moved: &moved,
+                exerted: &exerted,
+                force: &zero,
+                gain: 1.0,
+                dt: T,
+            };
+            let peer = Peer {
+                position: &far,
+                velocity: &zero,
+                force: &zero,
+                vector: &if kind == CouplingKind::Wave { wave } else { zero },
+                sum: 0.0,
+                is_new: tick == 0,
+                rests: false,
+            };
+            force = half.slave(&own, &peer)[0];
+            way = plant.step(force, 0.0);
+            given_j += force * way;
+            most_j = most_j.max(given_j);
+        }
+        assert!((least * start_j..=start_j + 1e-12).contains(&most_j), "{kind:?}: {most_j} of {start_j} J");
     }
 }
 
@@ -682,8 +738,7 @@ fn frames_of_another_engagement_give_no_energy() {
         CoupledMaster::<1>::new(&MethodSettings { gains: defaults(kind), ..settings(kind) }).unwrap();
     let master_map = Mapping::new(1.0, 1.0).unwrap();
     let mut request = |x: f64, is_coupled: bool, frame: &Frame, newest: u16| {
-        let zero = Axes::zeros();
-        let (at, zero) = (&Axes::<1>::new(x), &Axes::zeros());
+        let (at, zero) = (&Axes::<1>::new(x), &Axes::<1>::zeros());
         let hand = HandMotion { at, velocity: zero, exerted: zero, grasp: zero, gain: 1.0, dt: T };
         master.request(&master_map, &hand, is_coupled, (frame, newest));
         master.message(is_coupled, &Axes::<1>::new(x)).epoch

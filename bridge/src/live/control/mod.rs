@@ -328,6 +328,13 @@ impl Server {
             Request::PositionScale { .. } | Request::RotationScale { .. } if self.role != Role::Slave => {
                 refused("the scale of the motion is at the slave: send it there")
             }
+            Request::Coupling { .. } if self.role != Role::Master => {
+                refused("the coupling is switched at the master: send it there")
+            }
+            Request::Coupling { kind, token } if is_fresh(token) => {
+                let done = format!("{} after the next press; the clutch is released", kind.name());
+                self.command(OperatorCommand::Coupling(kind), &done, answer)
+            }
             Request::ForceScale { scale, token } if is_fresh(token) => {
                 self.scale(OperatorCommand::ForceScale(scale), scale, answer)
             }
@@ -361,6 +368,7 @@ impl Server {
                 }
             }
             Request::Acknowledge { .. }
+            | Request::Coupling { .. }
             | Request::Aim { .. }
             | Request::Push { .. }
             | Request::ForceScale { .. }

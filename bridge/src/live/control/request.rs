@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::coupling::CouplingKind;
+
 /// A request. Times are whole ms, exact in a browser up to 2^53. A token is from a recent `status`, so a queued
 /// request has an old one.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -34,6 +36,10 @@ pub(super) enum Request {
         scale: f64,
         token: u64,
     },
+    Coupling {
+        kind: CouplingKind,
+        token: u64,
+    },
     Aim {
         target: Vec<f64>,
         #[serde(default = "between_aims")]
@@ -57,7 +63,7 @@ const fn between_aims() -> f64 {
 
 /// Names of all requests, for the error text.
 const REQUESTS: &str = "stop, status, hold, let_go, release, acknowledge, force_scale, position_scale, torque_scale, \
-                        rotation_scale, aim, push";
+                        rotation_scale, coupling, aim, push";
 
 impl Request {
     pub(super) fn of(line: &[u8]) -> Result<Self, String> {
@@ -80,6 +86,7 @@ impl Request {
             Self::PositionScale { .. } => "position_scale",
             Self::TorqueScale { .. } => "torque_scale",
             Self::RotationScale { .. } => "rotation_scale",
+            Self::Coupling { .. } => "coupling",
             Self::Aim { .. } => "aim",
             Self::Push { .. } => "push",
         }
@@ -143,6 +150,7 @@ mod tests {
             r#"{"do":"stop","now":true}"#,
             r#"{"do":"acknowledge"}"#,
             r#"{"do":"force_scale","token":1}"#,
+            r#"{"do":"coupling","kind":"magnets","token":1}"#,
             r#"{"do":"force_scale","scale":1.0}"#,
             r#"{"do":"force_scale","scale":"1","token":1}"#,
             r#"{"do":"hold","held_ms":-1}"#,

@@ -33,7 +33,7 @@ class Cite(FileOptions):
     set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TABLE.KEY=VALUE")] = ()
     """Change a field first; may be given often."""
     bibtex: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
-    """Write the publications as BibTeX."""
+    """Write the publications as BibTeX; - for standard output."""
     json: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     """Write all sources as JSON; - for standard output."""
 
@@ -45,15 +45,20 @@ class Cite(FileOptions):
         from haptether.cli.shared.screen import screen
         from haptether.private_file import write_private
 
+        if [self.bibtex, self.json].count(Path("-")) > 1:
+            message = "bibtex, json: only one of the two can go to standard output"
+            raise ValueError(message)
         check_target(self.json, self.bibtex, force=self.force)
         check_distinct(json=self.json, bibtex=self.bibtex)
         methods = scene_sources(load_scene(self.scene, self.set))
-        console = screen(self.json)
+        console = screen(self.bibtex if str(self.bibtex) == "-" else self.json)
         for method in methods:
             console.print_item(f"{method.used_as}: {method.source}")
         if any("paper" in method.source for method in methods):
             console.print_item(f'paper: "{TITLE}"')
-        if self.bibtex is not None:
+        if str(self.bibtex) == "-":
+            print(bibtex(methods), end="")
+        elif self.bibtex is not None:
             write_private(self.bibtex, bibtex(methods).encode())
         write_report(self.json, {"scene": self.scene, "paper": TITLE, "methods": methods})
         return 0

@@ -19,7 +19,8 @@ class Setup(FileOptions):
     """Ask for device, arm, gripper and addresses; write scene, key and start scripts; check what can be checked.
 
     Each question may be answered by its option. On a terminal the others are asked, and a wrong answer is asked again.
-    Without a terminal a wrong or missing answer ends the command. docs/setup.md shows a whole installation.
+    Without a terminal it takes and prints the default; a wrong answer, or a missing one without a default, ends the
+    command. A wrong option of a driver ends it, too. Then nothing is written. docs/setup.md shows a whole installation.
 
     The files are scene.toml, arm.key, start-slave.sh, start-master.sh and setup.json, with emulators also
     start-emulators.sh. The checks cover key, scene, arm, gripper, haptic device and link, at the end where this machine
@@ -77,7 +78,7 @@ class Setup(FileOptions):
         """Ask, write and check.
 
         Raises:
-            ValueError: A wrong or missing answer without a terminal, or a folder with files.
+            ValueError: A wrong or missing answer without a terminal, a wrong option, or a folder with files.
             OSError: A file cannot be written.
         """
         from haptether.cli.setup.preflight import preflight
@@ -103,7 +104,7 @@ class Setup(FileOptions):
         return 1 if "mend" in states or (self.check and "missing" in states) else 0
 
     def _written(self) -> "tuple[Answers, list[Path]]":
-        from haptether.cli.setup.files import scene_of, write_files
+        from haptether.cli.setup.files import check_drivers, scene_of, write_files
         from haptether.cli.setup.questions import QUESTIONS, answered
 
         folder = self.folder
@@ -114,6 +115,7 @@ class Setup(FileOptions):
         ask = _ask if sys.stdin is not None and sys.stdin.isatty() else None
         answers = answered(given, ask, lambda error: print(error, file=sys.stderr, flush=True))
         options = {name: _options(getattr(self, f"{name}_options")) for name in ("master", "arm", "gripper")}
+        check_drivers(answers, options)
         scene = scene_of(answers, options, folder.absolute())
         return answers, write_files(answers, scene, options, folder.absolute())
 

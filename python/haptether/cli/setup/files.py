@@ -1,7 +1,9 @@
 """Files of an installation: scene, key, start scripts, and emulators."""
 
+import contextlib
 import shlex
 import sys
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -85,6 +87,27 @@ def scene_of(answers: Answers, options: dict[str, dict[str, Any]], folder: Path)
     if "gripper" in slave:
         raw["operator"]["trigger"] = [[2.0, 0.0], [3.0, 1.0], [6.0, 1.0], [7.0, 0.0]]
     return checked(raw, folder).scene
+
+
+def check_drivers(answers: Answers, options: dict[str, dict[str, Any]]) -> None:
+    """Check the options of the drivers at this end, before anything is written.
+
+    Raises:
+        ValueError: A driver is unknown or refuses an option.
+    """
+    from haptether.bridge.devices.open import DeviceError
+    from haptether.bridge.devices.scene import master_driver, slave_drivers
+
+    end = answers.get("end", "both")
+    with tempfile.TemporaryDirectory() as draft:
+        scene = scene_of(answers, options, Path(draft))
+        if emulates(answers) and answers["arm"] == SERVOS:
+            (Path(draft) / FOLLOWER_FILE).write_text(_follower_text())
+        for check, other in ((master_driver, "slave"), (slave_drivers, "master")):
+            # The check of the written scene names the remedy of any other error.
+            with contextlib.suppress(DeviceError):
+                if end != other:
+                    check(scene)
 
 
 def _master(answers: Answers, kind: str, further: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -40,7 +40,7 @@ def answered(given: Mapping[str, str | None], ask: Callable[[str], str] | None, 
     Args:
         given: Answers from options, by name.
         ask: Asks a person and returns a line; None where nobody can be asked.
-        say: Takes the error of a wrong answer, which is then asked again.
+        say: Takes the error of a wrong answer, which is then asked again, and each default where nobody can be asked.
 
     Raises:
         ValueError: A wrong or missing answer where nobody can be asked, or an option without use.
@@ -66,8 +66,9 @@ def _answer(
 ) -> str:
     default, allowed = question.default(answers), question.allowed(answers)
     while True:
-        if value is None and ask is None:
+        if value is None and ask is None and default is not None:
             value = default
+            say(f"{question.option} = {value}: the default, since there is no terminal to ask on")
         if value is None:
             if ask is None:
                 message = f"{question.option}: is missing: must be {allowed}"

@@ -6,18 +6,22 @@ use super::super::{CouplingAbout, Gains, Local, Method, Peer, Sends, Space, spri
 
 /// Time constant in s of the filter on `F_h`: an estimate from the second difference of positions is noisy.
 const FILTER_S: f64 = 0.01;
+/// Time in s over which the measured forces fade in: the path may be so long that the gain of the ladder is 1 already.
+const FADE_S: f64 = 0.2;
 
 /// Spring and damper between the sides, with the force of the hand and of the environment.
 ///
-/// `F_m = K (x_m - x_s') + B (v_m - v_s') - C2 F_e' - C6 F_h + d v_m`,
-/// `F_c = K (x_m' - x_s) + B (v_m' - v_s) + C3 F_h' + C5 F_e - d v_s`, with `C6 = C2 - 1` and `C5 = C3 - 1`. Then both sides
-/// are at the same place at rest, and the hand feels the force of the environment: the compliance in series is 0.
+/// - `F_m = K (x_m - x_s') + B (v_m - v_s') - C2 F_e' - C6 F_h + d v_m`
+/// - `F_c = K (x_m' - x_s) + B (v_m' - v_s) + C3 F_h' + C5 F_e - d v_s`
+///
+/// With `C6 = C2 - 1` and `C5 = C3 - 1` both sides are at the same place at rest, and the hand feels the force of the environment: the
+/// compliance in series is 0.
 ///
 /// `C3 F_h + C5 F_e` is `C3` times what accelerates both together, less what the environment already does. So the tool moves
 /// as one of `1 / C3` of its mass. `C2` and `C3` of 0 are the two sound forms with three channels. To leave one of the four
 /// out alone would multiply the force.
 ///
-/// `F_h` passes a low-pass of first order, 10 ms, at the half that uses it.
+/// `F_h` passes a low-pass of first order, 10 ms, at the half that uses it. Measured forces fade in over 0.2 s.
 ///
 /// The acceleration form has the same equations: `C2 = M_m K_f`, `C3 = M_s K_f` and `K = M K_p`, where observers of the
 /// reaction force give `F_h` and `F_e`.
@@ -28,30 +32,35 @@ pub(crate) struct FourChannel<const N: usize> {
     gains: Gains,
     /// `F_h` in N after the filter.
     grasp: Axes<N>,
+    /// Share of the measured forces, 0 at the engagement to 1.
+    share: f64,
 }
 
 impl<const N: usize> FourChannel<N> {
     pub(super) fn of(gains: Gains) -> Self {
-        Self { gains, grasp: Axes::zeros() }
+        Self { gains, grasp: Axes::zeros(), share: 0.0 }
     }
 
-    /// Step the filter of `F_h`.
-    fn filter(&mut self, grasp: &Axes<N>, dt: f64) {
+    /// Step filter and fade; return `F_h` and the share of the measured forces.
+    fn measured(&mut self, grasp: &Axes<N>, dt: f64) -> (Axes<N>, f64) {
+        let share = self.share;
+        self.share = (share + dt / FADE_S).min(1.0);
         self.grasp += (grasp - self.grasp) * (dt / (FILTER_S + dt));
+        (self.grasp, share)
     }
 
     pub(super) fn at_master(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
         let Gains { environment_gain, impedance, .. } = self.gains;
-        self.filter(own.force, own.dt);
-        let measured = self.grasp * (1.0 - environment_gain) - peer.force * environment_gain;
-        measured * own.gain + own.velocity * (impedance * own.gain) - spring_damper(&self.gains, own, peer)
+        let (grasp, share) = self.measured(own.force, own.dt);
+        let measured = grasp * (1.0 - environment_gain) - peer.force * environment_gain;
+        measured * share + own.velocity * (impedance * own.gain) - spring_damper(&self.gains, own, peer)
     }
 
     pub(super) fn at_slave(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
         let Gains { grasp_gain, impedance, .. } = self.gains;
-        self.filter(peer.force, own.dt);
-        let measured = self.grasp * grasp_gain + own.force * (grasp_gain - 1.0);
-        spring_damper(&self.gains, own, peer) + measured - own.velocity * impedance
+        let (grasp, share) = self.measured(peer.force, own.dt);
+        let measured = grasp * grasp_gain + own.force * (grasp_gain - 1.0);
+        spring_damper(&self.gains, own, peer) + measured * share - own.velocity * impedance
     }
 }
 
@@ -59,10 +68,10 @@ impl<const N: usize> Method<N> for FourChannel<N> {
     const ABOUT: CouplingAbout = CouplingAbout {
         name: "four-channel",
         title: "motions and forces both ways",
-        source: "Lawrence 1993; Hashtrudi-Zaad and Salcudean 2001",
+        source: "Lawrence 1993; Hashtrudi-Zaad and Salcudean 2001, 2002",
     };
     const DEFAULT: Gains =
-        Gains { impedance: 2.0, environment_gain: 0.5, grasp_gain: 2.0, ..Gains::spring(300.0, 8.0) };
+        Gains { impedance: 5.0, environment_gain: 0.3, grasp_gain: 1.0, ..Gains::spring(300.0, 8.0) };
     const SLAVE_SENDS: Sends = Sends::Motion;
     const NEEDS_GRASP_FORCE: bool = true;
     const IS_LINEAR: bool = false;

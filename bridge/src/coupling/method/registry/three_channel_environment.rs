@@ -10,7 +10,7 @@ use super::{
 /// Four-channel coupling without `F_h` on the way to the slave: `C3 = 0`, `C5 = -1`.
 ///
 /// The tool does not feel the environment itself: `F_c` has its reaction. It follows the hand by spring and damper, which need
-/// more damping than with four channels.
+/// more damping than with four channels. An error of the estimated `F_h` acts at the hand, `(1 - C2) / C2` times.
 ///
 /// Source: Hashtrudi-Zaad and Salcudean 2002.
 #[derive(Clone, Copy, Debug)]
@@ -22,7 +22,7 @@ impl<const N: usize> Method<N> for ThreeChannelEnvironment<N> {
         title: "motions both ways, force of the environment back",
         source: "Hashtrudi-Zaad and Salcudean 2002",
     };
-    const DEFAULT: Gains = Gains { impedance: 10.0, environment_gain: 0.5, ..Gains::spring(300.0, 8.0) };
+    const DEFAULT: Gains = Gains { impedance: 10.0, environment_gain: 0.3, ..Gains::spring(300.0, 8.0) };
     const SLAVE_SENDS: Sends = Sends::Motion;
     const NEEDS_GRASP_FORCE: bool = true;
     const IS_LINEAR: bool = false;

@@ -21,7 +21,7 @@ impl<const N: usize> Method<N> for ThreeChannelGrasp<N> {
         title: "motions both ways, force of the hand forward",
         source: "Hashtrudi-Zaad and Salcudean 2002",
     };
-    const DEFAULT: Gains = Gains { impedance: 2.0, grasp_gain: 2.0, ..Gains::spring(300.0, 8.0) };
+    const DEFAULT: Gains = Gains { impedance: 2.0, grasp_gain: 1.0, ..Gains::spring(300.0, 8.0) };
     const SLAVE_SENDS: Sends = Sends::Motion;
     const NEEDS_GRASP_FORCE: bool = true;
     const IS_LINEAR: bool = false;

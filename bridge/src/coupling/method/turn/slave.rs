@@ -92,7 +92,8 @@ impl CoupledSlaveTurn {
         master: &OfMaster<'_, UnitQuaternion<f64>, 3>,
         dt: f64,
     ) -> UnitQuaternion<f64> {
-        let OfMaster { at, velocity, force, half: OfHalf { message, epoch, sequence, is_stale, .. } } = *master;
+        let OfMaster { at, velocity, force, half: OfHalf { message, epoch, sequence, is_stale, .. } } =
+            *master;
         if !self.engaged {
             (self.orientation, self.velocity) = (*from, Axes::zeros());
             map.clear_anchor();
@@ -119,8 +120,8 @@ impl CoupledSlaveTurn {
         let target = map.commanded_orientation(&turned, from);
         // A half that keeps a ledger does not extrapolate beyond a short gap.
         self.silent_s = if is_new { 0.0 } else { self.silent_s + dt };
-        let is_old = is_stale && self.silent_s > GAP_S && self.kind.sends_energy();
-        let moves = is_engaged && !is_old;
+        let is_silent = is_stale && self.silent_s > GAP_S;
+        let moves = is_engaged && !(is_silent && self.kind.sends_energy());
         let velocity = if moves { map.commanded_velocity(velocity) } else { Axes::zeros() };
         let own = Local {
             position: &Axes::zeros(),
@@ -135,7 +136,7 @@ impl CoupledSlaveTurn {
         let peer = Peer {
             position: &phi,
             velocity: &velocity,
-            force: &if moves { *force } else { Axes::zeros() },
+            force: &if is_engaged && !is_silent { *force } else { Axes::zeros() },
             vector: &self.wave,
             sum: self.energy_j,
             is_new,
