@@ -26,9 +26,10 @@ from haptether.studies.demo import SCENE, _far, _hand, with_coupling
 from haptether.studies.design.contact import scene_numbers
 from haptether.studies.design.coupled import virtual_tool
 from haptether.studies.design.couplings import pressed_couplings
-from haptether.studies.design.press import DEPTHS, Outcome, press, stroke
+from haptether.studies.design.press import DEPTHS, OUTCOMES, Outcome, press, stroke
 from haptether.studies.evaluation.matrix.figure import OUTCOME_COLOURS, shade
 from haptether.studies.evaluation.matrix.measure import Median
+from haptether.studies.evaluation.matrix.page import CLASSES
 from haptether.studies.falsifier.release import Releases
 from haptether.studies.thresholds import THRESHOLD_LAWS
 
@@ -109,19 +110,19 @@ PD = ("coupling.kind=pd-damped", "coupling.stiffness=84", "coupling.damping=6.6"
 
 
 @pytest.mark.parametrize(
-    ("changes", "outcome", "sign"),
+    ("changes", "wall", "outcome", "sign"),
     [
-        (PD, "rests", 1),
-        ((*PD, "slave.period_s=0.002"), "rests", 1),
+        (PD, 100.0, "rests", 1),
+        ((*PD, "slave.period_s=0.002"), 100.0, "rests", 1),
         # A late force gives energy to the hand.
-        (("coupling.kind=position-force",), "rests", -1),
-        (("coupling.kind=four-channel", "coupling.stiffness=75", "coupling.damping=2"), "swings", -1),
+        (("coupling.kind=position-force",), 100.0, "rests", -1),
+        (("coupling.kind=position-force-computed", "coupling.stiffness=300"), 2000.0, "swings", -1),
     ],
 )
 def test_a_stroke_dissipates_under_a_passive_coupling_and_gains_energy_under_others(
-    changes: tuple[str, ...], outcome: str, sign: int
+    changes: tuple[str, ...], wall: float, outcome: str, sign: int
 ) -> None:
-    made = stroke(load_scene("remote_push", [*links(0.1), *changes]), 100.0)
+    made = stroke(load_scene("remote_push", [*links(0.1), *changes]), wall)
     assert made.outcome == outcome
     assert sign * made.dissipated_j > 1e-3
     assert outcome == "swings" or made.drift < 5e-5
@@ -196,7 +197,12 @@ def test_page_and_figure_say_force_or_outcome_of_each_cell() -> None:
 
 def test_the_shade_is_white_for_nothing_and_blue_for_all() -> None:
     assert (shade(0.0), shade(1.0), shade(1.3)) == ("#ffffff", "#60a5d9", "#60a5d9")
-    assert list(OUTCOME_COLOURS) == ["diverged", "swings", "held"]
+
+
+def test_each_outcome_that_is_not_at_rest_has_a_colour_in_figure_and_page() -> None:
+    unrested = [outcome for outcome in OUTCOMES if outcome != "rests"]
+    assert list(OUTCOME_COLOURS) == unrested
+    assert set(CLASSES) == set(unrested)
 
 
 # ---------------------------------------------------------------------------------------------------------- commands

@@ -20,6 +20,8 @@ Filled = tuple[str, str]
 OUTCOME_COLOURS = {
     "diverged": VERDICT_COLOURS["diverged"],
     "swings": VERDICT_COLOURS["thrown"],
+    "saturated": VERDICT_COLOURS["thrown"],
+    "slack": VERDICT_COLOURS["uncoupled"],
     "held": VERDICT_COLOURS["not-engaged"],
 }
 """Colours of presses that do not rest, the worst first; those that rest are blue, the darker the more is felt."""

@@ -63,7 +63,7 @@ class PairCell(Struct, frozen=True, kw_only=True):
     thrown: Median | None
     """Largest speed in m/s (rad/s) after the press."""
     stable_up_to_s: float | None
-    """Smallest round trip in s at which the loop with these gains oscillates; None if there is none up to 1 s."""
+    """Largest round trip in s at which the loop with these gains is stable; None if it is at 1 s, too."""
 
 
 class CouplingMatrix(Struct, frozen=True, kw_only=True):
@@ -243,7 +243,7 @@ def _pair_cell(found: PressedCoupling, pair: Scene, task: Task, wall: float) -> 
 
 def _median(runs: Iterable[Press | Stroke], name: str) -> Median | None:
     """Return the median of the runs that reached the end; None if there is none."""
-    values: list[float] = [getattr(run, name) for run in runs if run.outcome in {"rests", "swings"}]
+    values: list[float] = [getattr(run, name) for run in runs if run.outcome not in {"diverged", "held"}]
     return Median(value=median(values), interval=median_interval(values)) if values else None
 
 

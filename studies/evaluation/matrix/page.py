@@ -40,10 +40,10 @@ def sections(found: CouplingMatrix) -> Iterator[Section]:
     of_hands = bool(found.evaluations)
     yield Section(
         "Which coupling over which round trip",
-        f"A hand presses the pair on a wall of {found.on_wall}, holds, withdraws"
-        " and lets go, without a controller, with gains for pair and network. A cell has the force at rest as a share"
-        " of that of a rigid tool, of its worst network; or swings or diverged; or held, where the ladder interrupts"
-        " every press. Presses that it interrupts do not count otherwise.",
+        f"A hand presses the pair on a wall of {found.on_wall}, holds, withdraws and lets go, without a controller, with"
+        " gains for pair and network. A cell has the force at rest as a share of that of a rigid tool, of its worst"
+        " network. Other cells swing, diverged, are saturated (the cap or a stop acts), are slack (the arm does not"
+        " follow) or are held: the ladder interrupts every press. Presses that it interrupts do not count otherwise.",
         items=tuple(statements(found)),
         table=felt_table(found),
     )
@@ -60,8 +60,8 @@ def sections(found: CouplingMatrix) -> Iterator[Section]:
         " needs one seed. Held: runs that the ladder interrupts. Behind: distance of the arm behind the hand at rest in"
         " contact. Drift: distance between hand and arm at rest after the contact. Dissipated: energy that a stroke"
         " into the wall and back takes from the hand; below 0 the hand gets it. Thrown: largest speed after the hand"
-        " lets go. Oscillates from: round trip at which the loop with these gains becomes unstable; a dash if there is"
-        " none up to 1 s.",
+        " lets go. Stable up to:"
+        " largest round trip at which the loop with these gains is stable; a dash if it is at 1 s, too.",
         table=_presses(found),
     )
     if of_hands:
@@ -101,7 +101,9 @@ def felt_table(found: CouplingMatrix) -> Table:
     return Table(("coupling", *(f"{round_trip_s * 1e3:g} ms" for round_trip_s in found.round_trips_s)), tuple(rows))
 
 
-CLASSES = {"swings": "thrown", "diverged": "diverged", "held": "not-engaged"}
+CLASSES = {
+    "diverged": "diverged", "swings": "thrown", "saturated": "thrown", "slack": "uncoupled", "held": "not-engaged"
+}  # fmt: skip
 """Colour of an outcome as that of a verdict."""
 
 
@@ -119,7 +121,7 @@ def _presses(found: CouplingMatrix) -> Table:
     length = "mrad" if found.unit == "rad" else "mm"
     head = (
         "coupling", "round trip", "network", "outcome", "held", "force [%]", f"behind [{length}]", f"drift [{length}]",
-        "dissipated [mJ]", f"thrown [{found.unit}/s]", "oscillates from", "gains",
+        "dissipated [mJ]", f"thrown [{found.unit}/s]", "stable up to", "gains",
     )  # fmt: skip
     return Table(head, tuple(_press_row(cell) for cell in found.pairs))
 
