@@ -20,7 +20,7 @@
 //! | 56 | `u64` | echo: run id of that frame |
 //! | 64 | `[f64; N]` | position in m (rad) |
 //! | 64 + 8 N | `[f64; N]` | velocity in m/s (rad/s) |
-//! | 64 + 16 N | `[f64; N]` | force in N (N m): master, `F_device`, or `F_h` in the frame of the slave over lambda_f for a coupling that uses it; slave, force of the environment |
+//! | 64 + 16 N | `[f64; N]` | force in N (N m): master, `F_device`, or `F_h` in the frame of the slave over `lambda_f` for a coupling that uses it; slave, force of the environment |
 //! | 64 + 24 N | `[f64; 4]` | only of kind `pose`; the following fields are then 80 bytes later: orientation, unit quaternion w, x, y, z |
 //! | 96 + 24 N | `[f64; 3]` | angular velocity in rad/s |
 //! | 120 + 24 N | `[f64; 3]` | torque in N m: master, of the device; slave, of the environment |

@@ -291,7 +291,7 @@ fn forces_both_ways_leave_no_compliance() {
     // All four gains of 1, without own forces: a light master and a stiff wall do not bear it.
     let ones = |gains| Gains { environment_gain: 1.0, grasp_gain: 1.0, impedance: 0.0, ..gains };
     let swings = seen(CouplingKind::FourChannel, ones, 5).force;
-    assert!(!((swings / expected - 1.0).abs() < 0.01), "{swings} of {expected} N");
+    assert!((swings / expected - 1.0).abs() >= 0.01 || swings.is_nan(), "{swings} of {expected} N");
 }
 
 fn settings(kind: CouplingKind) -> MethodSettings {
