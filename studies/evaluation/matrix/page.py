@@ -40,10 +40,11 @@ def sections(found: CouplingMatrix) -> Iterator[Section]:
     of_hands = bool(found.evaluations)
     yield Section(
         "Which coupling over which round trip",
-        f"A hand presses the pair on a wall of {found.on_wall}, holds, withdraws and lets go, without a controller, with"
-        " gains for pair and network. A cell has the force at rest as a share of that of a rigid tool, of its worst"
-        " network. Other cells swing, diverged, are saturated (the cap or a stop acts), are slack (the arm does not"
-        " follow) or are held: the ladder interrupts every press. Presses that it interrupts do not count otherwise.",
+        f"A hand presses the pair on a wall of {found.on_wall}, holds, withdraws and lets go, without a controller,"
+        " with gains for pair and network. A cell has the force at rest as a share of that of a rigid tool, of its"
+        " worst network. Other cells swing, diverged, are saturated (the cap or a stop acts), are slack (the arm does"
+        " not follow) or are held: the ladder interrupts every press. Presses that it interrupts do not count"
+        " otherwise.",
         items=tuple(statements(found)),
         table=felt_table(found),
     )
