@@ -35,7 +35,8 @@ REPLAYED: dict[str, frozenset[str]] = {
     ),
     "coupling": frozenset({
         "kind", "stiffness", "damping", "rotational_stiffness", "rotational_damping", "impedance",
-        "start_energy_j", "spread_s", "environment_gain", "grasp_gain", "play_out_s", "tool_mass_kg", "tool_damping", "tool_lead_s",
+        "start_energy_j", "spread_s", "environment_gain", "grasp_gain", "play_out_s", "alternatives",
+        "tool_mass_kg", "tool_damping", "tool_lead_s",
         "position_scale", "rotation_scale", "command_speed", "command_reach", "command_angular_speed",
         "command_turn", "alignment", "reference_point",
     }),

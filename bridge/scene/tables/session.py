@@ -116,7 +116,7 @@ class ChangeTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True,
     locked_axes: AxisIndices | None = None
     """New locked axes."""
     kind: CouplingName | None = None
-    """Coupling to which the operator switches: that of `[coupling]` or one of its alternatives. The clutch is released."""
+    """Coupling to which the operator switches: that of `[coupling]` or an alternative. It releases the clutch."""
 
 
 class AlignmentTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
