@@ -44,6 +44,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(autouse=True)
+def own_controllers() -> Iterator[None]:
+    """Forget the controllers that a test has registered: later tests name some that must not exist."""
+    module = "haptether.bridge.scene.research"
+    before = dict(sys.modules[module]._REGISTERED) if module in sys.modules else {}
+    yield
+    if module in sys.modules and before != sys.modules[module]._REGISTERED:
+        sys.modules[module]._REGISTERED.clear()
+        sys.modules[module]._REGISTERED.update(before)
+
+
+@pytest.fixture(autouse=True)
 def ordinary_scheduling() -> Iterator[None]:
     """Fail a test that leaves real time to its thread: all later tests would starve others."""
     before = _scheduling()

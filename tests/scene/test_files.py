@@ -223,6 +223,7 @@ def test_a_table_that_an_override_needs_is_made(tmp_path: Path) -> None:
         "locked_axes": [], "command_speed": 3.0, "command_reach": None, "changes": [], "change_factor": 2.0,
         "rotation_scale": 1.0, "torque_scale": 1.0, "locks_rotation": False, "rotation_axis": None,
         "command_angular_speed": 2.5, "command_turn": None, "alignment": None, "reference_point": None,
+        "alternatives": [],
         "stiffness": None, "damping": None, "rotational_stiffness": None, "rotational_damping": None,
         "impedance": None, "start_energy_j": None, "spread_s": None, "environment_gain": None, "grasp_gain": None,
         "play_out_s": None, "tool_mass_kg": None, "tool_damping": None, "tool_lead_s": None,
