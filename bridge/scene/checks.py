@@ -448,7 +448,9 @@ def _coupling(table: CouplingTable, axes: int) -> Iterator[SceneError]:
         before_s = change.at_s
         given = [key for key in change.__struct_fields__ if key != "at_s" and getattr(change, key) is not None]
         if not given:
-            yield contradiction(path, "changes nothing: give position_scale, force_scale, quat_wxyz or locked_axes")
+            yield contradiction(
+                path, "changes nothing: give kind, position_scale, force_scale, quat_wxyz or locked_axes"
+            )
         yield from _frame(change.quat_wxyz, change.locked_axes, axes, path)
 
 

@@ -8,7 +8,7 @@ from haptether.bridge import Scene
 from haptether.bridge.scene.research import research_of
 from haptether.safety import THROWN_SPEED, EjectionBound, ejection_bound
 from haptether.studies.design.contact import rendered, scene_numbers, touched
-from haptether.studies.design.couplings import coupling_advice, coupling_findings, has_halves
+from haptether.studies.design.couplings import alternative_findings, coupling_advice, coupling_findings, has_halves
 from haptether.studies.design.delay import largest_delay_s, stable_together
 from haptether.studies.design.drivers import with_drivers
 from haptether.studies.design.finding import (
@@ -136,7 +136,9 @@ def _round_trip(scene: Scene, spec: dict[str, Any]) -> Iterator[Finding]:
         return
     if has_halves(spec):
         yield from coupling_findings(scene, spec, shown_delay_s(spec))
+        yield from alternative_findings(scene)
         return
+    yield from alternative_findings(scene)
     units, beyond = Units.of(spec), "; ".join(touched(scene, spec).beyond)
     loops = scene_loops(scene)
     if not loops or loops[0].environment_stiffness == 0.0:

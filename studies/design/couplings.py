@@ -237,6 +237,21 @@ def _unclaimed(kind: str) -> Finding:
     return Finding(name="passivity", state="note", text=text)
 
 
+def alternative_findings(scene: Scene) -> Iterator[Finding]:
+    """Press the pair under each coupling to which an operator may switch."""
+    coupling = scene.coupling
+    for other in () if coupling is None else coupling.alternatives:
+        numbers = {name: getattr(other, name) for name in other.__struct_fields__}
+        changes = tuple(
+            msgspec.structs.replace(change, kind=None) for change in coupling.changes if change.kind is None
+        )
+        switched = msgspec.structs.replace(coupling, **numbers, alternatives=(), changes=changes)
+        alone = msgspec.structs.replace(scene, coupling=switched)
+        spec = scene_numbers(alone)
+        found = _pressed(alone, spec, Units.of(spec))
+        yield msgspec.structs.replace(found, name=f"contact, {other.kind}", value=None)
+
+
 def _push(spec: dict[str, Any]) -> Iterator[Finding]:
     """Report that HSC claims no bound where the push may grow."""
     kind = spec["coupling"]["kind"]

@@ -123,3 +123,10 @@ def test_swings_without_contact_are_a_warning() -> None:
     found = contact(override_scene(pair(0.01, "three-channel-grasp"), ["coupling.force_scale=0.02"]))
     assert found.state == "warning"
     assert "swings" in found.text
+
+
+def test_couplings_to_which_an_operator_may_switch_are_pressed() -> None:
+    scene = pair(0.04, "pd-damped", alternatives=[{"kind": "pspm"}], changes=[{"at_s": 1.0, "kind": "pspm"}])
+    (found,) = (one for one in check_scene(scene, remedies=False).findings if one.name == "contact, pspm")
+    assert found.state == "good"
+    assert found.text == contact(pair(0.04, "pspm")).text

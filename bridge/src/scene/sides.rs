@@ -220,17 +220,18 @@ fn alternatives<const N: usize>(
 ) -> Result<Alternatives, SceneError> {
     let (_, coupling) = scene.coupled()?;
     let mut kinds = vec![coupling.kind];
-    let build = |alternative: &AlternativeSpec| {
+    let build = |(index, alternative): (usize, &AlternativeSpec)| {
         let (kind, coupling) = (alternative.kind, coupling.with(alternative));
         if kinds.contains(&kind) {
-            return contradiction(format!("coupling.alternatives: {} is there twice", kind.name()));
+            return contradiction(format!("coupling.alternatives.{index}: {} is there twice", kind.name()));
         }
         kinds.push(kind);
-        let play_out = play_out(&coupling, exchange)?;
+        let of_index = |error| SceneError::Contradiction(format!("coupling.alternatives.{index}: {error}"));
+        let play_out = play_out(&coupling, exchange).map_err(of_index)?;
         let other = SceneSpec { coupling: Some(coupling), ..scene.clone() };
-        Ok((method(&other)?, play_out))
+        Ok((method(&other).map_err(of_index)?, play_out))
     };
-    coupling.alternatives.iter().map(build).collect()
+    coupling.alternatives.iter().enumerate().map(build).collect()
 }
 
 /// Return an error for numbers of springs in the table of position-force, which has none.

@@ -314,6 +314,7 @@ class Demo(PictureOptions):
     def _report(self, console: "Screen", scene: "DemoScene", results: "list[PushResult]") -> int:
         from haptether.cli.live.master import print_push
         from haptether.cli.shared.output import write_report
+        from haptether.safety import THROWN_SPEED
         from haptether.studies import draw_demo
 
         print_push(console, results)
@@ -325,7 +326,14 @@ class Demo(PictureOptions):
         ]
         bare = peak["none"]
         guarded = {name: speed for name in ("wsc", "hsc") if (speed := peak[name]) is not None}
-        protected = not broken and bare is not None and max(guarded.values()) < bare
+        # A coupling that throws nobody leaves nothing to damp.
+        protected = not broken and bare is not None and (bare < THROWN_SPEED or max(guarded.values()) < bare)
+        if bare is not None and bare < THROWN_SPEED:
+            console.print(
+                f"nobody is thrown, also without a controller: {bare:.2f} m/s, below {THROWN_SPEED:g} m/s",
+                highlight=False,
+            )
+            guarded = {}
         for name, speed in guarded.items():
             if bare is not None:
                 console.print(

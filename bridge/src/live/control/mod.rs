@@ -40,6 +40,7 @@ use super::{
 };
 use crate::{
     command::OperatorCommand,
+    coupling::CouplingKind,
     live_socket::LiveSocket,
     port::MAX_AXES,
     wire::{Padded, Role},
@@ -332,8 +333,11 @@ impl Server {
                 refused("the coupling is switched at the master: send it there")
             }
             Request::Coupling { kind, token } if is_fresh(token) => {
-                let done = format!("{} after the next press; the clutch is released", kind.name());
-                self.command(OperatorCommand::Coupling(kind), &done, answer)
+                let Some(found) = CouplingKind::ALL.iter().find(|one| one.name() == kind) else {
+                    return refused(&format!("coupling {kind:?}: there is none of this name"));
+                };
+                let done = format!("{kind} after the next press; the clutch is released");
+                self.command(OperatorCommand::Coupling(*found), &done, answer)
             }
             Request::ForceScale { scale, token } if is_fresh(token) => {
                 self.scale(OperatorCommand::ForceScale(scale), scale, answer)

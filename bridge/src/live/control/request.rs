@@ -2,8 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::coupling::CouplingKind;
-
 /// A request. Times are whole ms, exact in a browser up to 2^53. A token is from a recent `status`, so a queued
 /// request has an old one.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -37,7 +35,7 @@ pub(super) enum Request {
         token: u64,
     },
     Coupling {
-        kind: CouplingKind,
+        kind: String,
         token: u64,
     },
     Aim {
@@ -150,7 +148,6 @@ mod tests {
             r#"{"do":"stop","now":true}"#,
             r#"{"do":"acknowledge"}"#,
             r#"{"do":"force_scale","token":1}"#,
-            r#"{"do":"coupling","kind":"magnets","token":1}"#,
             r#"{"do":"force_scale","scale":1.0}"#,
             r#"{"do":"force_scale","scale":"1","token":1}"#,
             r#"{"do":"hold","held_ms":-1}"#,

@@ -18,7 +18,7 @@ class Check(FileOptions):
     cover the speed of a released device and the part that no threshold lowers. They compare thresholds with limits and
     with the hand's own motion, and losses with the ladder. Each has this scene's numbers and a remedy. Remedies were
     tried: each improves its finding and worsens no other. "Stable" is a linear result; cases beyond that are not
-    judged. Exit status
+    judged. Exit status 1: something is bad.
 
     Examples:
 

@@ -20,6 +20,10 @@ PAGES = ("evaluation.html", "evaluation.md", "worst.toml")
 """Files in the folder of --out."""
 
 
+KEPT = ("coupling.position_scale", "coupling.force_scale", "coupling.command", "coupling.tool", "coupling.quat")
+"""Fields of a coupling that --couplings leaves alone."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Evaluate(PictureOptions):
     """Say how safe a set-up is under delay: controllers over round trips and networks, in tasks done by many hands.
@@ -186,7 +190,8 @@ class Evaluate(PictureOptions):
         """Return the names of the couplings; those that do not exist are refused where they are used."""
         from haptether.studies.evaluation.matrix import COUPLING_NAMES
 
-        return COUPLING_NAMES if self.coupling == ("all",) else self.coupling or ()
+        named = self.coupling or ()
+        return COUPLING_NAMES if "all" in named else tuple(dict.fromkeys(named))
 
     def _report_couplings(self, console: "Console", found: "CouplingMatrix", picture: Path | None) -> int:
         """Print a matrix of couplings, and write pages, picture and JSON that are asked for; return 0."""
@@ -321,6 +326,12 @@ class Evaluate(PictureOptions):
         from haptether.studies import THRESHOLD_TASKS
 
         if self.coupling is not None:
+            if not self.coupling:
+                message = "--couplings: name one or more, or all"
+                raise ValueError(message)
+            if any(one.startswith("coupling.") and not one.startswith(KEPT) for one in self.set):
+                message = "--set coupling: --couplings sets kind and gains for the pair: set them in `haptether check`"
+                raise ValueError(message)
             if self.latex is not None:
                 message = "--latex: has verdicts of controllers: leave it or --couplings out"
                 raise ValueError(message)
