@@ -240,7 +240,9 @@ def _unclaimed(kind: str) -> Finding:
 def alternative_findings(scene: Scene) -> Iterator[Finding]:
     """Press the pair under each coupling to which an operator may switch."""
     coupling = scene.coupling
-    for other in () if coupling is None else coupling.alternatives:
+    if coupling is None:
+        return
+    for other in coupling.alternatives:
         numbers = {name: getattr(other, name) for name in other.__struct_fields__}
         changes = tuple(
             msgspec.structs.replace(change, kind=None) for change in coupling.changes if change.kind is None
