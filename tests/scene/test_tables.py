@@ -204,7 +204,7 @@ BAD_ARM_SCENES: list[tuple[dict[str, Any], str]] = [
     ({"coupling.locked_axes": [0, 0]}, "[coupling] locked_axes = [0, 0]: must be each at most once"),
     ({"coupling.command_speed": 0.0}, '[coupling] command_speed = 0: must be above 0 and at most 1e9 or "unbounded"'),
     ({"coupling.command_reach": "far"}, '[coupling] command_reach = "far": must be above 0 and at most 1e9 or "unbounded"'),
-    ({"coupling.changes": [{"at_s": 1.0}]}, "[coupling] changes.0: changes nothing: give position_scale, force_scale"),
+    ({"coupling.changes": [{"at_s": 1.0}]}, "[coupling] changes.0: changes nothing: give kind, position_scale, force_scale"),
     ({"coupling.changes.0.force_scale": 0.0}, "[coupling.changes.0] force_scale = 0: must be above 0"),
     ({"coupling.changes": [{"at_s": 1.0, "force_scale": 1.0}, {"at_s": 0.5, "force_scale": 2.0}]},
      "[coupling.changes.1] at_s = 0.5: must be at least that of the change before it, 1"),
