@@ -5,7 +5,7 @@ use crate::{
     coupling::CouplingKind,
     fault_text::TextPiece,
     path::PeerPath,
-    playout::{self, Playout, PlayoutError, PlayoutSettings},
+    playout::PlayOut,
     port::PortState,
     session::{Arrival, Rejection, Rejections, ReplayWindow},
     wire::{Echo, Frame, FrameLayout, MAX_FRAME, Role, WireError, coupling_code},
@@ -178,61 +178,7 @@ pub struct FrameLink {
     /// Couplings that frames of the peer may have beside that of the layout: bit n for the code n.
     alternatives: u16,
     /// Frames for a coupling that needs a constant delay; None for all others.
-    playout: Option<Box<PlayedFrames>>,
-}
-
-/// Play-out of a coupling; none of one that needs no constant delay.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct PlayOut(Option<Box<PlayedFrames>>);
-
-impl PlayOut {
-    /// Let frames wait until their delay is constant: that of the largest jitter, up to `most_ns`. The peer sends at most
-    /// one frame per `period_ns`.
-    pub(crate) fn new(most_ns: u64, period_ns: u64) -> Result<Self, PlayoutError> {
-        // Room for a burst, too.
-        let capacity =
-            usize::try_from(2 * most_ns / period_ns.max(1)).unwrap_or(usize::MAX).saturating_add(64);
-        let settings = PlayoutSettings { adapts: true, capacity, ..PlayoutSettings::new(most_ns) };
-        Ok(Self(Some(Box::new(PlayedFrames { waiting: Playout::new(settings)?, now: None }))))
-    }
-}
-
-/// Frames that wait for their time, and the one whose time is now.
-#[derive(Clone, Debug)]
-pub(crate) struct PlayedFrames {
-    waiting: Playout<Frame>,
-    now: Option<Frame>,
-}
-
-impl PlayedFrames {
-    /// Take a frame that arrived at `now_ns`. Its time is now if it is late: a path that has become slower must not leave an
-    /// old force on a hand.
-    fn take(&mut self, now_ns: u64, frame: &Frame) {
-        let arrival = self.waiting.arrived(frame.sequence, frame.sent_ns, now_ns, *frame);
-        if arrival == playout::Arrival::Late {
-            self.advance(frame);
-        }
-    }
-
-    /// Forget all frames.
-    fn clear(&mut self) {
-        self.waiting.restart();
-        self.now = None;
-    }
-
-    /// Take the frames that are due at `now_ns`.
-    fn play(&mut self, now_ns: u64) {
-        while let Some(due) = self.waiting.next_due(now_ns) {
-            self.advance(&due.payload);
-        }
-    }
-
-    /// Take the frame if it is newer than the present one.
-    fn advance(&mut self, frame: &Frame) {
-        if self.now.as_ref().is_none_or(|now| frame.sequence > now.sequence) {
-            self.now = Some(*frame);
-        }
-    }
+    play_out: PlayOut,
 }
 
 impl FrameLink {
@@ -253,7 +199,7 @@ impl FrameLink {
             lease_ns,
             epoch: 0,
             alternatives: 0,
-            playout: None,
+            play_out: PlayOut::default(),
         }
     }
 
@@ -276,29 +222,28 @@ impl FrameLink {
     /// Switch to another coupling, with its play-out; `play_out` gets that of the coupling before.
     pub(crate) fn switch(&mut self, coupling: CouplingKind, play_out: &mut PlayOut) {
         self.layout.coupling = coupling;
-        std::mem::swap(&mut self.playout, &mut play_out.0);
-        if let Some(playout) = &mut self.playout {
-            playout.clear();
-        }
+        std::mem::swap(&mut self.play_out, play_out);
+        self.play_out.clear();
     }
 
     /// Let frames for the coupling pass a play-out.
     pub(crate) fn set_play_out(&mut self, play_out: PlayOut) {
-        self.playout = play_out.0;
+        self.play_out = play_out;
     }
 
     /// Take the frames from the play-out that are due at `now_ns`.
     #[inline]
     pub(crate) fn play(&mut self, now_ns: u64) {
-        let Some(playout) = &mut self.playout else { return };
-        playout.play(now_ns);
-        self.statistics.play_out_ns = playout.waiting.wait_ns().unwrap_or(0);
+        if let Some(frames) = self.play_out.frames() {
+            frames.play(now_ns);
+            self.statistics.play_out_ns = frames.wait_ns();
+        }
     }
 
     /// Frame for the coupling: the one whose time is now, or the newest without a play-out.
     #[inline]
     pub(crate) fn coupled(&self) -> Option<&Frame> {
-        self.playout.as_ref().map_or_else(|| self.newest(), |playout| playout.now.as_ref())
+        self.play_out.now().unwrap_or_else(|| self.newest())
     }
 
     /// Newest epoch of the peer's half of the coupling that is not 0; 0 before the first.
@@ -366,8 +311,9 @@ impl FrameLink {
             Some(newest) if newest.frame.run_id == frame.run_id && newest.is_near(frame.sequence, by_ns) => {
                 self.path.arrived(frame.sequence, frame.sent_ns, by_ns);
                 let placed = self.place(frame.sequence);
-                if let (Some(playout), Ok(()) | Err(RejectReason::Late(_))) = (&mut self.playout, &placed) {
-                    playout.take(now_ns, frame);
+                if let (Some(frames), Ok(()) | Err(RejectReason::Late(_))) = (self.play_out.frames(), &placed)
+                {
+                    frames.take(now_ns, frame);
                 }
                 placed?;
                 false
@@ -394,9 +340,9 @@ impl FrameLink {
                 self.path.begin();
                 self.path.arrived(frame.sequence, frame.sent_ns, by_ns);
                 self.epoch = 0;
-                if let Some(playout) = &mut self.playout {
-                    playout.clear();
-                    playout.take(now_ns, frame);
+                if let Some(frames) = self.play_out.frames() {
+                    frames.clear();
+                    frames.take(now_ns, frame);
                 }
                 true
             }

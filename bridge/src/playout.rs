@@ -1,6 +1,10 @@
 //! Play-out buffer: makes the packets' delay constant, for couplings that need it.
 
+mod frames;
+
 use crate::path::{BILLION, difference, share_up};
+
+pub(crate) use frames::PlayOut;
 
 /// Settings of a play-out. Only the delay usually needs a change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

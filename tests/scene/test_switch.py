@@ -3,9 +3,21 @@
 import itertools
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
-from tests.scene.test_couplings import LIMITER, pressed
+from tests.scene.test_couplings import (
+    ARM_K,
+    K_HAND,
+    K_WALL,
+    LIMITER,
+    TARGET,
+    WALL,
+    WITH_GAINS,
+    K,
+    compliance,
+    pressed,
+)
 
 from haptether.bridge import COUPLINGS, Run, Scene, SceneError, override_scene, read_recording, simulate
 
@@ -14,14 +26,14 @@ SWITCH_S, SLEW = 3.0, 200.0
 ENGAGED, COUPLED = 2, (2, 3)
 
 
-def switched(kinds: tuple[str, ...], one_way_s: float = 0.01, at_s: float = SWITCH_S, **run: float) -> Scene:
+def switched(kinds: tuple[str, ...], at_s: float = SWITCH_S, lasts_s: float = 0.0) -> Scene:
     """Return the pressing hand under the first kind. It switches to the others, 3 s apart, and presses again."""
     changes = [{"at_s": at_s + 3.0 * place, "kind": kind} for place, kind in enumerate(kinds[1:])]
     others = [{"kind": kind} for kind in dict.fromkeys(kinds) if kind != kinds[0]]
     scene = pressed(
         kinds[0],
-        one_way_s,
-        run={"duration_s": at_s + 3.0 * len(changes), **run},
+        0.01,
+        run={"duration_s": at_s + 3.0 * len(changes) + lasts_s},
         coupling={"alternatives": others, "changes": changes},
         safety={"limiter": {**LIMITER, "max_slew_n_per_s": SLEW}},
     )
@@ -53,6 +65,29 @@ def test_any_switch_begins_without_force_and_without_a_step(pair: tuple[str, str
     assert abs(force[second]) <= (SLEW * 1e-3 if pair[1] == "position-force" else 0.0)
     assert np.diff(np.abs(force)).max() <= SLEW * 1e-3 * (1.0 + 1e-9)
     assert not np.isin(signals.state, (5, 6)).any()
+
+
+@pytest.mark.parametrize("first", ["position-force", "pspm"])
+@pytest.mark.parametrize("kind", [kind for kind in WITH_GAINS if kind != "pspm"])
+def test_after_two_switches_the_last_coupling_holds_the_wall(first: str, kind: str) -> None:
+    """The force at rest is the closed form of the last kind, from where the sides were at its engagement."""
+    gains = {"stiffness": K, "damping": 3.0}
+    path = ["{duration_s=1.0,end=0.02}", "{duration_s=6.0,end=0.02}", "{duration_s=0.5,end=0.06}"]
+    scene = override_scene(
+        switched((first, "wave" if kind != "wave" else "tdpa", kind), at_s=2.0, lasts_s=8.0),
+        [f"operator.legs=[{','.join(path)}]"],
+    )
+    assert scene.coupling is not None
+    others = [{"kind": other.kind, **gains} for other in scene.coupling.alternatives]
+    tables = {**msgspec.to_builtins(scene.coupling), "alternatives": others}
+    signals = simulate(msgspec.structs.replace(scene, coupling=msgspec.convert(tables, type(scene.coupling)))).signals
+    assert signals is not None
+    begins = np.flatnonzero(np.diff(np.isin(signals.state, COUPLED).astype(int)) == 1) + 1
+    assert len(begins) == 3
+    hand, arm, force = (np.ravel(part) for part in (signals.position, signals.slave_position, signals.rendered_force))
+    apart = hand[begins[-1]] - arm[begins[-1]]
+    series = 1 / K_HAND + compliance(kind, 0.02) + 1 / ARM_K + 1 / K_WALL
+    assert force[-500:].mean() == pytest.approx(-(TARGET - WALL - apart) / series, rel=2e-2)
 
 
 def test_energies_begin_anew_and_are_those_of_the_plants(tmp_path: Path) -> None:

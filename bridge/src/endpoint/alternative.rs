@@ -3,7 +3,7 @@
 use crate::{
     command::OperatorCommand,
     coupling::{CouplingError, CouplingKind, MethodSettings},
-    link::PlayOut,
+    playout::PlayOut,
 };
 
 /// Parts of a coupling while another one is in use: halves `M` of the translation and `R` of the rotation.

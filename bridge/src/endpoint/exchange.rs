@@ -13,8 +13,8 @@ use crate::{
         LadderInputs, LadderSettings, LadderState, LinkView, Observed, PeerCause, PeerFrame, Reason,
         thresholds,
     },
-    link::{FrameHead, FrameLink, LinkStatistics, LinkTime, PlayOut, RejectReason, Status},
-    playout::PlayoutError,
+    link::{FrameHead, FrameLink, LinkStatistics, LinkTime, RejectReason, Status},
+    playout::{PlayOut, PlayoutError},
     port::{CouplingMessage, PortEnergy, PortState},
     wire::{Frame, FrameLayout, MAX_FRAME, Role},
 };
@@ -188,11 +188,14 @@ impl Exchange {
         self.switches = waits;
     }
 
-    /// Switch to another coupling, with its play-out; `play_out` gets that of the coupling before.
-    pub(super) fn switch(&mut self, coupling: CouplingKind, play_out: &mut PlayOut) {
+    /// Switch to another coupling, with its play-out; `play_out` gets that of the coupling before. `count` is that of the
+    /// engagements in its frames. Returns the count from which the other one goes on.
+    pub(super) fn switch(&mut self, coupling: CouplingKind, play_out: &mut PlayOut, count: u16) -> u16 {
         self.link.switch(coupling, play_out);
         (self.switches, self.left_j) = (false, f64::NAN);
         self.outgoing.message = CouplingMessage::ZERO;
+        self.epoch = self.epoch.max(count);
+        self.epoch
     }
 
     /// Energies through the port of this side since its engagement.

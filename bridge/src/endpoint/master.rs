@@ -25,7 +25,7 @@ use crate::{
         RotationCoupling, RotationLock, RotationState, ScaleRange, ScaleRanges, capped,
     },
     ladder::{LAYERS, LadderSettings, LadderState, Observed, ROTATION, TRANSLATION, TRIGGER},
-    link::PlayOut,
+    playout::PlayOut,
     port::CouplingMessage,
     wire::{Role, unpadded},
 };
@@ -173,11 +173,12 @@ impl<const N: usize> MasterEndpoint<N> {
         let Some(place) = self.switching.filter(|_| self.exchange.may_switch()) else { return };
         self.switching = None;
         let other = &mut self.alternatives[place];
-        self.exchange.switch(other.kind(), &mut other.play_out);
+        let count = self.coupled.as_ref().map_or(0, |coupled| coupled.count());
+        let count = self.exchange.switch(other.kind(), &mut other.play_out, count);
         std::mem::swap(&mut self.method, &mut other.method);
         std::mem::swap(&mut self.coupled, &mut other.coupled);
         std::mem::swap(&mut self.turning, &mut other.turning);
-        self.coupled.iter_mut().for_each(|coupled| coupled.clear());
+        self.coupled.iter_mut().for_each(|coupled| coupled.begin_after(count));
         self.turning.iter_mut().for_each(|turning| turning.clear());
     }
 

@@ -16,7 +16,7 @@ use crate::{
         OfHalf, RotationState, ScaleRange, ScaleRanges,
     },
     ladder::{LAYERS, LadderSettings, LadderState, Observed},
-    link::PlayOut,
+    playout::PlayOut,
     wire::{Role, unpadded},
 };
 
@@ -147,7 +147,7 @@ impl<const N: usize> SlaveEndpoint<N> {
         let Some(newest) = self.exchange.link.newest().filter(|_| self.exchange.may_switch()) else { return };
         let Ok(place) = place(&self.alternatives, newest.coupling) else { return };
         let other = &mut self.alternatives[place];
-        self.exchange.switch(other.kind(), &mut other.play_out);
+        self.exchange.switch(other.kind(), &mut other.play_out, 0);
         std::mem::swap(&mut self.method, &mut other.method);
         self.arm.switch(&mut other.coupled, &mut other.turning);
     }

@@ -57,7 +57,7 @@ pub(crate) fn commands<const N: usize>(
         }
         if let Some(kind) = change.kind {
             let kinds = spec.alternatives.iter().map(|one| one.kind);
-            if kinds.chain([spec.kind]).all(|one| one != kind) {
+            if kinds.chain([spec.numbers.kind]).all(|one| one != kind) {
                 return contradiction(format!(
                     "coupling.changes.{index}.kind = {:?}: must be that of [coupling] or of one of its alternatives",
                     kind.name()

@@ -15,7 +15,7 @@ use super::{
     coupling::commands,
     pose,
     research::{ResearchFactory, research_controller},
-    spec::{AlternativeSpec, ChangeSpec, CouplingSpec, SceneSpec},
+    spec::{ChangeSpec, CouplingNumbers, CouplingSpec, SceneSpec},
     timed::Timed,
 };
 use crate::{
@@ -23,7 +23,7 @@ use crate::{
     MasterSide, SideKind, SlaveEndpoint, SlaveGripper, SlaveRotation, SlaveSettings, SlaveSide, Trigger,
     coupling::{CouplingError, Gains, Mapping, MethodSettings, ScaleRange, ScaleRanges, VirtualToolSettings},
     endpoint::{Arm, Exchange, Hand, TOOL_LEVER_M, period_s},
-    link::PlayOut,
+    playout::PlayOut,
 };
 
 /// Deceleration in m/s² of a driven arm that no longer follows, unless the scene bounds its acceleration.
@@ -79,16 +79,18 @@ fn virtual_tool<const N: usize>(
 ) -> Result<VirtualToolSettings, CouplingError> {
     let (w, lag_s) = arm_response(arm);
     let stiffest = stiffest_wall(scene);
-    let mass = coupling.tool_mass_kg.unwrap_or(stiffest / (0.4 * w).powi(2));
-    VirtualToolSettings::new(mass, coupling.tool_damping, coupling.tool_lead_s.unwrap_or(lag_s))
+    let CouplingNumbers { tool_mass_kg, tool_damping, tool_lead_s, .. } = coupling.numbers;
+    let mass = tool_mass_kg.unwrap_or(stiffest / (0.4 * w).powi(2));
+    VirtualToolSettings::new(mass, tool_damping, tool_lead_s.unwrap_or(lag_s))
 }
 
 /// Return the settings of a coupling with two halves; None for position-force.
 fn method<const N: usize>(scene: &SceneSpec<N>) -> Result<Option<MethodSettings>, SceneError> {
     let (arm, coupling) = scene.coupled()?;
-    let CouplingSpec { kind, stiffness, damping, position_scale, .. } = *coupling;
+    let CouplingSpec { numbers, position_scale, .. } = *coupling;
+    let CouplingNumbers { kind, stiffness, damping, .. } = numbers;
     let Some(default) = kind.default_gains() else {
-        return refuse_springs(coupling).map(|()| None);
+        return refuse_springs(&numbers).map(|()| None);
     };
     let stated = Gains {
         stiffness: stiffness.unwrap_or(default.stiffness),
@@ -100,7 +102,7 @@ fn method<const N: usize>(scene: &SceneSpec<N>) -> Result<Option<MethodSettings>
         .and_then(|gains| Ok((gains, virtual_tool(scene, arm, coupling)?)))
         .map_err(EndpointError::from)?;
     let is_pose = scene.master.kind == SideKind::Pose;
-    let turning = coupling.rotational_stiffness.or(coupling.rotational_damping);
+    let turning = numbers.rotational_stiffness.or(numbers.rotational_damping);
     if let (Some(seen), false) = (turning, is_pose) {
         return contradiction(format!(
             "coupling.rotational_stiffness or coupling.rotational_damping = {seen}: only kind = \"pose\" turns; leave it \
@@ -138,9 +140,9 @@ fn limited_gains<const N: usize>(
     coupling: &CouplingSpec,
     default: Gains,
 ) -> Result<Gains, SceneError> {
-    let CouplingSpec { kind, impedance, start_energy_j, spread_s, play_out_s, position_scale, .. } =
-        *coupling;
-    let CouplingSpec { environment_gain, grasp_gain, .. } = *coupling;
+    let position_scale = coupling.position_scale;
+    let CouplingNumbers { kind, impedance, start_energy_j, spread_s, play_out_s, .. } = coupling.numbers;
+    let CouplingNumbers { environment_gain, grasp_gain, .. } = coupling.numbers;
     let name = kind.name();
     let holds_none = |locked: &[usize]| locked.is_empty();
     let mut changed = coupling.changes.iter().filter_map(|change| change.locked_axes.as_deref());
@@ -200,7 +202,7 @@ fn limited_gains<const N: usize>(
 const PLAY_OUT_S: f64 = 0.06;
 
 /// Return the play-out of a coupling that needs one.
-fn play_out(coupling: &CouplingSpec, exchange: &Exchange) -> Result<PlayOut, SceneError> {
+fn play_out(coupling: &CouplingNumbers, exchange: &Exchange) -> Result<PlayOut, SceneError> {
     let most_s = coupling.play_out_s.unwrap_or(PLAY_OUT_S);
     if !(0.0..=1.0).contains(&most_s) {
         return contradiction(format!("coupling.play_out_s = {most_s}: must be between 0 and 1 s"));
@@ -219,23 +221,23 @@ fn alternatives<const N: usize>(
     exchange: &Exchange,
 ) -> Result<Alternatives, SceneError> {
     let (_, coupling) = scene.coupled()?;
-    let mut kinds = vec![coupling.kind];
-    let build = |(index, alternative): (usize, &AlternativeSpec)| {
-        let (kind, coupling) = (alternative.kind, coupling.with(alternative));
+    let mut kinds = vec![coupling.numbers.kind];
+    let build = |(index, numbers): (usize, &CouplingNumbers)| {
+        let kind = numbers.kind;
         if kinds.contains(&kind) {
             return contradiction(format!("coupling.alternatives.{index}: {} is there twice", kind.name()));
         }
         kinds.push(kind);
         let of_index = |error| SceneError::Contradiction(format!("coupling.alternatives.{index}: {error}"));
-        let play_out = play_out(&coupling, exchange).map_err(of_index)?;
-        let other = SceneSpec { coupling: Some(coupling), ..scene.clone() };
+        let play_out = play_out(numbers, exchange).map_err(of_index)?;
+        let other = SceneSpec { coupling: Some(coupling.with(*numbers)), ..scene.clone() };
         Ok((method(&other).map_err(of_index)?, play_out))
     };
     coupling.alternatives.iter().enumerate().map(build).collect()
 }
 
 /// Return an error for numbers of springs in the table of position-force, which has none.
-fn refuse_springs(coupling: &CouplingSpec) -> Result<(), SceneError> {
+fn refuse_springs(coupling: &CouplingNumbers) -> Result<(), SceneError> {
     let numbers = [
         ("impedance", coupling.impedance),
         ("start_energy_j", coupling.start_energy_j),
@@ -332,7 +334,7 @@ pub(super) fn master_endpoint<const N: usize>(
     let mut endpoint = endpoint.with_ranges(ranges).with_samples(master_samples(scene));
     if let Some(method) = method(scene)? {
         endpoint = endpoint.with_coupling(&method);
-        let play_out = play_out(coupling, &endpoint.exchange)?;
+        let play_out = play_out(&coupling.numbers, &endpoint.exchange)?;
         endpoint.set_play_out(play_out);
     }
     for (method, play_out) in alternatives(scene, &endpoint.exchange)? {
@@ -398,7 +400,7 @@ pub(super) fn slave_endpoint<const N: usize>(
     let mut endpoint = endpoint.with_ranges(ranges).with_samples(slave_samples(scene));
     if let Some(method) = method(scene)? {
         endpoint = endpoint.with_coupling(&method);
-        let play_out = play_out(coupling, &endpoint.exchange)?;
+        let play_out = play_out(&coupling.numbers, &endpoint.exchange)?;
         endpoint.set_play_out(play_out);
     }
     for (method, play_out) in alternatives(scene, &endpoint.exchange)? {

@@ -316,9 +316,9 @@ pub struct SecuritySpec {
     pub secure: bool,
 }
 
-/// `[coupling]`.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
-pub struct CouplingSpec {
+/// Kind and numbers of a coupling. Omitted numbers are those of the kind, of the device and of the arm.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, JsonSchema)]
+pub struct CouplingNumbers {
     /// Coupling method.
     pub kind: CouplingKind,
     /// K in N/m; by default that of the coupling.
@@ -360,6 +360,14 @@ pub struct CouplingSpec {
     /// Time in s by which the arm lags behind its command; by default that of its control.
     #[serde(default)]
     pub tool_lead_s: Option<f64>,
+}
+
+/// `[coupling]`.
+#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
+pub struct CouplingSpec {
+    /// Kind and numbers.
+    #[serde(flatten)]
+    pub numbers: CouplingNumbers,
     /// `lambda_p`: slave motion per master motion.
     pub position_scale: f64,
     /// `lambda_f`: rendered force per measured force.
@@ -391,83 +399,16 @@ pub struct CouplingSpec {
     pub change_factor: f64,
     /// Changes during the run.
     pub changes: Vec<ChangeSpec>,
-    /// Couplings to which the operator may switch.
+    /// Couplings to which the operator may switch. All else is that of this table.
     #[serde(default)]
-    pub alternatives: Vec<AlternativeSpec>,
-}
-
-/// `[[coupling.alternatives]]`: another coupling, with its own numbers. All else is that of `[coupling]`.
-#[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct AlternativeSpec {
-    /// Coupling method.
-    pub kind: CouplingKind,
-    /// K in N/m.
-    pub stiffness: Option<f64>,
-    /// B in N s/m.
-    pub damping: Option<f64>,
-    /// K in N m/rad of the rotation.
-    pub rotational_stiffness: Option<f64>,
-    /// B in N m s/rad of the rotation.
-    pub rotational_damping: Option<f64>,
-    /// b in N s/m.
-    pub impedance: Option<f64>,
-    /// `E_0` in J.
-    pub start_energy_j: Option<f64>,
-    /// Time in s over which waves are spread.
-    pub spread_s: Option<f64>,
-    /// C2.
-    pub environment_gain: Option<f64>,
-    /// C3.
-    pub grasp_gain: Option<f64>,
-    /// Longest wait in s of a frame in the play-out.
-    pub play_out_s: Option<f64>,
-    /// `M_v` in kg of the virtual tool.
-    pub tool_mass_kg: Option<f64>,
-    /// `B_v` in N s/m of the virtual tool.
-    pub tool_damping: Option<f64>,
-    /// Time in s by which the arm lags behind its command.
-    pub tool_lead_s: Option<f64>,
+    pub alternatives: Vec<CouplingNumbers>,
 }
 
 impl CouplingSpec {
     /// Return the coupling with the kind and the numbers of an alternative, without switches.
-    pub(crate) fn with(&self, alternative: &AlternativeSpec) -> Self {
-        let AlternativeSpec {
-            kind,
-            stiffness,
-            damping,
-            rotational_stiffness,
-            rotational_damping,
-            impedance,
-            start_energy_j,
-            spread_s,
-            environment_gain,
-            grasp_gain,
-            play_out_s,
-            tool_mass_kg,
-            tool_damping,
-            tool_lead_s,
-        } = *alternative;
-        Self {
-            kind,
-            stiffness,
-            damping,
-            rotational_stiffness,
-            rotational_damping,
-            impedance,
-            start_energy_j,
-            spread_s,
-            environment_gain,
-            grasp_gain,
-            play_out_s,
-            tool_mass_kg,
-            tool_damping,
-            tool_lead_s,
-            changes: self.changes.iter().map(|change| ChangeSpec { kind: None, ..change.clone() }).collect(),
-            alternatives: Vec::new(),
-            ..self.clone()
-        }
+    pub(crate) fn with(&self, numbers: CouplingNumbers) -> Self {
+        let changes = self.changes.iter().map(|change| ChangeSpec { kind: None, ..change.clone() }).collect();
+        Self { numbers, changes, alternatives: Vec::new(), ..self.clone() }
     }
 }
 

@@ -94,6 +94,17 @@ impl<const N: usize> CoupledMaster<N> {
         (self.origin, self.force) = (None, Axes::zeros());
     }
 
+    /// Count of the engagements of this half.
+    pub(crate) fn count(&self) -> u16 {
+        self.engagements.own
+    }
+
+    /// Begin in place of another coupling, whose engagements count too: a slave takes only newer ones.
+    pub(crate) fn begin_after(&mut self, count: u16) {
+        self.clear();
+        self.engagements.own = count;
+    }
+
     /// Return `F_v` in N before the ladder's gain.
     ///
     /// The half is stepped while the sides are coupled. Otherwise the last force stays, and the gain fades it.

@@ -152,7 +152,7 @@ pub(super) fn coupled_rotation<const N: usize>(
     gains: &Gains,
 ) -> Result<(Gains, VirtualToolSettings), SceneError> {
     let (arm, coupling) = scene.coupled()?;
-    let name = coupling.kind.name();
+    let name = coupling.numbers.kind.name();
     if coupling.rotation_scale != 1.0 || rotation_lock(coupling) != Ok(RotationLock::Free) {
         return contradiction(format!(
             "coupling.kind = \"{name}\": needs rotation_scale = 1 and no lock of the rotation; only \"position-force\" \
@@ -164,8 +164,8 @@ pub(super) fn coupled_rotation<const N: usize>(
     };
     let lever = lever_m * lever_m;
     let scaled = Gains {
-        stiffness: coupling.rotational_stiffness.unwrap_or(gains.stiffness * lever),
-        damping: coupling.rotational_damping.unwrap_or(gains.damping * lever),
+        stiffness: coupling.numbers.rotational_stiffness.unwrap_or(gains.stiffness * lever),
+        damping: coupling.numbers.rotational_damping.unwrap_or(gains.damping * lever),
         impedance: gains.impedance * lever,
         most_damping: gains.most_damping * lever,
         start_j: 0.5 * gains.start_j,
@@ -176,7 +176,7 @@ pub(super) fn coupled_rotation<const N: usize>(
         None => arm_response(arm),
     };
     let inertia = stiffest_wall(scene) * lever / (0.4 * w).powi(2);
-    let lead_s = coupling.tool_lead_s.unwrap_or(lag_s);
+    let lead_s = coupling.numbers.tool_lead_s.unwrap_or(lag_s);
     let gains = scaled.checked();
     let tool = VirtualToolSettings::new(inertia, None, lead_s);
     Ok(gains.and_then(|gains| Ok((gains, tool?))).map_err(EndpointError::from)?)

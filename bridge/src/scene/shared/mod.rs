@@ -33,7 +33,7 @@ pub(super) fn can_share<const N: usize>(scene: &SceneSpec<N>) -> bool {
         && scene.safety.gripper.is_none()
         && scene.safety.research.is_none()
         && scene.coupling.as_ref().is_none_or(|coupling| {
-            coupling.kind == CouplingKind::PositionForce && coupling.alternatives.is_empty()
+            coupling.numbers.kind == CouplingKind::PositionForce && coupling.alternatives.is_empty()
         })
         && !scene.security.is_some_and(|security| security.secure)
         && pose::as_pose(scene).is_ok_and(|scene| scene.is_none())

@@ -1,5 +1,7 @@
 //! Four-channel coupling: motions and forces both ways.
 
+use std::{fmt::Debug, marker::PhantomData};
+
 use haptether_safety::Axes;
 
 use super::super::{CouplingAbout, Gains, Local, Method, Peer, Sends, Space, spring_damper};
@@ -14,12 +16,12 @@ const FADE_S: f64 = 0.2;
 /// - `F_m = K (x_m - x_s') + B (v_m - v_s') - C2 F_e' - C6 F_h + d v_m`
 /// - `F_c = K (x_m' - x_s) + B (v_m' - v_s) + C3 F_h' + C5 F_e - d v_s`
 ///
-/// With `C6 = C2 - 1` and `C5 = C3 - 1` both sides are at the same place at rest, and the hand feels the force of the environment: the
-/// compliance in series is 0.
+/// With `C6 = C2 - 1` and `C5 = C3 - 1` both sides are at the same place at rest, and the hand feels the force of the
+/// environment: the compliance in series is 0.
 ///
 /// `C3 F_h + C5 F_e` is `C3` times what accelerates both together, less what the environment already does. So the tool moves
-/// as one of `1 / C3` of its mass. `C2` and `C3` of 0 are the two sound forms with three channels. To leave one of the four
-/// out alone would multiply the force.
+/// as one of `1 / C3` of its mass. With `C2 = 0` or `C3 = 0` three channels are left. Leaving out one of the four terms alone
+/// would multiply the force.
 ///
 /// `F_h` passes a low-pass of first order, 10 ms, at the half that uses it. Measured forces fade in over 0.2 s.
 ///
@@ -28,43 +30,28 @@ const FADE_S: f64 = 0.2;
 ///
 /// Source: Lawrence 1993; Hashtrudi-Zaad and Salcudean 2001, 2002; acceleration form: Sakaino, Sato and Ohnishi 2011.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct FourChannel<const N: usize> {
+pub(crate) struct Channels<const N: usize, F> {
     gains: Gains,
     /// `F_h` in N after the filter.
     grasp: Axes<N>,
     /// Share of the measured forces, 0 at the engagement to 1.
     share: f64,
+    form: PhantomData<F>,
 }
 
-impl<const N: usize> FourChannel<N> {
-    pub(super) fn of(gains: Gains) -> Self {
-        Self { gains, grasp: Axes::zeros(), share: 0.0 }
-    }
-
-    /// Step filter and fade; return `F_h` and the share of the measured forces.
-    fn measured(&mut self, grasp: &Axes<N>, dt: f64) -> (Axes<N>, f64) {
-        let share = self.share;
-        self.share = (share + dt / FADE_S).min(1.0);
-        self.grasp += (grasp - self.grasp) * (dt / (FILTER_S + dt));
-        (self.grasp, share)
-    }
-
-    pub(super) fn at_master(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
-        let Gains { environment_gain, impedance, .. } = self.gains;
-        let (grasp, share) = self.measured(own.force, own.dt);
-        let measured = grasp * (1.0 - environment_gain) - peer.force * environment_gain;
-        measured * share + own.velocity * (impedance * own.gain) - spring_damper(&self.gains, own, peer)
-    }
-
-    pub(super) fn at_slave(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
-        let Gains { grasp_gain, impedance, .. } = self.gains;
-        let (grasp, share) = self.measured(peer.force, own.dt);
-        let measured = grasp * grasp_gain + own.force * (grasp_gain - 1.0);
-        spring_damper(&self.gains, own, peer) + measured * share - own.velocity * impedance
-    }
+/// Form of the coupling: its channels by its default gains.
+pub(super) trait Form: Copy + Debug {
+    const ABOUT: CouplingAbout;
+    const DEFAULT: Gains;
 }
 
-impl<const N: usize> Method<N> for FourChannel<N> {
+/// All four channels.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct All;
+
+pub(crate) type FourChannel<const N: usize> = Channels<N, All>;
+
+impl Form for All {
     const ABOUT: CouplingAbout = CouplingAbout {
         name: "four-channel",
         title: "motions and forces both ways",
@@ -72,13 +59,28 @@ impl<const N: usize> Method<N> for FourChannel<N> {
     };
     const DEFAULT: Gains =
         Gains { impedance: 5.0, environment_gain: 0.3, grasp_gain: 1.0, ..Gains::spring(300.0, 8.0) };
+}
+
+impl<const N: usize, F> Channels<N, F> {
+    /// Step filter and fade; return `F_h` and the share of the measured forces.
+    fn measured(&mut self, grasp: &Axes<N>, dt: f64) -> (Axes<N>, f64) {
+        let share = self.share;
+        self.share = (share + dt / FADE_S).min(1.0);
+        self.grasp += (grasp - self.grasp) * (dt / (FILTER_S + dt));
+        (self.grasp, share)
+    }
+}
+
+impl<const N: usize, F: Form> Method<N> for Channels<N, F> {
+    const ABOUT: CouplingAbout = F::ABOUT;
+    const DEFAULT: Gains = F::DEFAULT;
     const SLAVE_SENDS: Sends = Sends::Motion;
     const NEEDS_GRASP_FORCE: bool = true;
     const IS_LINEAR: bool = false;
     const PUSH_MAY_GROW: bool = true;
 
     fn new(gains: Gains, _space: Space) -> Self {
-        Self::of(gains)
+        Self { gains, grasp: Axes::zeros(), share: 0.0, form: PhantomData }
     }
 
     fn compliance(_gains: &Gains, _round_trip_s: f64, _period_s: f64) -> f64 {
@@ -86,10 +88,16 @@ impl<const N: usize> Method<N> for FourChannel<N> {
     }
 
     fn master(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
-        self.at_master(own, peer)
+        let Gains { environment_gain, impedance, .. } = self.gains;
+        let (grasp, share) = self.measured(own.force, own.dt);
+        let measured = grasp * (1.0 - environment_gain) - peer.force * environment_gain;
+        measured * share + own.velocity * (impedance * own.gain) - spring_damper(&self.gains, own, peer)
     }
 
     fn slave(&mut self, own: &Local<'_, N>, peer: &Peer<'_, N>) -> Axes<N> {
-        self.at_slave(own, peer)
+        let Gains { grasp_gain, impedance, .. } = self.gains;
+        let (grasp, share) = self.measured(peer.force, own.dt);
+        let measured = grasp * grasp_gain + own.force * (grasp_gain - 1.0);
+        spring_damper(&self.gains, own, peer) + measured * share - own.velocity * impedance
     }
 }
