@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from haptether.bridge import COUPLINGS, load_scene, write_key
-from haptether.studies.design.couplings import pressed_couplings
+from haptether.studies.design.gains import pressed_couplings
 from haptether.studies.processes import (
     END_TIMEOUT_S,
     START_TIMEOUT_S,

@@ -33,7 +33,7 @@ def contact_swing_n(signals: Mapping[str, npt.NDArray[Any]], release_s: Iterable
 
 
 def _swing_n(force: npt.NDArray[np.float64]) -> float:
-    """Return the swing of one axis in N, and 0 if the force settles."""
+    """Return the swing of one axis in N. A force that settles has 0."""
     if len(force) < 2 * CROSSINGS:
         return 0.0
     swing = float(np.ptp(force))

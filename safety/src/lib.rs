@@ -2,8 +2,8 @@
 //!
 //! Per tick: position -> [`Guard`] -> [`estimator`] -> grasp force ([`DeviceModel::grasp_force`]) -> [`observer`] ->
 //! [`controller`] -> [`Limiter`]. [`SafetyLayer`] runs these steps for a position, [`RotationLayer`] for a rotation, and
-//! [`WrenchLayer`] for position and rotation of one hand. They are pure state machines: they read no clock, take no lock,
-//! and allocate only at construction. The code for positions is generic over [`Real`]: an `f64`, or SIMD lanes that step
+//! [`WrenchLayer`] for position and rotation of one hand. They are pure state machines. They read no clock and take
+//! no lock, and they allocate only at construction. The code for positions is generic over [`Real`]: an `f64`, or SIMD lanes that step
 //! several scenarios at once.
 //!
 //! "The paper" is *Safety Control for Impedance Haptic Interfaces*: see `docs/paper.md`.

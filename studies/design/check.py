@@ -8,7 +8,7 @@ from haptether.bridge import Scene
 from haptether.bridge.scene.research import research_of
 from haptether.safety import THROWN_SPEED, EjectionBound, ejection_bound
 from haptether.studies.design.contact import rendered, scene_numbers, touched
-from haptether.studies.design.couplings import alternative_findings, coupling_advice, coupling_findings, has_halves
+from haptether.studies.design.couplings import alternative_findings, coupling_advice, coupling_findings
 from haptether.studies.design.delay import largest_delay_s, stable_together
 from haptether.studies.design.drivers import with_drivers
 from haptether.studies.design.finding import (
@@ -21,6 +21,7 @@ from haptether.studies.design.finding import (
     link_delays_s,
     shown_delay_s,
 )
+from haptether.studies.design.gains import has_halves
 from haptether.studies.design.idle import (
     MAX_ONCE_S,
     MAX_RUN_S,

@@ -10,7 +10,7 @@ from haptether.bridge import Scene, SceneError, override_scene
 from haptether.bridge.scene.resolve import DEFAULT_DAMPING, max_damping, side_kind
 from haptether.safety import ejection_bound
 from haptether.studies.design.contact import scene_numbers
-from haptether.studies.design.couplings import has_halves, other_gains
+from haptether.studies.design.couplings import other_gains
 from haptether.studies.design.delay import ContactLoop, largest_delay_s
 from haptether.studies.design.finding import (
     MARGIN,
@@ -21,6 +21,7 @@ from haptether.studies.design.finding import (
     rounded_up,
     shown_delay_s,
 )
+from haptether.studies.design.gains import has_halves
 from haptether.studies.design.idle import MAX_ONCE_S, EventKind, single_events
 from haptether.studies.design.loops import scene_loops
 

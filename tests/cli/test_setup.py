@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -50,7 +51,7 @@ def folder(tmp_path: Path) -> Iterator[Path]:
         yield tmp_path / "cell"
 
 
-def setup(*arguments: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, object], str]:
+def setup(*arguments: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any], str]:
     """Run in this process, without a terminal; return status, JSON and standard error."""
     status = main(["setup", "cell", *arguments, "--json", "-"])
     said = capsys.readouterr()
@@ -68,7 +69,7 @@ def test_scene_key_and_scripts_are_written_and_pass_their_checks(
     status, report, said = setup(*options, capsys=capsys)
     assert status == 0
     answered = report["answers"]
-    for name, answer in answered.items():  # type: ignore[attr-defined]
+    for name, answer in answered.items():
         option = f"--{name.replace('_', '-')}"
         assert (f"{option} = {answer}: the default" in said) == (option not in options)
     written = load_scene(folder / "scene.toml")
@@ -88,7 +89,7 @@ def test_scene_key_and_scripts_are_written_and_pass_their_checks(
     listen = "0.0.0.0:9000" if "--end" in options else "127.0.0.1:9000"
     assert f"--listen {listen} --key arm.key" in (folder / "start-slave.sh").read_text()
     assert "--clutch" not in (folder / "start-master.sh").read_text()
-    checks = {check["name"]: check for check in report["checks"]}  # type: ignore[attr-defined]
+    checks = {check["name"]: check for check in report["checks"]}
     assert {"key", "scene", "master", "link"} <= checks.keys()
     assert ("arm" in checks) == ("--end" not in options)
     assert all(check["remedy"] for check in checks.values() if check["state"] == "missing")
@@ -179,7 +180,7 @@ def test_the_checks_find_what_is_wrong(folder: Path, capsys: pytest.CaptureFixtu
         assert said in setup("--check", *wrong_option, capsys=capsys)[2]
     status, report, _ = setup("--check", "--end", "slave", capsys=capsys)
     assert status == 1
-    wrong = {check["name"]: check for check in report["checks"] if check["state"] == "mend"}  # type: ignore[attr-defined]
+    wrong = {check["name"]: check for check in report["checks"] if check["state"] == "mend"}
     assert wrong.keys() == {"key", "scene, ejection"}
     assert "--force" in wrong["key"]["remedy"]
 
@@ -205,7 +206,7 @@ def test_from_nothing_to_an_engaged_pair_with_an_emulated_arm(folder: Path, caps
         until(slave, "listens on")
         status, report, err = setup("--check", capsys=capsys)
         assert status == 0, (report, err)
-        checks = {check["name"]: check for check in report["checks"]}  # type: ignore[attr-defined]
+        checks = {check["name"]: check for check in report["checks"]}
         assert "in use by the slave that runs" in checks["arm"]["text"]
         assert checks["link"]["text"].startswith("good enough")
         # A person at a terminal: nothing engages before Enter.

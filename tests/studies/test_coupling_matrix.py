@@ -25,7 +25,7 @@ from haptether.studies import (
 from haptether.studies.demo import SCENE, _far, _hand, with_coupling
 from haptether.studies.design.contact import scene_numbers
 from haptether.studies.design.coupled import virtual_tool
-from haptether.studies.design.couplings import pressed_couplings
+from haptether.studies.design.gains import pressed_couplings
 from haptether.studies.design.press import DEPTHS, OUTCOMES, Outcome, press, stroke
 from haptether.studies.evaluation.matrix.figure import OUTCOME_COLOURS, shade
 from haptether.studies.evaluation.matrix.measure import Median

@@ -23,7 +23,8 @@ from haptether.studies.design.coupled import (
     stable_ticks,
     virtual_tool,
 )
-from haptether.studies.design.couplings import advised_coupling, bearable_delays
+from haptether.studies.design.couplings import bearable_delays
+from haptether.studies.design.gains import advised_coupling
 
 Array = npt.NDArray[np.float64]
 KINDS = ("position-force-computed", "position-position", "pd-damped")

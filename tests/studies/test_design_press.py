@@ -7,8 +7,9 @@ from tests.scene.two_sides import two_sides
 
 from haptether.bridge import COUPLINGS, Scene, coupling_facts, load_scene, override_scene
 from haptether.studies import check_scene
-from haptether.studies.design.couplings import bearable_delays, pressed_couplings
+from haptether.studies.design.couplings import bearable_delays
 from haptether.studies.design.finding import Finding
+from haptether.studies.design.gains import pressed_couplings
 from haptether.studies.design.press import press
 
 HAND, WALL = 100.0, 2000.0

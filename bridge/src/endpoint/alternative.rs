@@ -19,6 +19,18 @@ pub(super) struct Alternative<M, R> {
 }
 
 impl<M, R> Alternative<M, R> {
+    /// Build the parts of a coupling; `method` is None for position-force.
+    pub(super) fn new(
+        method: Option<MethodSettings>,
+        play_out: PlayOut,
+        coupled: impl FnOnce(&MethodSettings) -> Option<M>,
+        turning: impl FnOnce(&MethodSettings) -> Option<R>,
+    ) -> Self {
+        let coupled = method.as_ref().and_then(coupled).map(Box::new);
+        let turning = method.as_ref().and_then(turning).map(Box::new);
+        Self { method, coupled, turning, play_out }
+    }
+
     pub(super) fn kind(&self) -> CouplingKind {
         kind_of(self.method.as_ref())
     }

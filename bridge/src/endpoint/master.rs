@@ -161,9 +161,12 @@ impl<const N: usize> MasterEndpoint<N> {
             self.hand = self.hand.with_grasp();
         }
         self.exchange.link.allow(kind_of(method.as_ref()));
-        let coupled = method.and_then(|method| CoupledMaster::new(&method)).map(Box::new);
-        let turning = method.and_then(|method| CoupledMasterTurn::new(&method)).map(Box::new);
-        self.alternatives.push(Alternative { method, coupled, turning, play_out });
+        self.alternatives.push(Alternative::new(
+            method,
+            play_out,
+            CoupledMaster::new,
+            CoupledMasterTurn::new,
+        ));
         self
     }
 

@@ -135,9 +135,7 @@ impl<const N: usize> SlaveEndpoint<N> {
     #[must_use]
     pub(crate) fn with_alternative(mut self, method: Option<MethodSettings>, play_out: PlayOut) -> Self {
         self.exchange.link.allow(kind_of(method.as_ref()));
-        let coupled = method.and_then(|method| CoupledSlave::new(&method)).map(Box::new);
-        let turning = method.and_then(|method| CoupledSlaveTurn::new(&method)).map(Box::new);
-        self.alternatives.push(Alternative { method, coupled, turning, play_out });
+        self.alternatives.push(Alternative::new(method, play_out, CoupledSlave::new, CoupledSlaveTurn::new));
         self
     }
 

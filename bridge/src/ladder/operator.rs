@@ -108,8 +108,8 @@ impl ClutchOperator {
         (self.requested, self.requested_ns) = (false, None);
     }
 
-    /// Release the clutch: by command, or because the start was too long ago to be a press. Returns whether that start
-    /// would have been an operator's press. A simulated operator reacts anew.
+    /// Release the clutch, by command or because the start was too long ago to be a press. Return true if the start alone
+    /// held it. A simulated operator waits for its reaction time again.
     pub fn release_clutch(&mut self) -> bool {
         self.ready_ns = None;
         std::mem::replace(&mut self.pressed, false) && matches!(self.clutch, Clutch::Once)

@@ -11,7 +11,8 @@ from msgspec.structs import replace
 
 from haptether.bridge import COUPLINGS, Scene, SceneError, override_scene
 from haptether.studies.design.contact import scene_numbers, touched
-from haptether.studies.design.couplings import PressedCoupling, bearable_delays, pressed_couplings, without_gains
+from haptether.studies.design.couplings import bearable_delays
+from haptether.studies.design.gains import PressedCoupling, pressed_couplings, without_gains
 from haptether.studies.design.press import WALLS, Outcome, Press, Stroke
 from haptether.studies.evaluation.evaluate import check_evaluated, conditions, evaluate
 from haptether.studies.evaluation.result import (

@@ -43,7 +43,7 @@ impl Plant {
     }
 }
 
-/// Path of one direction: at each tick, the sending tick of the newest message.
+/// Return, for each tick, the tick at which the newest message was sent; None before the first message.
 ///
 /// Each message takes its own delay, may be lost, and may come twice; a newer one wins.
 fn newest(delay: usize, jitter: usize, loss: f64, draws: &[(f64, f64)]) -> Vec<Option<usize>> {
@@ -505,7 +505,7 @@ fn drawn() -> impl Strategy<Value = Drawn> {
                 most_damping: defaults(kind).most_damping.min(0.2 / T * plants[0].mass),
                 ..Gains::spring(stiffness.min(2000.0), damping)
             };
-            // From a limiter that takes nearly all of the force to one that takes none.
+            // The limiter takes none to nearly all of the force.
             let most_n = 10f64.powf(4.0 * shares[4] - 2.0);
             Drawn { plants, delays, jitter, loss, draws, swing, periods, gains, kind, most_n }
         },

@@ -49,8 +49,8 @@ class Evaluate(PictureOptions):
 
     haptether evaluate all --quick --json - --set safety.window=10
 
-    With --couplings, the couplings of one scene are compared, by default of remote_push: a hand presses the pair on a
-    wall, withdraws and lets go, and many hands do the task, each with gains for pair and network.
+    --couplings compares the couplings of one scene, by default remote_push. A hand presses the pair on a wall,
+    withdraws and lets go. Then many hands do the task. Each coupling has gains for the pair and the network.
 
     haptether evaluate --couplings all --controllers all --quick --out couplings
 
