@@ -138,7 +138,7 @@ class Stage:
         record = more.pop("record", self.path(f"{name}.mcap"))
         return self._begun(Process(
             "slave", "--key", str(self.key), "--listen", listen, "--json", str(self.path(f"{name}.json")),
-            "--force", *self._set(), *arguments, record=record, **more,
+            "--force", *self.scene_options(), *arguments, record=record, **more,
         ))  # fmt: skip
 
     def master(self, peer: str, name: str = "master", *arguments: str, key: Path | None = None, **more: Any) -> Process:  # noqa: ANN401  # those of Process
@@ -146,11 +146,12 @@ class Stage:
         record = more.pop("record", self.path(f"{name}.mcap"))
         return self._begun(Process(
             "master", "--key", str(key or self.key), "--peer", peer, "--json", str(self.path(f"{name}.json")),
-            "--force", *self._set(), *arguments, record=record, **more,
+            "--force", *self.scene_options(), *arguments, record=record, **more,
         ))  # fmt: skip
 
     @classmethod
-    def _set(cls) -> list[str]:
+    def scene_options(cls) -> list[str]:
+        """Return the options of both commands for the changes."""
         changes = [part for one in cls.overrides for part in ("--set", one)]
         return ["--scene", DEFAULT_SCENE, *changes] if changes else []
 

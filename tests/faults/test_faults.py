@@ -18,7 +18,7 @@ from tests.faults import (
     virtual,
 )
 from tests.faults.rows import Row
-from tests.faults.running import Process, Recorded, Stage
+from tests.faults.running import DEFAULT_SCENE, Process, Recorded, Stage
 from tests.faults.signals import ENGAGED, HOLD, STOP, Ticks
 from tests.ur.stalls import anew_after_stalls
 
@@ -116,6 +116,18 @@ def test_under_other_couplings(name: str) -> None:
     judge(row)
     assert name.startswith(f"{row.coupling}, ")
     assert Stage.overrides == ()
+
+
+def test_both_sides_of_a_row_start_with_its_coupling() -> None:
+    seen = []
+
+    def measure() -> Row:
+        seen.append(Stage.scene_options())
+        return Row(fault="a", how="processes", expected="b")
+
+    assert coupled.under("wave", measure)().coupling == "wave"
+    assert seen == [["--scene", DEFAULT_SCENE, "--set", "coupling.kind=wave"]]
+    assert Stage.scene_options() == []
 
 
 def ticks(state: list[int], output: list[float]) -> Ticks:
