@@ -243,7 +243,7 @@ impl FrameLink {
     /// Frame for the coupling: the one whose time is now, or the newest without a play-out.
     #[inline]
     pub(crate) fn coupled(&self) -> Option<&Frame> {
-        self.play_out.now().unwrap_or_else(|| self.newest())
+        self.play_out.now(self.newest())
     }
 
     /// Newest epoch of the peer's half of the coupling that is not 0; 0 before the first.

@@ -31,10 +31,10 @@ impl PlayOut {
         self.0.as_deref_mut()
     }
 
-    /// Frame whose time is now; None without a play-out.
+    /// Frame whose time is now; without a play-out, the newest.
     #[inline]
-    pub(crate) fn now(&self) -> Option<Option<&Frame>> {
-        self.0.as_ref().map(|frames| frames.now.as_ref())
+    pub(crate) fn now<'a>(&'a self, newest: Option<&'a Frame>) -> Option<&'a Frame> {
+        self.0.as_ref().map_or(newest, |frames| frames.now.as_ref())
     }
 
     /// Forget all frames.
