@@ -129,6 +129,7 @@ def drive_slave(
     notes = notes or DeviceNotes()
     check_kind(device, loop.kind)
     write: Callable[..., None] = device.write
+    exert: Callable[..., None] = getattr(device, "write_force", _takes_no_force)
     before = "wait"
     jaws = None if gripper is None else LoopGripper(gripper)
 
@@ -151,7 +152,9 @@ def drive_slave(
         kind, *command = order
         if kind == "move":
             write(*command)
-        elif kind == "stop" and before == "move":
+        elif kind == "exert":
+            exert(*command)
+        elif kind == "stop" and before in {"move", "exert"}:
             device.stop()
         before = kind
         # Write the arm first, so that it has stopped whatever the gripper driver does.
@@ -172,6 +175,11 @@ def drive_slave(
     # Close the arm first, because a gripper driver may be slow.
     with opened_gripper(gripper, device), opened(device, notes, "[slave] period_s", period_s):
         _drive(device, loop, notes, step, gripper=gripper)
+
+
+def _takes_no_force(*_: object) -> None:
+    message = "has no `write_force`, and the scene has [slave] takes_force = true"
+    raise TypeError(message)
 
 
 class LoopGripper:

@@ -67,6 +67,20 @@ def check_kind(device: object, kind: str) -> None:
         raise DeviceError(message)
 
 
+def check_force(device: object, *, takes_force: bool) -> None:
+    """Refuse a driver that does not take forces, for a scene whose arm does.
+
+    Raises:
+        DeviceError: The driver takes motions only.
+    """
+    if takes_force and not getattr(device, "takes_force", False):
+        message = (
+            f"[slave] takes_force = true: {type(device).__name__} takes only motions with these options: set its option"
+            " for forces, or takes_force = false"
+        )
+        raise DeviceError(message)
+
+
 def check_trigger(device: object, *, is_felt: bool) -> Callable[[float], None] | None:
     """Return the method that exerts the trigger force, if the finger feels it in this scene.
 

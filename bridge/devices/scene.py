@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Literal
 
 from haptether.bridge.devices.find import load_gripper, load_master, load_slave
-from haptether.bridge.devices.open import check_kind, check_period, check_trigger
+from haptether.bridge.devices.open import check_force, check_kind, check_period, check_trigger
 from haptether.bridge.scene.load import override_scene
 from haptether.bridge.scene.resolve import side_kind
 from haptether.bridge.scene.tables.session import CouplingTable, Scene
@@ -58,6 +58,7 @@ def slave_drivers(scene: Scene) -> "tuple[Scene, SlaveDevice | None, Gripper | N
     gripper = None if jaws is None else load_gripper(jaws.device, jaws.options)
     check_kind(device, side_kind(scene.master))
     check_period(device, "[slave] period_s", slave_period_s(scene))
+    check_force(device, takes_force=table.takes_force)
     _check_axes(scene, device, "slave")
     return _bounded(_no_faster(scene, device), device, "slave"), device, gripper
 

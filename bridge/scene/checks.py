@@ -401,6 +401,10 @@ def _slave(table: SlaveTable, run: RunTable) -> Iterator[SceneError]:
     for key in ("stiffness", "damping"):
         if table.control != "pd" and getattr(table, key) is not None:
             yield contradiction(("slave", key), f'control = "{table.control}" has none, only "pd"')
+    if table.takes_force and table.control == "velocity":
+        yield contradiction(("slave", "takes_force"), 'needs control = "position" or "pd" between forces')
+    if not table.takes_force and table.viscous > 0.0:
+        yield contradiction(("slave", "viscous"), "is friction under a force: needs takes_force = true")
     gripper = table.gripper
     if gripper is not None and gripper.object is not None and gripper.object < gripper.position:
         allowed = f"at least [slave.gripper] position, {gripper.position:g}: the jaws meet it from outside"

@@ -22,6 +22,13 @@ pub enum SlaveOrder<const N: usize> {
         /// Orientation of the tool, and its angular velocity in rad/s; `None` if the tool is led as a point.
         rotation: Option<(UnitQuaternion<f64>, Axes<3>)>,
     },
+    /// Exert a force on the tool.
+    Exert {
+        /// Force in N.
+        force: Axes<N>,
+        /// Torque in N m about the tool point; `None` if the tool is led as a point.
+        torque: Option<Axes<3>>,
+    },
     /// Stop softly and stay.
     Stop,
 }
@@ -138,6 +145,11 @@ impl<const N: usize> SlavePlant<N> for DrivenSlave<N> {
         self.order = SlaveOrder::Move { position, velocity, rotation };
     }
 
+    fn exert(&mut self, force: &Axes<N>, torque: &Axes<3>) {
+        (self.order, self.braking) =
+            (SlaveOrder::Exert { force: *force, torque: self.rotation.map(|_| *torque) }, None);
+    }
+
     /// Left to the driver: the rest position is unknown here.
     fn stop(&mut self) -> Axes<N> {
         (self.order, self.braking) = (SlaveOrder::Stop, None);
@@ -145,8 +157,13 @@ impl<const N: usize> SlavePlant<N> for DrivenSlave<N> {
     }
 
     fn hold(&mut self) -> Axes<N> {
-        let SlaveOrder::Move { position: from, velocity, rotation } = self.order else {
-            return Axes::repeat(f64::NAN);
+        let (from, velocity, rotation) = match self.order {
+            SlaveOrder::Move { position, velocity, rotation } => (position, velocity, rotation),
+            SlaveOrder::Exert { .. } => {
+                let turn = self.rotation.map(|turned| (turned.orientation, turned.angular_velocity));
+                (self.sample[0], self.sample[1], turn)
+            }
+            SlaveOrder::Wait | SlaveOrder::Stop => return Axes::repeat(f64::NAN),
         };
         // v^2 / 2 a along v.
         let rest = from + velocity * (0.5 * velocity.norm() / self.deceleration);

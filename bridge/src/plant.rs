@@ -102,6 +102,10 @@ pub trait SlavePlant<const N: usize> {
     /// Take the tool to `position` in m, which moves with `velocity` in m/s.
     fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>);
 
+    /// Exert `force` in N on the tool, and `torque` in N m about the tool point if the arm turns, until the next command.
+    /// Only called for an arm that takes forces.
+    fn exert(&mut self, force: &Axes<N>, torque: &Axes<3>);
+
     /// Stop softly within the arm's bounds and stays there, whatever was written. Returns the rest position in m.
     /// Nothing is written until the stop is over. Never an emergency stop: nothing on the network can switch power
     /// and brakes.
@@ -386,6 +390,10 @@ impl SlavePlant<3> for SimulatedTool {
         SimulatedTool::write(self, position, velocity);
     }
 
+    fn exert(&mut self, force: &Axes<3>, torque: &Axes<3>) {
+        SimulatedTool::exert(self, force, torque);
+    }
+
     fn stop(&mut self) -> Axes<3> {
         SimulatedTool::stop(self).0
     }
@@ -434,6 +442,10 @@ impl<const N: usize> SlavePlant<N> for SimulatedSlave<N> {
 
     fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>) {
         SimulatedSlave::write(self, position, velocity);
+    }
+
+    fn exert(&mut self, force: &Axes<N>, _torque: &Axes<3>) {
+        SimulatedSlave::exert(self, force);
     }
 
     fn stop(&mut self) -> Axes<N> {

@@ -9,7 +9,7 @@ use crate::{
     buttons::{ButtonError, ButtonSettings, Buttons},
     command::OperatorCommand,
     coupling::{CouplingError, GripperState, ReferencePoint, ScaleRanges},
-    endpoint::{Exchange, MasterEndpoint, MasterReading, SlaveEndpoint, SlaveReading},
+    endpoint::{Exchange, MasterEndpoint, MasterReading, SlaveEndpoint, SlaveReading, SlaveTick},
     gripper::{FingerTruth, LeadingTrigger, SlaveGripper, Trigger},
     ladder::{Button, Clutch, ClutchError, ClutchOperator, LadderState},
     link::{LinkTime, RejectReason},
@@ -482,6 +482,25 @@ impl<P: SlavePlant<N>, const N: usize> SlaveSide<P, N> {
     }
 }
 
+impl<P: SlavePlant<N>, const N: usize, R> SlaveSide<P, N, R> {
+    /// Pass the command of a tick to the arm: a force, or a motion with position and velocity in m and m/s.
+    #[inline(always)] // once a tick
+    fn command_plant(&mut self, tick: &SlaveTick<N>, motion: [Axes<N>; 2]) {
+        if let Some(exerted) = tick.exerted {
+            let point = self.reference_point;
+            let of_tool = point.map(|point| point.exerted(exerted, tick.orientation.as_ref()));
+            let (force, torque) = of_tool.unwrap_or(exerted);
+            return self.plant.exert(&force, &torque);
+        }
+        if let Some(orientation) = &tick.orientation {
+            self.plant.write_rotation(orientation, &tick.angular_velocity);
+        }
+        let of_tool = self.reference_point.and_then(|point| point.commanded(tick));
+        let [command, velocity] = of_tool.unwrap_or(motion);
+        self.plant.write(&command, &velocity);
+    }
+}
+
 impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side for SlaveSide<P, N, R> {
     type Record = SlaveRecord<N, R>;
 
@@ -517,12 +536,7 @@ impl<P: SlavePlant<N>, const N: usize, R: SlaveTurn> Side for SlaveSide<P, N, R>
             tick.orientation = self.endpoint.last_orientation();
         }
         if let Some(command) = tick.command.filter(|_| !is_stopped(tick.state)) {
-            if let Some(orientation) = &tick.orientation {
-                self.plant.write_rotation(orientation, &tick.angular_velocity);
-            }
-            let of_tool = self.reference_point.and_then(|point| point.commanded(&tick));
-            let [command, velocity] = of_tool.unwrap_or([command, tick.command_velocity]);
-            self.plant.write(&command, &velocity);
+            self.command_plant(&tick, [command, tick.command_velocity]);
         }
         if tick.state.is_coupled() {
             self.plant.engaged(time.now_ns);

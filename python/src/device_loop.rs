@@ -466,6 +466,11 @@ impl SlaveLoop {
         let named = match output.order {
             SlaveOrder::Wait => (pyo3::intern!(py, "wait"), PyTuple::empty(py), PyTuple::empty(py)),
             SlaveOrder::Stop => (pyo3::intern!(py, "stop"), PyTuple::empty(py), PyTuple::empty(py)),
+            SlaveOrder::Exert { force, torque } => {
+                let torque =
+                    torque.map_or_else(|| Ok(PyTuple::empty(py)), |one| written(py, one.as_slice()))?;
+                (pyo3::intern!(py, "exert"), out(&force)?, torque)
+            }
             SlaveOrder::Move { position, velocity, rotation: None } => {
                 (pyo3::intern!(py, "move"), out(&position)?, out(&velocity)?)
             }

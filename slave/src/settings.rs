@@ -26,6 +26,14 @@ pub struct ArmSettings<const N: usize> {
     pub max_speed: Option<f64>,
     /// Acceleration limit of the set value in m/s²; none without a limit.
     pub max_acceleration: Option<f64>,
+    /// True if the arm takes forces: `M x'' = F_c - b V + F_e`.
+    pub takes_force: bool,
+    /// b in N s/m, friction that the arm does not compensate under a force.
+    pub viscous: f64,
+    /// Largest force in N (N m) of a coupling on an arm that takes forces.
+    pub max_force_n: f64,
+    /// Largest torque in N m of the same; arms with rotation only.
+    pub max_torque_nm: f64,
     /// Speed bound in m/s (rad/s) against which its samples are checked; default: the bound of its kind.
     pub speed_bound: Option<f64>,
     /// Period of its loop in s.
@@ -49,7 +57,8 @@ impl<const N: usize> ArmSettings<N> {
             ControlKind::Velocity => ArmControl::Velocity { bandwidth_hz: self.bandwidth_hz },
             ControlKind::Pd => ArmControl::Pd { stiffness: self.stiffness, damping: self.damping },
         };
-        ArmModel::new(control, self.mass_kg, self.max_speed, self.max_acceleration)
+        let model = ArmModel::new(control, self.mass_kg, self.max_speed, self.max_acceleration)?;
+        if self.takes_force { model.taking_forces(self.viscous) } else { Ok(model) }
     }
 }
 

@@ -60,6 +60,8 @@ impl<const N: usize> Plant<N> {
     fn advance(&mut self, from: f64, span: f64) {
         let Self { drive, environment, tool, linear } = self;
         let solved = match linear {
+            // Without a spring of its own, the arm has no particular solution there.
+            Some(_) if drive.exerted().is_some() => false,
             Some(linear) if linear.is_complete => {
                 linear.advance(drive, environment, tool, from, span);
                 true
@@ -130,9 +132,15 @@ impl<const N: usize> SimulatedSlave<N> {
     /// finite are ignored.
     pub fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>) {
         if all_finite(position) {
+            self.plant.drive.follow(&self.plant.tool);
             let velocity = if all_finite(velocity) { *velocity } else { Axes::zeros() };
             self.plant.drive.command(*position, velocity);
         }
+    }
+
+    /// Exert `force` in N until the next command. An arm that takes motions only ignores it, as any that is not finite.
+    pub fn exert(&mut self, force: &Axes<N>) {
+        self.plant.drive.exert(force);
     }
 
     /// Brake within the limits and stay. Returns the rest position in m.

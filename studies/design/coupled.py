@@ -43,7 +43,7 @@ class Tool(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class CoupledLoop(msgspec.Struct, frozen=True, kw_only=True):
-    """Hand and device, both halves of a coupling, virtual tool and arm, along one axis."""
+    """Hand and device, both halves of a coupling, virtual tool and arm, along one axis; or an arm that takes forces."""
 
     period_s: float
     """T in s, of both sides."""
@@ -61,9 +61,10 @@ class CoupledLoop(msgspec.Struct, frozen=True, kw_only=True):
     """Coefficients of F_c in x_v, v_v, x_m', v_m'."""
     velocity: tuple[float, ...] | None = None
     """Response of the estimated V in 1/s to a reading of 1 m, one value per tick; None if V is exact."""
-    tool: Tool
+    tool: Tool | None
+    """Virtual tool; None for an arm that takes forces."""
     follower: Follower
-    """Arm that follows the tool."""
+    """Arm that follows the tool, or takes F_c: then without stiffness."""
     environment_stiffness: float = 0.0
     """K_e in N/m; 0 in free motion."""
     environment_damping: float = 0.0
@@ -71,8 +72,13 @@ class CoupledLoop(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def virtual_tool(spec: dict[str, Any]) -> Tool:
-    """Return the virtual tool of a scene's numbers, same as `bridge/src/scene/sides.rs`."""
+    """Return the virtual tool of a scene's numbers, same as `bridge/src/scene/sides.rs`.
+
+    An arm that takes forces is its own tool.
+    """
     slave, coupling = spec["slave"], spec["coupling"]
+    if slave["takes_force"]:
+        return Tool(mass_kg=slave["mass_kg"], damping=slave["viscous"], lead_s=0.0)
     pole = 2.0 * pi * slave["bandwidth_hz"]
     if slave["control"] == "pd":
         pole, lag_s = (slave["stiffness"] / slave["mass_kg"]) ** 0.5, 0.0
@@ -118,6 +124,9 @@ def coupled_loops(scene: Scene, wall_stiffness: float | None = None, *, held: bo
             velocity = (1.0 / settings.period_s, -1.0 / settings.period_s)
     springs, walls = contacts(spec) if wall_stiffness is None else ([], [(wall_stiffness, 0.0)])
     spring = tuple(map(sum, zip((0.0, 0.0), *springs, strict=True)))
+    tool = virtual_tool(spec)
+    takes_force = spec["slave"]["takes_force"]
+    own_arm = Follower(mass_kg=tool.mass_kg, damping=tool.damping, stiffness=0.0)
     places = sorted({(spring[0] + k, spring[1] + b) for k, b in ((0.0, 0.0), *walls)})
     return [
         CoupledLoop(
@@ -129,8 +138,8 @@ def coupled_loops(scene: Scene, wall_stiffness: float | None = None, *, held: bo
             master=tuple(facts.master),
             slave=tuple(facts.slave),
             velocity=velocity,
-            tool=virtual_tool(spec),
-            follower=loop.follower,
+            tool=None if takes_force else tool,
+            follower=own_arm if takes_force else loop.follower,
             environment_stiffness=stiffness,
             environment_damping=damping,
         )
@@ -213,8 +222,19 @@ class _Motion:
         hand[1] = [-loop.hand_stiffness / loop.mass_kg, -loop.damping / loop.mass_kg, 1.0 / loop.mass_kg]
         self.hand = exponential(hand * period_s)[:2]
 
-        # Arm under a held command of position and velocity, in contact.
         wall = np.array([loop.environment_stiffness, loop.environment_damping])
+        x, v, force = loop.master[2:5]
+        if tool is None:
+            # States x_a, v_a of an arm under a held F_c, in contact.
+            motion = np.zeros((3, 3))
+            motion[0, 1] = 1.0
+            motion[1] = np.array([-wall[0], -arm.damping - wall[1], 1.0]) / arm.mass_kg
+            step = exponential(motion * period_s)[:2]
+            self.step, self.push = step[:, :2] + np.outer(step[:, 2], loop.slave[:2]), step[:, 2]
+            back = np.array([x + force * loop.slave[0], v + force * loop.slave[1]])
+            self._end(back, force)
+            return
+        # Arm under a held command of position and velocity, in contact.
         follows = arm.damping if arm.follows_velocity else 0.0
         motion = np.zeros((4, 4))
         motion[0, 1] = 1.0
@@ -232,10 +252,14 @@ class _Motion:
         whole = np.vstack((place, speed, at_arm))
         self.step, self.push = whole[:, :4], whole[:, 4]
         # Numbers for the master: x of the tool, v of the arm, F_c.
-        back, (x, v, force) = np.zeros(4), loop.master[2:5]
+        back = np.zeros(4)
         back[0] += x + force * loop.slave[0]
         back[1] += force * loop.slave[1]
         back[3] += v
+        self._end(back, force)
+
+    def _end(self, back: Array, force: float) -> None:
+        """Set the numbers for the master, by the states and by the input; then the grid, and the open poles outside."""
         self.back, self.through = back, force
         self.grid = np.unique(np.concatenate((np.geomspace(1e-9, pi, GRID), np.linspace(1e-3, pi, GRID))))
         self.poles = sum(
@@ -251,7 +275,7 @@ class _Motion:
         v = ((z - a) * second + c * first) / bottom
         if loop.velocity is not None:
             v = x * np.polyval(loop.velocity[::-1], 1.0 / z)
-        inverse = np.linalg.solve(z[:, None, None] * np.eye(4) - self.step, self.push[:, None].astype(np.complex128))
+        inverse = np.linalg.solve(z[:, None, None] * np.eye(len(self.step)) - self.step, self.push[:, None].astype(np.complex128))
         slave = inverse[:, :, 0] @ self.back + self.through
         fixed = 1.0 + loop.scale * (loop.master[0] * x + loop.master[1] * v)
         return fixed, loop.scale * (loop.slave[2] * x + loop.slave[3] * v) * slave

@@ -81,6 +81,22 @@ def test_a_contact_settles_at_its_closed_form(kind: str, one_way_s: float) -> No
     assert force == pytest.approx(-expected, rel=2e-3)
 
 
+FORCE_ARM = {"takes_force": True, "mass_kg": 1.0, "viscous": 3.0}
+
+
+@pytest.mark.parametrize("one_way_s", [0.0, 0.01, 0.05])
+@pytest.mark.parametrize("kind", WITH_GAINS)
+def test_an_arm_that_takes_forces_is_not_in_series(kind: str, one_way_s: float) -> None:
+    """`F = (x_t - x_w) / (1/K_h + C + 1/K_e)`: the arm exerts F_c itself."""
+    if kind in ("position-force-computed", "three-channel-environment") and one_way_s > 0.01:
+        pytest.skip("not stable, as with a virtual tool")
+    expected = (TARGET - WALL) / (1 / K_HAND + compliance(kind, max(2.0 * one_way_s, 1e-3)) + 1 / K_WALL)
+    seconds = 20.0 + (60.0 * one_way_s if kind == "wave" else 0.0)
+    arm = {"position": 0.0, **FORCE_ARM}
+    (force,) = end_force(pressed(kind, one_way_s, run={"duration_s": seconds}, slave=arm))
+    assert force == pytest.approx(-expected, rel=1e-3)
+
+
 @pytest.mark.parametrize("kind", WITH_GAINS)
 def test_scales_and_a_turned_frame_stand_outside_the_coupling(kind: str) -> None:
     """`F = (lambda_p x_t - x_w) / (lambda_p lambda_f / K_h + 1/K + 1/K_arm + 1/K_e)` along a turned axis.

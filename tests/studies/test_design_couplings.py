@@ -59,18 +59,24 @@ def queue_matrix(loop: CoupledLoop, ticks: int) -> Array:
     unit = np.eye(size)
     x_m, v_m, before, x_v, v_v, x_a, v_a = unit[:7]
     seen = v_m if loop.velocity is None else (x_m - before) / period_s
-    force = np.array(loop.slave) @ np.stack((x_v, v_v, x_m, seen))
-    sent = np.stack((x_v, v_a, force))
+    own = (x_a, v_a) if tool is None else (x_v, v_v)
+    force = np.array(loop.slave) @ np.stack((*own, x_m, seen))
+    sent = np.stack((own[0], v_a, force))
     heard = sent if ticks == 0 else unit[size - 3 :]
     on_hand = -loop.scale * (np.array(loop.master) @ np.vstack((x_m, seen, heard)))
-    speed = (v_v + period_s / tool.mass_kg * (force - wall @ np.stack((x_a, v_a)))) / (
-        1.0 + period_s * tool.damping / tool.mass_kg
-    )
-    place = x_v + period_s * speed
     step = np.zeros((size, size))
     step[:2] = hand @ np.stack((x_m, v_m)) + pushed @ on_hand[None]
-    step[2], step[3], step[4] = x_m, place, speed
-    step[5:7] = moved @ np.stack((x_a, v_a)) + led @ np.stack((place + tool.lead_s * speed, speed))
+    if tool is None:
+        led = held(np.array([[0.0, 1.0], -np.array([wall[0], arm.damping + wall[1]]) / arm.mass_kg]),
+                   np.array([[0.0], [1.0 / arm.mass_kg]]), period_s)  # fmt: skip
+        step[2], step[5:7] = x_m, led[0] @ np.stack((x_a, v_a)) + led[1] @ force[None]
+    else:
+        speed = (v_v + period_s / tool.mass_kg * (force - wall @ np.stack((x_a, v_a)))) / (
+            1.0 + period_s * tool.damping / tool.mass_kg
+        )
+        place = x_v + period_s * speed
+        step[2], step[3], step[4] = x_m, place, speed
+        step[5:7] = moved @ np.stack((x_a, v_a)) + led @ np.stack((place + tool.lead_s * speed, speed))
     if ticks:
         step[7:10], step[10:] = sent, unit[7 : size - 3]
     return step
@@ -89,6 +95,14 @@ def loops(draw: st.DrawFn) -> CoupledLoop:
     mass_kg, pole = draw(floats(0.5, 6.0)), draw(floats(30.0, 200.0))
     follows = draw(st.booleans())
     share = 1.0 if not follows else 0.25
+    tool = Tool(mass_kg=draw(floats(0.2, 5.0)), damping=draw(floats(0.5, 20.0)), lead_s=draw(st.floats(0.0, 0.02)))
+    arm = Follower(
+        mass_kg=mass_kg,
+        stiffness=share * mass_kg * pole**2,
+        damping=2.0 * share**0.5 * mass_kg * pole,
+        follows_velocity=follows,
+    )
+    takes_force = draw(st.booleans())
     return CoupledLoop(
         period_s=1e-3,
         mass_kg=draw(floats(0.05, 0.5)),
@@ -98,13 +112,8 @@ def loops(draw: st.DrawFn) -> CoupledLoop:
         master=tuple(facts.master),
         slave=tuple(facts.slave),
         velocity=draw(st.sampled_from([None, (1e3, -1e3)])),
-        tool=Tool(mass_kg=draw(floats(0.2, 5.0)), damping=draw(floats(0.5, 20.0)), lead_s=draw(st.floats(0.0, 0.02))),
-        follower=Follower(
-            mass_kg=mass_kg,
-            stiffness=share * mass_kg * pole**2,
-            damping=2.0 * share**0.5 * mass_kg * pole,
-            follows_velocity=follows,
-        ),
+        tool=None if takes_force else tool,
+        follower=Follower(mass_kg=mass_kg, stiffness=0.0, damping=tool.damping) if takes_force else arm,
         environment_stiffness=draw(st.sampled_from([0.0, 100.0, 1000.0, 5000.0])),
         environment_damping=draw(st.floats(0.0, 5.0)),
     )
@@ -150,6 +159,7 @@ def growth(scene: Scene) -> float:
     return math.log(late / early)
 
 
+TAKES_FORCE = ("slave.takes_force=true", "slave.mass_kg=1.5", "slave.viscous=4", "slave.max_force_n=1000")
 PD_ARM = ("slave.control=pd", "slave.stiffness=2000", "slave.damping=60")
 
 
@@ -163,6 +173,8 @@ PD_ARM = ("slave.control=pd", "slave.stiffness=2000", "slave.damping=60")
         ("position-position", (400.0, 10.0), 2000.0, ("slave.control=velocity",)),
         ("position-force-computed", (300.0, 8.0), 400.0, ()),
         ("position-force-computed", (150.0, 4.0), 400.0, PD_ARM),
+        ("pd-damped", (300.0, 2.0), 400.0, TAKES_FORCE),
+        ("position-force-computed", (150.0, 4.0), 400.0, TAKES_FORCE),
     ],
 )
 def test_simulated_sides_swing_beyond_the_interval_and_settle_within(

@@ -120,6 +120,16 @@ class SlaveTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     """Largest speed of the set position in m/s, or "unbounded"; a UR moves at 1 m/s."""
     max_acceleration: Acceleration | None = None
     """Acceleration bound in m/s², at least 1e-6; by default none."""
+    takes_force: bool = False
+    """True if the arm takes the force of the coupling, `M x'' = F_c - b V + F_e`, in place of a virtual tool. Between
+    forces it follows a position by `control`, "position" or "pd". A live driver must take forces too.
+    """
+    viscous: NonNegative = 0.0
+    """b in N s/m, friction that an arm that takes forces does not compensate."""
+    max_force_n: Positive = 50.0
+    """Largest force in N (N m for joints) of the coupling on an arm that takes forces."""
+    max_torque_nm: Positive = 5.0
+    """Largest torque in N m of the same for kind "pose"."""
     speed_bound: Positive | None = None
     """Speed limit of the arm in m/s (rad/s); a faster, persistent step of its position is a fault. Without a driver
     value, 20 m/s, or 60 rad/s for joints.

@@ -27,10 +27,11 @@ pub use frame_map::FrameMap;
 pub use gripper::{GripperFollower, GripperState};
 pub use mapping::Mapping;
 pub(crate) use method::{
-    CoupledMaster, CoupledMasterTurn, CoupledSlave, CoupledSlaveTurn, HandMotion, OfHalf, OfMaster, capped,
+    CoupledMaster, CoupledMasterTurn, CoupledSlave, CoupledSlaveTurn, HandMotion, OfHalf, OfMaster, Room,
+    capped,
 };
 pub use method::{
-    CouplingAbout, CouplingKind, CouplingMatrix, Gains, MethodSettings, Sends, VirtualToolSettings,
+    CouplingAbout, CouplingKind, CouplingMatrix, ForceArm, Gains, MethodSettings, Sends, VirtualToolSettings,
     coupling_matrix,
 };
 pub use orientation::{MAX_NORM_ERROR, RotationState, canonical, checked, is_canonical, measured, quat_wxyz};

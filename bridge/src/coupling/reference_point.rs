@@ -67,6 +67,18 @@ impl ReferencePoint {
         Some([tick.command? - axes(&by), axes(&twist.velocity)])
     }
 
+    /// Force in N and torque in N m about the tool point, of a wrench about this point; unchanged without an orientation.
+    #[must_use]
+    pub fn exerted<const N: usize>(
+        &self,
+        (force, torque): (Axes<N>, Axes<3>),
+        orientation: Option<&UnitQuaternion<f64>>,
+    ) -> (Axes<N>, Axes<3>) {
+        let Some(orientation) = orientation else { return (force, torque) };
+        let wrench = Wrench { force: vector(&force), torque }.shifted(&-(orientation * self.0));
+        (force, wrench.torque)
+    }
+
     /// Position of the point in m, for a tool at `position`.
     #[must_use]
     pub fn of_tool<const N: usize>(&self, position: &Axes<N>, orientation: &UnitQuaternion<f64>) -> Axes<N> {
@@ -119,12 +131,15 @@ mod tests {
                 command_velocity: seen.velocity,
                 orientation: Some(turned),
                 angular_velocity,
+                exerted: None,
                 is_led: true,
                 state: LadderState::Engaged,
                 age_ns: None,
                 limited: Limited::default(),
                 fault: None,
             };
+            let (_, at_tool) = point.exerted((seen.environment_force, seen.rotation.unwrap().torque), Some(&turned));
+            prop_assert!((at_tool - torque).norm() < ROUNDING);
             let [command, command_velocity] = point.commanded(&tick).unwrap();
             prop_assert!((command - position).norm() < ROUNDING && (command_velocity - velocity).norm() < ROUNDING);
         }

@@ -50,6 +50,8 @@ pub(crate) struct ArmTick<const N: usize> {
     /// master's orientation.
     pub(crate) angular_velocity: Axes<3>,
     pub(crate) limited: Limited,
+    /// Force in N and torque in N m of the coupling, for an engaged arm that takes forces.
+    pub(crate) exerted: Option<(Axes<N>, Axes<3>)>,
 }
 
 /// Set force and torque of the next frame to zero.
@@ -277,7 +279,8 @@ impl<const N: usize> Arm<N> {
         let input = TranslationInput { state, stale_ns, newest: of_master };
         let led = if let Some(coupled) = &mut self.coupled {
             let half = newest.as_ref().map_or(OfHalf::NONE, |master| master.half);
-            let pushed = self.translation.push(now_ns, [position, environment_force], &input, coupled, &half);
+            let measured = [position, &reading.velocity, environment_force];
+            let pushed = self.translation.push(now_ns, measured, &input, coupled, &half);
             pushed.map(|(led, work_j)| {
                 outgoing.energy.add(-work_j);
                 led
@@ -315,7 +318,16 @@ impl<const N: usize> Arm<N> {
             self.last_rotation = reading.rotation;
         }
         self.report(reading, turns, outgoing);
-        ArmTick { command_velocity, angular_velocity, limited }
+        let exerted = led.and_then(|_| self.exerted());
+        ArmTick { command_velocity, angular_velocity, limited, exerted }
+    }
+
+    /// Force in N and torque in N m of the coupling on an arm that takes forces.
+    fn exerted(&self) -> Option<(Axes<N>, Axes<3>)> {
+        let (force, _) = self.coupled.as_ref()?.exerted()?;
+        let turning = self.rotation.as_ref().and_then(|rotation| rotation.coupled.as_ref());
+        let torque = turning.and_then(|turning| turning.exerted());
+        Some((*force, torque.map_or(Axes::zeros(), |(torque, _)| *torque)))
     }
 
     /// Count the work of the environment's wrench on the link since the last tick of this engagement:

@@ -6,7 +6,7 @@ use nalgebra::UnitQuaternion;
 use crate::{
     coupling::{
         ALIGNED_RAD, Alignment, AlignmentSettings, AlignmentStep, CoupledSlaveTurn, CouplingError, Limited,
-        OfHalf, OfMaster, RotationBounds, RotationCoupling, RotationLock, RotationState, SETTLED_S,
+        OfHalf, OfMaster, Room, RotationBounds, RotationCoupling, RotationLock, RotationState, SETTLED_S,
         turned_within,
     },
     ladder::AlignmentState,
@@ -193,8 +193,8 @@ impl SlaveRotation {
         velocity * share
     }
 
-    /// Step the tool of a coupling with torque; return the angular velocity in rad/s of the command, and the work in J
-    /// of the torque on the tool.
+    /// Step the tool of a coupling with torque, or the arm; return the angular velocity in rad/s of the command, and the
+    /// work in J of the torque.
     pub(super) fn push(
         &mut self,
         master: &RotationState,
@@ -204,10 +204,23 @@ impl SlaveRotation {
         limited: &mut Limited,
     ) -> Option<(Axes<3>, f64)> {
         let home = self.home.unwrap_or(measured.orientation);
-        let from = self.command.unwrap_or(measured.orientation);
+        let takes_force = self.coupled.as_ref()?.takes_force();
+        let from = self.command.filter(|_| !takes_force).unwrap_or(measured.orientation);
+        let room = Room {
+            away: &(measured.orientation * home.inverse()).scaled_axis(),
+            velocity: &measured.angular_velocity,
+            bounds: [self.left.speed, self.left.turn],
+        };
         let RotationState { orientation: at, angular_velocity: velocity, torque: force } = master;
         let master = OfMaster { at, velocity, force, half: *half };
-        let wanted = self.coupled.as_mut()?.step(&mut self.coupling, &from, &measured.torque, &master, dt);
+        let coupled = self.coupled.as_mut()?;
+        let wanted = coupled.step(&mut self.coupling, &from, (&room, &measured.torque), &master, dt);
+        if let Some((_, [hurries, leaves])) = coupled.exerted() {
+            self.command = Some(wanted);
+            limited.angular_speed |= hurries;
+            limited.turn |= leaves;
+            return Some((measured.angular_velocity, coupled.work_j()));
+        }
         let (command, acted) = self.bound(elapsed_s, [&home, &from, &wanted], limited);
         let coupled = self.coupled.as_mut()?;
         if acted.any() {

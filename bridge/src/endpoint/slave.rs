@@ -67,6 +67,9 @@ pub struct SlaveTick<const N: usize> {
     /// Angular velocity in rad/s of the commanded orientation; zero unless engaged or rotating to the
     /// master's orientation.
     pub angular_velocity: Axes<3>,
+    /// Force in N, and torque in N m about the tool point, that the arm exerts instead of following the command; none unless
+    /// it takes forces and is engaged.
+    pub exerted: Option<(Axes<N>, Axes<3>)>,
     /// True if the arm follows commands: it is engaged, or rotates to the master's orientation before that.
     pub is_led: bool,
     /// State of the ladder.
@@ -234,6 +237,7 @@ impl<const N: usize> SlaveEndpoint<N> {
             command_velocity: tick.command_velocity,
             orientation: arm.last_orientation(),
             angular_velocity: tick.angular_velocity,
+            exerted: tick.exerted,
             is_led: state.is_coupled() || turns,
             state,
             age_ns,

@@ -7,7 +7,7 @@ use nalgebra::SimdBool as _;
 
 use super::{Arm, EndpointError, SlaveSettings, check_period, period_s};
 use crate::{
-    coupling::{CoupledSlave, Mapping, OfHalf, OfMaster, bounded, capped, decayed},
+    coupling::{CoupledSlave, Mapping, OfHalf, OfMaster, Room, bounded, capped, decayed},
     ladder::LadderState,
     wire::unpadded,
 };
@@ -88,15 +88,15 @@ impl<const N: usize> SlaveTranslation<N> {
 }
 
 impl<const N: usize> SlaveTranslation<N> {
-    /// Step one tick of an arm at `position` in m, which the environment pushes with `environment_force` in N, by a
-    /// coupling whose force acts on a virtual tool.
+    /// Step one tick of an arm at `position` in m and a velocity in m/s, which the environment pushes with
+    /// `environment_force` in N, by a coupling whose force acts on a virtual tool or on the arm.
     ///
     /// Also returns the work in J of that force on the tool. Returns `None` unless coupled, like
     /// [`follow`](Self::follow). A late command is not extrapolated: the spring holds the newest position.
     pub(super) fn push(
         &mut self,
         now_ns: u64,
-        [position, environment_force]: [&Axes<N>; 2],
+        [position, measured, environment_force]: [&Axes<N>; 3],
         input: &TranslationInput<'_, N>,
         coupled: &mut CoupledSlave<N>,
         half: &OfHalf<'_>,
@@ -108,12 +108,19 @@ impl<const N: usize> SlaveTranslation<N> {
             coupled.disengage();
             return None;
         };
-        let from = self.command.unwrap_or(*position);
+        let takes_force = coupled.takes_force();
+        let from = self.command.filter(|_| !takes_force).unwrap_or(*position);
+        let bounds @ [max_speed, _] = self.bounds();
+        let room = Room { away: &(position - home), velocity: measured, bounds };
         // A late loop must not make the spring unstable: the tool then moves for one period.
         let dt = self.period_s;
         let master = OfMaster { at, velocity, force: &unpadded(half.force), half: *half };
-        let wanted = coupled.step(&mut self.coupling, &from, environment_force, &master, dt);
-        let bounds @ [max_speed, _] = self.bounds();
+        let wanted = coupled.step(&mut self.coupling, &from, (&room, environment_force), &master, dt);
+        if let Some((_, limited)) = coupled.exerted() {
+            self.command = Some(wanted);
+            let motion = CommandMotion { velocity: *measured, limited, extrapolated: (0.0, 1.0) };
+            return Some((motion, coupled.work_j()));
+        }
         let (command, limited @ [hurries, leaves]) = bounded(bounds, elapsed_s, &home, &from, &wanted);
         if hurries || leaves {
             coupled.tool().limit([&wanted, &command], max_speed, leaves);

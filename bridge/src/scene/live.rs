@@ -320,6 +320,9 @@ impl<R: SlaveTurn, const N: usize> SlaveDriverLoop for PacedLoop<Timed<SlaveSide
                         velocity: padded(&velocity),
                         rotation,
                     },
+                    SlaveOrder::Exert { force, torque } => {
+                        SlaveOrder::Exert { force: padded(&force), torque }
+                    }
                 },
                 gripper: side.side.gripper.as_ref().map_or(GripperOrder::Hold, |jaws| *jaws.order()),
                 buttons: side.exchange().peer_buttons(),

@@ -21,7 +21,9 @@ use super::{
 use crate::{
     DrivenMaster, DrivenSlave, EndpointError, MasterEndpoint, MasterPlant, MasterRotation, MasterSettings,
     MasterSide, SideKind, SlaveEndpoint, SlaveGripper, SlaveRotation, SlaveSettings, SlaveSide, Trigger,
-    coupling::{CouplingError, Gains, Mapping, MethodSettings, ScaleRange, ScaleRanges, VirtualToolSettings},
+    coupling::{
+        CouplingError, ForceArm, Gains, Mapping, MethodSettings, ScaleRange, ScaleRanges, VirtualToolSettings,
+    },
     endpoint::{Arm, Exchange, Hand, TOOL_LEVER_M, period_s},
     playout::PlayOut,
 };
@@ -84,6 +86,12 @@ fn virtual_tool<const N: usize>(
     VirtualToolSettings::new(mass, tool_damping, tool_lead_s.unwrap_or(lag_s))
 }
 
+/// Return an arm that takes forces, for translation and rotation: the arm of the scene, with its smallest inertia.
+fn force_arm<const N: usize>(arm: &ArmSettings<N>) -> Result<[ForceArm; 2], CouplingError> {
+    let inertia = arm.tool.as_ref().map_or(arm.mass_kg, |tool| tool.inertia_kg_m2.min());
+    Ok([ForceArm::new(arm.mass_kg, arm.max_force_n)?, ForceArm::new(inertia, arm.max_torque_nm)?])
+}
+
 /// Return the settings of a coupling with two halves; None for position-force.
 fn method<const N: usize>(scene: &SceneSpec<N>) -> Result<Option<MethodSettings>, SceneError> {
     let (arm, coupling) = scene.coupled()?;
@@ -110,7 +118,8 @@ fn method<const N: usize>(scene: &SceneSpec<N>) -> Result<Option<MethodSettings>
         ));
     }
     let rotation = if is_pose { Some(pose::coupled_rotation(scene, &gains)?) } else { None };
-    let settings = MethodSettings { kind, gains, tool, position_scale, rotation };
+    let forces = if arm.takes_force { Some(force_arm(arm).map_err(EndpointError::from)?) } else { None };
+    let settings = MethodSettings { kind, gains, tool, forces, position_scale, rotation };
     for (at_ns, command) in commands::<N>(coupling)? {
         if let Err(CouplingError::Fixed { name, kind, .. }) = settings.check_change(&command, at_ns == 0) {
             return Err(SceneError::Contradiction(format!(

@@ -71,6 +71,10 @@ impl<P: SlavePlant<1>> SlavePlant<1> for Spoiled<'_, P> {
         self.inner.write(position, velocity);
     }
 
+    fn exert(&mut self, force: &Axes<1>, torque: &Axes<3>) {
+        self.inner.exert(force, torque);
+    }
+
     fn stop(&mut self) -> Axes<1> {
         self.inner.stop()
     }

@@ -1,7 +1,7 @@
 //! An arm in motion: its command, its set position and the accelerations of its controller.
 
 use crate::{
-    ArmControl, ArmModel, Axes,
+    ArmControl, ArmModel, Axes, all_finite,
     arm::model::{Command, Limits},
 };
 
@@ -15,6 +15,8 @@ pub(crate) struct ArmDrive<const N: usize> {
     command: Command<N>,
     /// True if the command is the rest position of a stop.
     stops: bool,
+    /// `F_c` in N; None while the arm follows its set position.
+    force: Option<Axes<N>>,
     set_points: [SetPoint; N],
 }
 
@@ -24,6 +26,7 @@ impl<const N: usize> ArmDrive<N> {
             model,
             command: Command { position: *position, velocity: Axes::zeros() },
             stops: false,
+            force: None,
             set_points: std::array::from_fn(|axis| SetPoint::at_rest(position[axis])),
         }
     }
@@ -60,6 +63,33 @@ impl<const N: usize> ArmDrive<N> {
         }
     }
 
+    /// Exert `force` in N instead of following a set position. Only an arm that takes forces does.
+    pub(crate) fn exert(&mut self, force: &Axes<N>) {
+        if self.model.viscous().is_some() && all_finite(force) {
+            (self.force, self.stops) = (Some(*force), false);
+        }
+    }
+
+    /// `F_c` in N; None while the arm follows its set position.
+    pub(crate) fn exerted(&self) -> Option<&Axes<N>> {
+        self.force.as_ref()
+    }
+
+    /// Follow a set position again, from where the tool is.
+    pub(crate) fn follow(&mut self, tool: &Tool<N>) {
+        if self.force.take().is_some() {
+            self.set_points = std::array::from_fn(|axis| SetPoint::at_rest(tool.position[axis]));
+        }
+    }
+
+    /// K, B and the use of `V_cmd`, as [`ArmModel::impedance`]; friction alone while the arm exerts a force.
+    pub(crate) fn impedance(&self) -> (f64, f64, bool) {
+        match (self.force, self.model.viscous()) {
+            (Some(_), Some(viscous)) => (0.0, viscous, false),
+            _ => self.model.impedance(),
+        }
+    }
+
     pub(crate) fn command(&mut self, position: Axes<N>, velocity: Axes<N>) {
         let command = Command { position, velocity };
         self.stops &= command == self.command;
@@ -79,6 +109,7 @@ impl<const N: usize> ArmDrive<N> {
         if self.stops {
             return self.command.position;
         }
+        self.follow(tool);
         let limits = self.model.limits();
         let (stiffness, damping, feed_forward) = self.model.impedance();
         let mass = self.model.mass_kg();
@@ -149,7 +180,7 @@ impl<const N: usize> ArmDrive<N> {
     /// Accelerations in m/s² of the tool and of its set velocity under `force` in N, `since` s after the plan.
     pub(crate) fn accelerations(&self, since: f64, tool: &Tool<N>, force: &Axes<N>) -> (Axes<N>, Axes<N>) {
         let mass = self.model.mass_kg();
-        let (stiffness, damping, feed_forward) = self.model.impedance();
+        let (stiffness, damping, feed_forward) = self.impedance();
         if !self.is_velocity_control() {
             let set = Axes::from_fn(|axis, _| {
                 let SetPoint { position, velocity, acceleration, .. } = self.set_points[axis];
@@ -157,7 +188,8 @@ impl<const N: usize> ArmDrive<N> {
             });
             let wanted = if feed_forward { self.command_velocity() } else { Axes::zeros() };
             let pull = (set - tool.position) * stiffness + (wanted - tool.velocity) * damping;
-            return ((pull + force) / mass, Axes::zeros());
+            let exerted = self.force.unwrap_or_else(Axes::zeros);
+            return ((pull + exerted + force) / mass, Axes::zeros());
         }
         let pole = damping / mass;
         let target = (self.command.position - tool.position) * (0.25 * pole);
@@ -174,7 +206,7 @@ impl<const N: usize> ArmDrive<N> {
 
     /// M in kg, K in N/m and B in N s/m for an implicit step.
     pub(crate) fn inertia(&self) -> (f64, f64, f64) {
-        let (stiffness, damping, _) = self.model.impedance();
+        let (stiffness, damping, _) = self.impedance();
         (self.model.mass_kg(), stiffness, damping)
     }
 }

@@ -35,6 +35,8 @@ pub struct ArmModel {
     control: ArmControl,
     mass_kg: f64,
     limits: Limits,
+    /// b in N s/m of an arm that takes forces; None for an arm that takes motions only.
+    viscous: Option<f64>,
     /// Derived from control and mass; stored because every step uses it.
     impedance: (f64, f64, bool),
 }
@@ -73,7 +75,21 @@ impl ArmModel {
             speed: bound("arm speed", max_speed)?,
             acceleration: bound("arm acceleration", max_acceleration)?,
         };
-        Ok(Self { control, mass_kg, limits, impedance: control.impedance(mass_kg) })
+        Ok(Self { control, mass_kg, limits, viscous: None, impedance: control.impedance(mass_kg) })
+    }
+
+    /// Let the arm take forces, `M x'' = F_c - b V + F_e`, with b in N s/m (>= 0). Between them it takes motions.
+    pub fn taking_forces(self, viscous: f64) -> Result<Self, ModelError> {
+        require("arm friction", viscous, viscous >= 0.0, "finite and 0 or more")?;
+        if matches!(self.control, ArmControl::Velocity { .. }) {
+            let allowed = "\"position\" or \"pd\" for an arm that takes forces";
+            return Err(ModelError { name: "slave control", seen: f64::NAN, allowed });
+        }
+        Ok(Self { viscous: Some(viscous), ..self })
+    }
+
+    pub(crate) fn viscous(&self) -> Option<f64> {
+        self.viscous
     }
 
     /// Its control.

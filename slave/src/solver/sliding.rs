@@ -498,7 +498,7 @@ impl<const N: usize> Environment<N> {
         (piece, steady): (Piece, Option<Axes<N>>),
         (done, left): (f64, f64),
     ) -> Pull<N> {
-        let (stiffness, damping, feed_forward) = arm.model().impedance();
+        let (stiffness, damping, feed_forward) = arm.impedance();
         let since = done - piece.planned;
         let set = arm.set_points();
         let speed = Axes::from_fn(|axis, _| set[axis].velocity + since * set[axis].acceleration);
@@ -514,6 +514,7 @@ impl<const N: usize> Environment<N> {
         };
         let wanted = if feed_forward { arm.command_velocity() } else { Axes::zeros() };
         let force = (place - tool.position) * stiffness + (wanted - tool.velocity) * damping + push;
+        let force = force + arm.exerted().copied().unwrap_or_else(Axes::zeros);
         let half = Axes::from_fn(|axis, _| 0.5 * stiffness * set[axis].acceleration);
         Pull {
             mass: arm.model().mass_kg(),

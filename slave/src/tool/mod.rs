@@ -94,6 +94,7 @@ pub struct SimulatedTool {
     motion: Motion,
     scratch: Scratch,
     set: SetPose,
+    takes_force: bool,
     sample: ToolSample,
     touches: bool,
     jaw_width: f64,
@@ -132,6 +133,7 @@ impl SimulatedTool {
             rotational_damping: tool.rotational_damping,
             max_speed: arm.max_speed.unwrap_or(f64::INFINITY),
             max_angular_speed: tool.max_angular_speed.unwrap_or(f64::INFINITY),
+            viscous: non_negative("viscous", arm.viscous)?,
         };
         let least = tool.inertia_kg_m2.min();
         let handles = world
@@ -151,6 +153,7 @@ impl SimulatedTool {
         let angular = linear * tool.jaw_radius_m * tool.jaw_radius_m;
         let world = World {
             servo,
+            exerted: None,
             inertia,
             points: tool.points.iter().copied().map(Axes::from).collect(),
             surroundings: Surroundings::new(world)?,
@@ -208,6 +211,7 @@ impl SimulatedTool {
             motion,
             scratch,
             set,
+            takes_force: arm.takes_force,
             sample,
             touches: false,
             jaw_width: tool.jaw_width_m,
@@ -243,11 +247,30 @@ impl SimulatedTool {
         now_ns.saturating_sub(self.begun_ns) as f64 * 1e-9
     }
 
+    /// Exert a force in N and a torque in N m until the next command. An arm that takes motions only ignores them, as any
+    /// that are not finite.
+    pub fn exert(&mut self, force: &Axes<3>, torque: &Axes<3>) {
+        if self.takes_force && all_finite(force) && all_finite(torque) {
+            self.world.exerted = Some(Load { force: *force, torque: *torque });
+        }
+    }
+
+    /// Follow a set pose again, from where the tool is.
+    fn follow(&mut self) {
+        if self.world.exerted.take().is_some() {
+            let Rigid { position, orientation, .. } = self.motion.tool;
+            let zeros = Axes::zeros();
+            let at_s = self.time_s(self.now_ns);
+            self.set = SetPose { position, velocity: zeros, orientation, angular_velocity: zeros, at_s };
+        }
+    }
+
     /// Command a position in m and the velocity there in m/s. Values that are not finite are ignored.
     pub fn write(&mut self, position: &Axes<3>, velocity: &Axes<3>) {
         if !all_finite(position) {
             return;
         }
+        self.follow();
         let t = self.time_s(self.now_ns);
         let (_, turned) = self.set.at(t);
         let most = self.world.servo.max_speed * self.unwritten_s(t);
@@ -272,6 +295,7 @@ impl SimulatedTool {
         if !orientation.coords.iter().all(|part| part.is_finite()) {
             return;
         }
+        self.follow();
         let t = self.time_s(self.now_ns);
         let bound = self.world.servo.max_angular_speed;
         let before = self.set.orientation;
@@ -292,6 +316,7 @@ impl SimulatedTool {
 
     /// Hold the present set pose, and return it.
     pub fn stop(&mut self) -> (Axes<3>, UnitQuaternion<f64>) {
+        self.follow();
         let t = self.time_s(self.now_ns);
         let (position, orientation) = self.set.at(t);
         let orientation = Unit::new_normalize(orientation.into_inner());

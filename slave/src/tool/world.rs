@@ -39,6 +39,8 @@ pub(super) struct Servo {
     pub(super) rotational_damping: f64,
     pub(super) max_speed: f64,
     pub(super) max_angular_speed: f64,
+    /// b in N s/m under a force.
+    pub(super) viscous: f64,
 }
 
 /// State of everything that moves.
@@ -72,6 +74,8 @@ pub(super) enum Held {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct World {
     pub(super) servo: Servo,
+    /// `F_c` in N and `tau_c` in N m that the servo exerts instead of following the set pose; None while it follows.
+    pub(super) exerted: Option<Load>,
     pub(super) inertia: Inertia,
     pub(super) points: Vec<Axes<3>>,
     pub(super) surroundings: Surroundings,
@@ -205,17 +209,26 @@ impl World {
                 bodies[*index].torque += load.torque;
             }
         }
+        let servo = self.servo_load(set, &tool, t);
+        loads.tool = Load {
+            force: servo.force + loads.environment.force,
+            torque: servo.torque + loads.environment.torque,
+        };
+    }
+
+    /// Load of the servo on the tool at t in s.
+    fn servo_load(&self, set: &SetPose, tool: &Frame, t: f64) -> Load {
+        let Servo { stiffness, damping, rotational_stiffness, rotational_damping, viscous, .. } = self.servo;
+        if let Some(Load { force, torque }) = self.exerted {
+            return Load { force: force - tool.velocity * viscous, torque };
+        }
         let (position, orientation) = set.at(t);
         let way = (orientation * tool.orientation.inverse()).scaled_axis();
-        let Servo { stiffness, damping, rotational_stiffness, rotational_damping, .. } = self.servo;
-        loads.tool = Load {
-            force: (position - tool.position) * stiffness
-                + (set.velocity - tool.velocity) * damping
-                + loads.environment.force,
+        Load {
+            force: (position - tool.position) * stiffness + (set.velocity - tool.velocity) * damping,
             torque: way * rotational_stiffness
-                + (set.angular_velocity - tool.angular_velocity) * rotational_damping
-                + loads.environment.torque,
-        };
+                + (set.angular_velocity - tool.angular_velocity) * rotational_damping,
+        }
     }
 
     /// Gravity, and the contacts of the corners of a box.

@@ -1,5 +1,6 @@
 //! Couplings: the force of each half on its device, from both motions in the slave's frame.
 
+mod force;
 mod master;
 mod registry;
 mod slave;
@@ -9,6 +10,8 @@ mod turn;
 
 use haptether_safety::Axes;
 
+pub use force::ForceArm;
+pub(crate) use force::Room;
 pub(crate) use master::{CoupledMaster, HandMotion};
 pub use registry::CouplingKind;
 pub(crate) use registry::Half;
@@ -110,6 +113,8 @@ pub struct MethodSettings {
     pub gains: Gains,
     /// Virtual tool of the slave.
     pub tool: VirtualToolSettings,
+    /// Arm that takes forces, for translation and rotation, instead of a virtual tool; None for one that takes motions.
+    pub forces: Option<[ForceArm; 2]>,
     /// `lambda_p` of the scene.
     pub position_scale: f64,
     /// The same for the rotation, in N m/rad, N m s/rad, kg m² and N m s/rad; None for a scene that does not turn.

@@ -2,7 +2,7 @@
 
 use haptether_safety::Axes;
 
-use super::{Half, Local, MethodSettings, Peer, Sends, Space, VirtualTool};
+use super::{ForceArm, Half, Local, MethodSettings, Peer, Room, Sends, Space, VirtualTool};
 use crate::{
     coupling::{CouplingKind, Mapping},
     port::CouplingMessage,
@@ -87,7 +87,7 @@ impl OfHalf<'_> {
 /// Half of a coupling at the slave, with its state since the engagement.
 ///
 /// The command of the arm is the position of a [`VirtualTool`], on which `F_c` and `F_e` act. The half sees the tool as
-/// the slave.
+/// the slave. An arm that takes forces is its own tool.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CoupledSlave<const N: usize> {
     half: Half<N>,
@@ -95,6 +95,8 @@ pub(crate) struct CoupledSlave<const N: usize> {
     fresh: Half<N>,
     kind: CouplingKind,
     tool: VirtualTool<N>,
+    /// Arm that takes forces; None for one that takes motions.
+    arm: Option<ForceArm>,
     /// True while engaged.
     engaged: bool,
     master: MasterEngagement,
@@ -113,12 +115,16 @@ pub(crate) struct CoupledSlave<const N: usize> {
     /// `F_c` in N since the last tick, and the position in m of the tool before it.
     force: Axes<N>,
     before: Axes<N>,
+    /// Work in J of `F_c` at the last tick.
+    work_j: f64,
+    /// Bounds on speed and reach that acted on `F_c`.
+    limited: [bool; 2],
 }
 
 impl<const N: usize> CoupledSlave<N> {
     /// Build the half. None for position-force, which commands the motion of the master itself.
     pub(crate) fn new(settings: &MethodSettings) -> Option<Self> {
-        let MethodSettings { kind, gains, tool, .. } = *settings;
+        let MethodSettings { kind, gains, tool, forces, .. } = *settings;
         let half = Half::new(kind, gains, Space::Translation)?;
         let tool = VirtualTool::new(tool);
         let [moved, wave, sent, force, before] = [Axes::zeros(); 5];
@@ -129,6 +135,7 @@ impl<const N: usize> CoupledSlave<N> {
             fresh,
             kind,
             tool,
+            arm: forces.map(|[arm, _]| arm),
             engaged,
             master,
             sequence: 0,
@@ -140,21 +147,30 @@ impl<const N: usize> CoupledSlave<N> {
             sent,
             force,
             before,
+            work_j: 0.0,
+            limited: [false; 2],
         })
     }
 
-    /// Step an engaged tick of `dt` s at the command `from` in m; return the command that the coupling requests, in m.
+    /// True if `F_c` moves the arm itself.
+    pub(crate) fn takes_force(&self) -> bool {
+        self.arm.is_some()
+    }
+
+    /// Step an engaged tick of `dt` s at the command `from` in m; return the command that the coupling requests, in m. For
+    /// an arm that takes forces, `from` is its position and stays the command.
     #[inline(never)]
     pub(crate) fn step(
         &mut self,
         map: &mut Mapping<N>,
         from: &Axes<N>,
-        environment_force: &Axes<N>,
+        (room, environment_force): (&Room<'_, N>, &Axes<N>),
         master: &OfMaster<'_, Axes<N>, N>,
         dt: f64,
     ) -> Axes<N> {
-        let OfMaster { at, velocity, force, half: OfHalf { message, epoch, sequence, is_stale, .. } } =
-            *master;
+        let OfMaster { at, velocity: of_master, force, half } = *master;
+        let OfHalf { message, epoch, sequence, is_stale, .. } = half;
+        (self.work_j, self.limited) = (0.0, [false; 2]);
         if !self.engaged {
             // Each engagement begins at rest and without force: the anchor couples this position with zero motion.
             self.tool.rest_at(from);
@@ -184,8 +200,11 @@ impl<const N: usize> CoupledSlave<N> {
         self.silent_s = if is_new { 0.0 } else { self.silent_s + dt };
         let is_silent = is_stale && self.silent_s > GAP_S;
         let moves = is_engaged && !(is_silent && self.kind.sends_energy());
-        let velocity = if moves { map.commanded_velocity(velocity) } else { Axes::zeros() };
+        let of_master = if moves { map.commanded_velocity(of_master) } else { Axes::zeros() };
         let target = map.commanded_position(&self.moved, from);
+        if self.takes_force() {
+            self.tool.measured([from, room.velocity]);
+        }
         let own = Local {
             position: self.tool.position(),
             velocity: self.tool.velocity(),
@@ -197,21 +216,37 @@ impl<const N: usize> CoupledSlave<N> {
         };
         let peer = Peer {
             position: &target,
-            velocity: &velocity,
+            velocity: &of_master,
             force: &if is_engaged && !is_silent { *force } else { Axes::zeros() },
             vector: &self.wave,
             sum: self.energy_j,
             is_new,
             rests: !moves,
         };
+        let exerted_j = own.exerted.dot(own.moved);
         self.force = self.half.slave(&own, &peer);
+        if let Some(arm) = &self.arm {
+            (self.force, self.limited) = arm.bounded(&self.force, room);
+        }
         self.sent = match self.kind.sends(Role::Slave) {
             Some(Sends::Motion) => self.moved + map.back(&(self.tool.position() - target)),
             Some(Sends::Force) => self.force,
             Some(Sends::Wave) | None => self.half.sent().0,
         };
         self.before = *self.tool.position();
-        self.tool.step(&self.force, environment_force, dt)
+        if self.takes_force() {
+            self.work_j = exerted_j;
+            return *from;
+        }
+        let command = self.tool.step(&self.force, environment_force, dt);
+        self.work_j = self.force.dot(&(self.tool.position() - self.before));
+        command
+    }
+
+    /// `F_c` in N for an arm that takes forces, and whether the bounds on speed and reach acted. None for one that takes
+    /// motions.
+    pub(crate) fn exerted(&self) -> Option<(&Axes<N>, [bool; 2])> {
+        self.arm.map(|_| (&self.force, self.limited))
     }
 
     /// The tool, for the bounds on its command.
@@ -219,9 +254,9 @@ impl<const N: usize> CoupledSlave<N> {
         &mut self.tool
     }
 
-    /// Work in J of `F_c` on the tool at the last tick.
+    /// Work in J of `F_c` at the last tick: on the tool over the tick that begins, or on the arm over the tick that ended.
     pub(crate) fn work_j(&self) -> f64 {
-        self.force.dot(&(self.tool.position() - self.before))
+        self.work_j
     }
 
     /// Numbers and energy in J for the next frame; None while not engaged.

@@ -296,7 +296,7 @@ fn forces_both_ways_leave_no_compliance() {
 
 fn settings(kind: CouplingKind) -> MethodSettings {
     let (gains, tool) = (Gains::spring(100.0, 2.0), VirtualToolSettings::new(1.4, Some(14.0), 0.02).unwrap());
-    MethodSettings { kind, gains, tool, position_scale: 1.0, rotation: None }
+    MethodSettings { kind, gains, tool, forces: None, position_scale: 1.0, rotation: None }
 }
 
 fn of_slave(epoch: u16, motion: f64) -> Frame {
@@ -338,7 +338,7 @@ fn a_master_that_is_not_engaged_rests_where_it_was() {
             force: &zero,
             half: OfHalf { message: &message, epoch, ..OfHalf::NONE },
         };
-        at = slave.step(&mut map, &at, &zero, &master, T);
+        at = slave.step(&mut map, &at, (&Room::free(&zero), &zero), &master, T);
         slave.tool().position()[0]
     };
     assert_eq!(step(0, 0.0), 0.4);
@@ -728,7 +728,7 @@ fn frames_of_another_engagement_give_no_energy() {
             force: &zero,
             half: OfHalf { message: &message, epoch: newest, ..OfHalf::NONE },
         };
-        at = slave.step(&mut map, &at, &zero, &master, T);
+        at = slave.step(&mut map, &at, (&Room::free(&zero), &zero), &master, T);
         slave.tool().position()[0]
     };
     assert_eq!(step(5, 5, 0.1), 0.4);

@@ -73,6 +73,11 @@ impl<const N: usize> VirtualTool<N> {
         (self.position, self.velocity) = (*position, Axes::zeros());
     }
 
+    /// Take the state of an arm that takes forces, which has no virtual tool.
+    pub(crate) fn measured(&mut self, [position, velocity]: [&Axes<N>; 2]) {
+        (self.position, self.velocity) = (*position, *velocity);
+    }
+
     /// Follow what bounds left of the command, in m: at most at `max_speed` in m/s, and not outwards where `leaves` is true.
     pub(crate) fn limit(&mut self, [wanted, command]: [&Axes<N>; 2], max_speed: f64, leaves: bool) {
         let moved = command - wanted;

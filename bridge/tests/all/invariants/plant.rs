@@ -156,6 +156,10 @@ impl<P: SlavePlant<N>, const N: usize> SlavePlant<N> for Plant<P, N> {
         self.model.write(position, velocity);
     }
 
+    fn exert(&mut self, force: &Axes<N>, torque: &Axes<3>) {
+        self.model.exert(force, torque);
+    }
+
     fn stop(&mut self) -> Axes<N> {
         self.stops += 1;
         self.model.stop()

@@ -227,6 +227,10 @@ impl Arm {
             damping: 2.0 * mass_kg * bandwidth_hz,
             max_speed: Some(speed),
             max_acceleration: None,
+            takes_force: false,
+            viscous: 0.0,
+            max_force_n: 50.0,
+            max_torque_nm: 5.0,
             speed_bound: None,
             period_s: 1e-3,
             position,
@@ -298,6 +302,10 @@ impl SlavePlant<3> for Arm {
 
     fn write(&mut self, position: &Axes<3>, velocity: &Axes<3>) {
         self.plant().write(position, velocity);
+    }
+
+    fn exert(&mut self, force: &Axes<3>, torque: &Axes<3>) {
+        self.plant().exert(force, torque);
     }
 
     fn stop(&mut self) -> Axes<3> {

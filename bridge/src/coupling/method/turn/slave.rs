@@ -5,7 +5,8 @@ use nalgebra::{Unit, UnitQuaternion};
 
 use super::{
     super::{
-        Half, Local, MethodSettings, OfHalf, OfMaster, Peer, Sends, Space, VirtualToolSettings, capped,
+        ForceArm, Half, Local, MethodSettings, OfHalf, OfMaster, Peer, Room, Sends, Space,
+        VirtualToolSettings, capped,
         slave::{GAP_S, MasterEngagement},
     },
     stretch,
@@ -25,6 +26,8 @@ pub(crate) struct CoupledSlaveTurn {
     fresh: Half<3>,
     kind: CouplingKind,
     tool: VirtualToolSettings,
+    /// Arm that takes torques; None for one that takes motions.
+    arm: Option<ForceArm>,
     /// Orientation and angular velocity in rad/s of the tool.
     orientation: UnitQuaternion<f64>,
     velocity: Axes<3>,
@@ -44,6 +47,10 @@ pub(crate) struct CoupledSlaveTurn {
     /// `tau_c` in N m since the last tick, and the orientation of the tool before it.
     torque: Axes<3>,
     before: UnitQuaternion<f64>,
+    /// Work in J of `tau_c` at the last tick.
+    work_j: f64,
+    /// Bounds on speed and turn that acted on `tau_c`.
+    limited: [bool; 2],
 }
 
 fn product(left: &UnitQuaternion<f64>, right: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
@@ -65,6 +72,7 @@ impl CoupledSlaveTurn {
             fresh,
             kind,
             tool,
+            arm: settings.forces.map(|[_, arm]| arm),
             orientation,
             velocity,
             engaged,
@@ -78,22 +86,30 @@ impl CoupledSlaveTurn {
             sent,
             torque,
             before,
+            work_j: 0.0,
+            limited: [false; 2],
         })
     }
 
+    /// True if `tau_c` turns the arm itself.
+    pub(crate) fn takes_force(&self) -> bool {
+        self.arm.is_some()
+    }
+
     /// Step an engaged tick of `dt` s at the command `from`; return the command that the coupling requests. `torque` is
-    /// `tau_e` in N m.
+    /// `tau_e` in N m. For an arm that takes torques, `from` is its orientation and stays the command.
     #[inline(never)]
     pub(crate) fn step(
         &mut self,
         map: &mut RotationCoupling,
         from: &UnitQuaternion<f64>,
-        torque: &Axes<3>,
+        (room, torque): (&Room<'_, 3>, &Axes<3>),
         master: &OfMaster<'_, UnitQuaternion<f64>, 3>,
         dt: f64,
     ) -> UnitQuaternion<f64> {
-        let OfMaster { at, velocity, force, half: OfHalf { message, epoch, sequence, is_stale, .. } } =
-            *master;
+        let OfMaster { at, velocity, force, half } = *master;
+        let OfHalf { message, epoch, sequence, is_stale, .. } = half;
+        (self.work_j, self.limited) = (0.0, [false; 2]);
         if !self.engaged {
             (self.orientation, self.velocity) = (*from, Axes::zeros());
             map.clear_anchor();
@@ -123,6 +139,9 @@ impl CoupledSlaveTurn {
         let is_silent = is_stale && self.silent_s > GAP_S;
         let moves = is_engaged && !(is_silent && self.kind.sends_energy());
         let velocity = if moves { map.commanded_velocity(velocity) } else { Axes::zeros() };
+        if self.takes_force() {
+            (self.orientation, self.velocity) = (*from, *room.velocity);
+        }
         let own = Local {
             position: &Axes::zeros(),
             velocity: &self.velocity,
@@ -142,7 +161,11 @@ impl CoupledSlaveTurn {
             is_new,
             rests: !moves,
         };
-        let coupled = self.half.slave(&own, &peer);
+        let exerted_j = own.exerted.dot(own.moved);
+        let mut coupled = self.half.slave(&own, &peer);
+        if let Some(arm) = &self.arm {
+            (coupled, self.limited) = arm.bounded(&coupled, room);
+        }
         self.sent = match self.kind.sends(Role::Slave) {
             // The turn beyond the target, in the frame of the master.
             Some(Sends::Motion) => {
@@ -152,10 +175,15 @@ impl CoupledSlaveTurn {
             Some(Sends::Force) => coupled,
             Some(Sends::Wave) | None => self.half.sent().0,
         };
+        (self.torque, self.before) = (coupled, self.orientation);
+        if self.takes_force() {
+            self.work_j = exerted_j;
+            return *from;
+        }
         let VirtualToolSettings { mass, damping, lead_s } = self.tool;
         self.velocity = (self.velocity + (coupled + torque) * (dt / mass)) / (1.0 + dt * damping / mass);
-        (self.torque, self.before) = (coupled, self.orientation);
         self.orientation = product(&UnitQuaternion::from_scaled_axis(self.velocity * dt), &self.orientation);
+        self.work_j = coupled.dot(&(self.orientation * self.before.inverse()).scaled_axis());
         product(&UnitQuaternion::from_scaled_axis(self.velocity * lead_s), &self.orientation)
     }
 
@@ -182,9 +210,15 @@ impl CoupledSlaveTurn {
         &self.velocity
     }
 
-    /// Work in J of `tau_c` on the tool at the last tick.
+    /// `tau_c` in N m for an arm that takes torques, and whether the bounds on speed and turn acted. None for one that takes
+    /// motions.
+    pub(crate) fn exerted(&self) -> Option<(&Axes<3>, [bool; 2])> {
+        self.arm.map(|_| (&self.torque, self.limited))
+    }
+
+    /// Work in J of `tau_c` at the last tick: on the tool over the tick that begins, or on the arm over the tick that ended.
     pub(crate) fn work_j(&self) -> f64 {
-        self.torque.dot(&(self.orientation * self.before.inverse()).scaled_axis())
+        self.work_j
     }
 
     /// Numbers and energy in J for the next frame; None while not engaged.

@@ -65,12 +65,19 @@ fn gains(kind: CouplingKind, delay: usize) -> Gains {
     }
 }
 
-/// A ball of a hand, held by a spring, and a tool in a spring of the world. Returns the torque on the hand at rest.
-fn rest(kind: CouplingKind, delay: usize, target: UnitQuaternion<f64>, wall: UnitQuaternion<f64>) -> Axes<3> {
+/// A ball of a hand, held by a spring, and a tool in a spring of the world, or an arm that takes torques. Returns the torque
+/// on the hand at rest.
+fn rest(
+    (kind, takes_force): (CouplingKind, bool),
+    delay: usize,
+    target: UnitQuaternion<f64>,
+    wall: UnitQuaternion<f64>,
+) -> Axes<3> {
     let gains = gains(kind, delay);
     let tool = VirtualToolSettings::new(2e-3, Some(0.08), 0.0).unwrap();
     let rotation = Some((gains, tool));
-    let settings = MethodSettings { kind, gains, tool, position_scale: 1.0, rotation };
+    let forces = takes_force.then(|| [ForceArm::new(2e-3, 10.0).unwrap(); 2]);
+    let settings = MethodSettings { kind, gains, tool, forces, position_scale: 1.0, rotation };
     let (mut master, mut slave) =
         (CoupledMasterTurn::new(&settings).unwrap(), CoupledSlaveTurn::new(&settings).unwrap());
     let map = |force: f64| {
@@ -83,7 +90,7 @@ fn rest(kind: CouplingKind, delay: usize, target: UnitQuaternion<f64>, wall: Uni
     let start = exp([0.3, 0.1, -0.6]);
     let (mut hand, mut w, mut command) = (start, Axes::<3>::zeros(), UnitQuaternion::identity());
     let (mut forth, mut back) = (VecDeque::new(), VecDeque::new());
-    let (mut torque, mut grasp) = (Axes::zeros(), Axes::zeros());
+    let [mut torque, mut grasp, mut spin, zero] = [Axes::zeros(); 4];
     for tick in 0..20_000 {
         // The world is there once the sides have engaged: the hand's turn begins at that of the tool.
         let stiffness = if tick > 2 * delay { K_WALL } else { 0.0 };
@@ -97,7 +104,13 @@ fn rest(kind: CouplingKind, delay: usize, target: UnitQuaternion<f64>, wall: Uni
             force: &felt,
             half: OfHalf { message: &message, epoch, sequence: tick as u64, ..OfHalf::NONE },
         };
-        command = slave.step(&mut of_slave, &command, &measured, &master_state, T);
+        let room = Room { velocity: &spin, ..Room::free(&zero) };
+        command = slave.step(&mut of_slave, &command, (&room, &measured), &master_state, T);
+        if let Some((exerted, _)) = slave.exerted() {
+            // A ball with the inertia and friction of the virtual tool.
+            spin = (spin + (exerted + measured) * (T / 2e-3)) / (1.0 + 0.08 * T / 2e-3);
+            command = UnitQuaternion::from_scaled_axis(spin * T) * command;
+        }
         back.push_back(frame(kind, tick, slave.sent().unwrap(), [*slave.velocity(), measured]));
         if back.len() > delay {
             let newest = back.pop_front().unwrap();
@@ -125,7 +138,8 @@ fn rest(kind: CouplingKind, delay: usize, target: UnitQuaternion<f64>, wall: Uni
 fn torques_settle_at_the_closed_form_on_so3() {
     let (target, wall, frame) = (exp([0.5, -0.2, 0.3]), exp([0.1, 0.15, -0.1]), exp([0.5, -0.2, 0.3]));
     let wanted = frame * target * frame.inverse();
-    for kind in CouplingKind::ALL[1..].iter().copied() {
+    let arms = CouplingKind::ALL[1..].iter().flat_map(|kind| [(*kind, false), (*kind, true)]);
+    for (kind, takes_force) in arms {
         for delay in [0, 5, 20, 100, 250] {
             // Waves of 250 ms have not come to rest after 20 s.
             if (!kind.sends_energy() && kind != CouplingKind::PdDamped && delay > 20)
@@ -137,7 +151,7 @@ fn torques_settle_at_the_closed_form_on_so3() {
             let round_s = (2 * delay + 1) as f64 * T;
             let compliance = kind.compliance(&gains(kind, delay), round_s, T).unwrap();
             let expected = frame.inverse() * log(&wall, &wanted) / (1.0 / K_HAND + compliance + 1.0 / K_WALL);
-            let seen = rest(kind, delay, target, wall);
+            let seen = rest((kind, takes_force), delay, target, wall);
             // TDPA ripples above 100 ms, where alpha takes back what the master gave.
             let tolerance = match kind {
                 // An integral of twists along a curved path is off by this much along the torque.
@@ -147,7 +161,7 @@ fn torques_settle_at_the_closed_form_on_so3() {
                 _ => 1e-4,
             };
             let off = (seen - expected).norm() / expected.norm();
-            assert!(off < tolerance, "{kind:?}, {delay} ms: {seen} {expected}");
+            assert!(off < tolerance, "{kind:?}, {takes_force}, {delay} ms: {seen} {expected}");
         }
     }
 }
@@ -155,7 +169,7 @@ fn torques_settle_at_the_closed_form_on_so3() {
 /// About one axis and without a frame, the rotation is a translation along one axis.
 #[test]
 fn a_turn_about_one_axis_is_a_translation() {
-    let seen = rest(CouplingKind::PdDamped, 10, exp([0.0, 0.0, 0.4]), exp([0.0, 0.0, -0.1]));
+    let seen = rest((CouplingKind::PdDamped, false), 10, exp([0.0, 0.0, 0.4]), exp([0.0, 0.0, -0.1]));
     let turned = exp([0.5, -0.2, 0.3]);
     let wanted = turned * exp([0.0, 0.0, 0.4]) * turned.inverse();
     let expected = turned.inverse() * log(&exp([0.0, 0.0, -0.1]), &wanted);
