@@ -275,7 +275,8 @@ class _Motion:
         v = ((z - a) * second + c * first) / bottom
         if loop.velocity is not None:
             v = x * np.polyval(loop.velocity[::-1], 1.0 / z)
-        inverse = np.linalg.solve(z[:, None, None] * np.eye(len(self.step)) - self.step, self.push[:, None].astype(np.complex128))
+        states = z[:, None, None] * np.eye(len(self.step)) - self.step
+        inverse = np.linalg.solve(states, self.push[:, None].astype(np.complex128))
         slave = inverse[:, :, 0] @ self.back + self.through
         fixed = 1.0 + loop.scale * (loop.master[0] * x + loop.master[1] * v)
         return fixed, loop.scale * (loop.slave[2] * x + loop.slave[3] * v) * slave

@@ -197,6 +197,8 @@ def slaves(draw: st.DrawFn, axes: int, period_s: float) -> Raw:
         "force_sensor": sensor,
     }
     slave |= draw(table({}, **options))
+    if control != "velocity":
+        slave |= draw(table(takes_force=st.booleans()))
     if control == "pd":
         slave["stiffness"] = draw(real(1e-2, 5000.0))
         slave |= draw(table(damping=real(0.0, 200.0)))

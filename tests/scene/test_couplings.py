@@ -97,6 +97,43 @@ def test_an_arm_that_takes_forces_is_not_in_series(kind: str, one_way_s: float) 
     assert force == pytest.approx(-expected, rel=1e-3)
 
 
+@pytest.mark.parametrize("kind", [kind for kind in WITH_GAINS if kind != "three-channel-environment"])
+def test_a_hold_ends_the_force_of_an_arm(kind: str) -> None:
+    """The arm follows a position again, where it was: in 0.1 s its servo settles, and it stays there to rounding.
+
+    `three-channel-environment` still swings at that time.
+    """
+    outage = {"delay_s": 0.01, "outages": [{"times": {"kind": "once", "at_s": 3.0, "duration_s": 2.0}}]}
+    links = {"forward": outage, "backward": {"delay_s": 0.01}}
+    scene = pressed(kind, 0.01, run={"duration_s": 5.0}, slave={"position": 0.0, **FORCE_ARM}, link=links)
+    signals = simulate(scene).signals
+    assert signals is not None
+    place = np.ravel(signals.slave_position)
+    pushed, held = place[2990], place[3300:]
+    # The servo of 8.9 kN/m yields to less than the 1.2 N that were exerted.
+    assert abs(held[-1] - pushed) < 1.2 / (1.0 * (2 * np.pi * 15.0) ** 2)
+    assert np.ptp(held) < 1e-6
+
+
+def test_bounds_of_force_speed_and_reach_act_on_an_arm_that_takes_forces() -> None:
+    """A force beyond its bound presses with the bound; without a wall, speed and reach stop the arm."""
+    bounded = pressed("pd-damped", 0.005, slave={"position": 0.0, **FORCE_ARM, "max_force_n": 0.2})
+    signals = simulate(bounded).signals
+    assert signals is not None
+    assert np.ravel(signals.environment_force)[-1] == pytest.approx(-0.2, abs=2e-5)
+    stiff = {"stiffness": 2000.0, "damping": 30.0, "command_speed": 0.02, "command_reach": 0.02}
+    free = pressed(
+        "pd-damped", 0.005, slave={"position": 0.0, **FORCE_ARM}, environment={"objects": []}, coupling=stiff
+    )
+    signals = simulate(free).signals
+    assert signals is not None
+    place, tick = np.ravel(signals.slave_position), signals.time_s[1] - signals.time_s[0]
+    # Above the bound the damper M/tau = 50 N s/m brakes; beyond the reach K = M/(4 tau^2) = 625 N/m brings it back.
+    assert 0.0199 < np.abs(np.diff(place)).max() / tick < 0.022
+    assert 0.02 < place.max() < 0.022
+    assert place[-1] == pytest.approx(0.02, abs=5e-4)
+
+
 @pytest.mark.parametrize("kind", WITH_GAINS)
 def test_scales_and_a_turned_frame_stand_outside_the_coupling(kind: str) -> None:
     """`F = (lambda_p x_t - x_w) / (lambda_p lambda_f / K_h + 1/K + 1/K_arm + 1/K_e)` along a turned axis.
@@ -212,17 +249,21 @@ def test_numbers_that_a_coupling_or_a_device_does_not_bear_are_refused(kind: str
         simulate(override_scene(pressed(kind, 0.01), [f"coupling.{field}"]))
 
 
+@pytest.mark.parametrize("takes_force", [False, True])
 @pytest.mark.parametrize("kind", WITH_GAINS)
-def test_a_pose_is_coupled_by_both_its_parts(kind: str) -> None:
+def test_a_pose_is_coupled_by_both_its_parts(kind: str, takes_force: bool) -> None:
     """The tool follows the turn of the hand, whose torque begins at 0 and stays bounded."""
-    run = simulate("alignment", overrides=[f'coupling.kind="{kind}"', "coupling.rotational_stiffness=2.0"])
+    stiffness = "coupling.rotational_stiffness=2.0"
+    arm = f"slave.takes_force={str(takes_force).lower()}"
+    run = simulate("alignment", overrides=[f'coupling.kind="{kind}"', stiffness, arm])
     signals = run.signals
     first = np.flatnonzero(np.isin(signals.state, [2, 3]))[0]
     assert np.abs(signals.rendered_torque[: first + 1]).max() == 0.0
-    assert 0.0 < np.abs(signals.rendered_torque).max() < (0.5 if kind == "three-channel-environment" else 0.3)
+    most = 0.5 if kind.startswith("three-channel") else 0.3
+    assert 0.0 < np.abs(signals.rendered_torque).max() < most
     assert run.metrics.orientation_rmse_rad is not None
     # A turn while the force of waves fades in stays behind, until both sides rest.
-    assert run.metrics.orientation_rmse_rad < (0.2 if kind == "wave" else 0.1)
+    assert run.metrics.orientation_rmse_rad < (0.25 if kind == "wave" else 0.1)
 
 
 @pytest.mark.parametrize("locked", ["rotation_scale=2.0", "locks_rotation=true"])

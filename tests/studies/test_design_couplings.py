@@ -67,9 +67,9 @@ def queue_matrix(loop: CoupledLoop, ticks: int) -> Array:
     step = np.zeros((size, size))
     step[:2] = hand @ np.stack((x_m, v_m)) + pushed @ on_hand[None]
     if tool is None:
-        led = held(np.array([[0.0, 1.0], -np.array([wall[0], arm.damping + wall[1]]) / arm.mass_kg]),
-                   np.array([[0.0], [1.0 / arm.mass_kg]]), period_s)  # fmt: skip
-        step[2], step[5:7] = x_m, led[0] @ np.stack((x_a, v_a)) + led[1] @ force[None]
+        inertia = np.array([[0.0, 1.0], [-wall[0] / arm.mass_kg, -(arm.damping + wall[1]) / arm.mass_kg]])
+        moved, led = held(inertia, np.array([[0.0], [1.0 / arm.mass_kg]]), period_s)
+        step[2], step[5:7] = x_m, moved @ np.stack((x_a, v_a)) + led @ force[None]
     else:
         speed = (v_v + period_s / tool.mass_kg * (force - wall @ np.stack((x_a, v_a)))) / (
             1.0 + period_s * tool.damping / tool.mass_kg
@@ -173,7 +173,7 @@ PD_ARM = ("slave.control=pd", "slave.stiffness=2000", "slave.damping=60")
         ("position-position", (400.0, 10.0), 2000.0, ("slave.control=velocity",)),
         ("position-force-computed", (300.0, 8.0), 400.0, ()),
         ("position-force-computed", (150.0, 4.0), 400.0, PD_ARM),
-        ("pd-damped", (300.0, 2.0), 400.0, TAKES_FORCE),
+        ("pd-damped", (1000.0, 2.0), 400.0, TAKES_FORCE),
         ("position-force-computed", (150.0, 4.0), 400.0, TAKES_FORCE),
     ],
 )

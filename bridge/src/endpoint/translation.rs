@@ -88,8 +88,8 @@ impl<const N: usize> SlaveTranslation<N> {
 }
 
 impl<const N: usize> SlaveTranslation<N> {
-    /// Step one tick of an arm at `position` in m and a velocity in m/s, which the environment pushes with
-    /// `environment_force` in N, by a coupling whose force acts on a virtual tool or on the arm.
+    /// Step one tick of a coupling whose force acts on a virtual tool, or on the arm. `position` in m and velocity in m/s are
+    /// those of the arm, `environment_force` in N pushes it.
     ///
     /// Also returns the work in J of that force on the tool. Returns `None` unless coupled, like
     /// [`follow`](Self::follow). A late command is not extrapolated: the spring holds the newest position.
