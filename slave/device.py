@@ -64,8 +64,8 @@ class SlaveDevice(Protocol):
     sample. Without an orientation, in a scene of points, the tool keeps its initial one. Its samples have orientation,
     angular velocity and torque.
 
-    `takes_force = True` marks a driver with a sixth method, `write_force(force, torque=None)`. It exerts a force in N on
-    the tool (N m for joints), shape `(axes,)`, until the next order. A pose also gets `torque` in N m about the tool
+    `takes_force = True` marks a driver with a sixth method, `write_force(force, torque=None)`. It exerts a force in N
+    on the tool (N m for joints), shape `(axes,)`, until the next order. A pose also gets `torque` in N m about the tool
     point, in the base frame; without it the tool keeps its orientation. The driver adds what the arm needs for itself:
     gravity, friction, joint limits, and the directions that the scene does not command. It bounds force and speed, and
     its watchdog ends the force when orders cease. `write` and `stop` work as for any arm, in any order.
