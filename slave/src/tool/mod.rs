@@ -112,6 +112,19 @@ fn pushers(of: &[PusherSettings<3>]) -> Result<Vec<Pusher<3>>, ModelError> {
     of.iter().map(PusherSettings::pusher).collect()
 }
 
+/// Springs and dampers of an arm and its tool.
+fn servo(arm: &ArmSettings<3>, tool: &ToolSettings) -> Result<Servo, ModelError> {
+    Ok(Servo {
+        stiffness: non_negative("stiffness", arm.stiffness)?,
+        damping: non_negative("damping", arm.damping)?,
+        rotational_stiffness: tool.rotational_stiffness,
+        rotational_damping: tool.rotational_damping,
+        max_speed: arm.max_speed.unwrap_or(f64::INFINITY),
+        max_angular_speed: tool.max_angular_speed.unwrap_or(f64::INFINITY),
+        viscous: non_negative("viscous", arm.viscous)?,
+    })
+}
+
 impl SimulatedTool {
     /// A tool at rest at `now_ns` in its world, on an arm with `pd` control.
     pub fn new(
@@ -126,15 +139,7 @@ impl SimulatedTool {
         }
         tool.check()?;
         let inertia = Inertia { mass_kg: positive("mass_kg", arm.mass_kg)?, moments: tool.inertia_kg_m2 };
-        let servo = Servo {
-            stiffness: non_negative("stiffness", arm.stiffness)?,
-            damping: non_negative("damping", arm.damping)?,
-            rotational_stiffness: tool.rotational_stiffness,
-            rotational_damping: tool.rotational_damping,
-            max_speed: arm.max_speed.unwrap_or(f64::INFINITY),
-            max_angular_speed: tool.max_angular_speed.unwrap_or(f64::INFINITY),
-            viscous: non_negative("viscous", arm.viscous)?,
-        };
+        let servo = servo(arm, tool)?;
         let least = tool.inertia_kg_m2.min();
         let handles = world
             .handles
