@@ -266,9 +266,10 @@ def _felt(scene: Scene, spec: dict[str, Any], units: Units, delays: tuple[float,
     arm = scene_loops(scene, 0.0)[0].follower if scene_loops(scene, 0.0) else None
     springs, walls = contacts(spec)
     found = sorted({contact for contact, _ in (*springs, *walls) if contact > 0.0})
-    if arm is None or not found or arm.stiffness == 0.0:
+    takes_force = spec["slave"]["takes_force"]
+    if arm is None or not found or (arm.stiffness == 0.0 and not takes_force):
         return
-    behind = compliance + 1.0 / arm.stiffness
+    behind = compliance + (0.0 if takes_force else 1.0 / arm.stiffness)
     shares = [1.0 / (1.0 + contact * behind) for contact in found]
     each = ", ".join(f"{share:.2g} of {contact:g}" for share, contact in zip(shares, found, strict=True))
     length = "mrad" if units.stiffness == "N m/rad" else "mm"
@@ -277,9 +278,11 @@ def _felt(scene: Scene, spec: dict[str, Any], units: Units, delays: tuple[float,
         series, more = "C, without the waits of the play-out,", "; a larger coupling.impedance feels more"
     elif compliance == 0.0:
         series, more = "C = 0", ""
+    if not takes_force:
+        series += " + 1/K_arm"
     yield Finding(
         name="felt stiffness", state="note", value=min(shares), text=f"at rest{_delay(spec, delays)} the hand feels"
-        f" {each} {units.stiffness} ({series} + 1/K_arm in series), and the arm stays {behind * 1e3:.3g} {length}"
+        f" {each} {units.stiffness} ({series} in series), and the arm stays {behind * 1e3:.3g} {length}"
         f" behind per {units.force}{more}",
     )  # fmt: skip
 

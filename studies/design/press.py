@@ -45,7 +45,7 @@ _COUPLING = (
 _MASTER = ("mass_kg", "viscous", "coulomb", "encoder_quantum", "measures_velocity", "max_force_n")
 _SLAVE = (
     "control", "mass_kg", "bandwidth_hz", "stiffness", "damping", "max_speed", "max_acceleration", "speed_bound",
-    "period_s",
+    "period_s", "takes_force", "viscous", "max_force_n",
 )  # fmt: skip
 
 

@@ -36,6 +36,7 @@ SHIPPED = {
     "active_force",
     "alignment",
     "attack_replay",
+    "bilateral_joints",
     "driving_network",
     "felt_trigger",
     "free_motion",

@@ -65,6 +65,8 @@ SHOWN: list[Shown] = [
     ("attack_replay", [], (0.17, 0.2), (2.1, 2.4), None, 0),
     # 0.03 m in 1 s: at most 1.875 L / T = 0.05625 m/s.
     ("gripper", [], (0.0560, 0.0565), (0.0, 0.0), None, 0),
+    # 0.7 rad behind a hand of 2 and a wall of 20 N m/rad: 1.273 N m. After the first touch the joint swings back.
+    ("bilateral_joints", [], (0.05, 0.08), (1.265, 1.29), None, 0),
     # Rotations are tested in test_pose.py. The middle of the handle stays in place.
     ("torque_release", [WITHOUT], (0.0, 0.0), (0.0, 0.0), None, 0),
     ("torque_release", [], (0.025, 0.035), (0.5, 0.6), (0.025, 0.045), 0),

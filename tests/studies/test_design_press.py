@@ -61,6 +61,14 @@ def test_a_press_rests_at_the_closed_form(kind: str, round_trip_s: float) -> Non
     assert seen.behind == pytest.approx(seen.felt * seen.rigid * (facts.compliance + 1.0 / ARM), rel=2e-2, abs=1e-4)
 
 
+def test_the_press_of_an_arm_that_takes_forces_has_no_arm_in_series() -> None:
+    arm = ["slave.takes_force=true", "slave.mass_kg=1.0", "slave.viscous=3.0"]
+    seen = press(override_scene(pair(0.04, "four-channel"), arm), WALL)
+    assert seen.outcome == "rests"
+    assert seen.felt == pytest.approx(1.0, rel=2e-3)
+    assert abs(seen.behind) < 1e-5
+
+
 @pytest.mark.parametrize(
     ("kind", "gains", "state", "text"),
     [
