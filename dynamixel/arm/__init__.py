@@ -3,6 +3,7 @@
 from haptether.dynamixel.arm.arm import ServoArm, Vector
 from haptether.dynamixel.arm.calibration import calibration_text, read_calibration, write_calibration
 from haptether.dynamixel.arm.checks import ArmRefusedError
+from haptether.dynamixel.arm.compensation import JointCompensation
 from haptether.dynamixel.arm.faults import ArmFaultError, FaultKind
 from haptether.dynamixel.arm.grip import GripServo, GripSettings
 from haptether.dynamixel.arm.plausible import MAX_DOUBTFUL
@@ -16,6 +17,7 @@ __all__ = [
     "FaultKind",
     "GripServo",
     "GripSettings",
+    "JointCompensation",
     "ServoArm",
     "ServoSettings",
     "Vector",

@@ -5,6 +5,7 @@ masses in kg, torques in N m.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, TypeAlias
 
 import msgspec
@@ -204,3 +205,20 @@ class ArmDescription(_Table, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def knows_friction(self) -> bool:
         """True if friction can be compensated."""
         return all(joint.coulomb_nm is not None for joint in self.joints)
+
+    def motor_inertia(self, given: Sequence[float] | None = None) -> list[float]:
+        """Return the inertia of motors and gears at the output of each joint in kg m^2.
+
+        Args:
+            given: Values instead of those of the description.
+
+        Raises:
+            ValueError: The description lacks a value, which must be identified.
+        """
+        if given is not None:
+            return list(given)
+        known = [joint.motors * joint.inertia_kg_m2 for joint in self.joints if joint.inertia_kg_m2 is not None]
+        if len(known) < len(self.joints):
+            message = f"{self.name}: the inertia of its servos is not known: give it, or identify it"
+            raise ValueError(message)
+        return known

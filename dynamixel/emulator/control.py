@@ -204,10 +204,10 @@ class ControlLine(CommandLine):
 
 
 def set_stops(joint: "Joint", given: list[str]) -> None:
-    """Set end stops from two angles in rad, in either order, and a stiffness in N m/rad; without it they are rigid.
+    """Set end stops: two angles in rad, in either order, then K in N m/rad (rigid) and D in N m s/rad (a ratio of 0.7).
 
     Raises:
-        ValueError: The angles or the stiffness are invalid.
+        ValueError: The angles, the stiffness or the damping are invalid.
     """
     if given == ["off"]:
         joint.stops = None
@@ -215,10 +215,13 @@ def set_stops(joint: "Joint", given: list[str]) -> None:
     low, high = sorted(numbers(given[:2], 2))
     if not (low < high and max(-low, high) <= MAX_STOP_RAD):
         refuse(f"{low:g} {high:g}: must be two angles within {MAX_STOP_RAD:g} rad")
-    (stiffness,) = numbers(given[2:], 1) if given[2:] else (joint.rigid,)
+    (stiffness,) = numbers(given[2:3], 1) if given[2:] else (joint.rigid,)
+    (damping,) = numbers(given[3:], 1) if given[3:] else (None,)
     if not 0.0 < stiffness <= joint.rigid:
         refuse(f"{stiffness:g}: stiffness must be above 0 and at most {joint.rigid:g} N m/rad, that of a rigid stop")
-    joint.stops, joint.stop_stiffness = (low, high), stiffness
+    if damping is not None and not 0.0 <= damping <= MAX_STIFFNESS:
+        refuse(f"{damping:g}: damping must be 0 to {MAX_STIFFNESS:g} N m s/rad")
+    joint.stops, joint.stop_stiffness, joint.stop_damping = (low, high), stiffness, damping
 
 
 def _path(path: Path) -> tuple[tuple[float, ...], dict[int, tuple[float, ...]]]:

@@ -112,7 +112,11 @@ class Joint:
         self.rigid = RIGID * settings.inertia
         """Stiffness of a rigid end stop in N m/rad."""
         self.stop_stiffness = self.rigid
-        """K of the end stops in N m/rad; their damping ratio with J is 0.7."""
+        """K of the end stops in N m/rad."""
+        self.stop_damping: float | None = None
+        """D of the end stops in N m s/rad; None for a damping ratio of 0.7 with J."""
+        self.stop_nm = 0.0
+        """Torque of the end stops in the last step in N m."""
         self.hand: HeldBy | None = None
         self.hand_nm = 0.0
         """Hand torque in the last step in N m."""
@@ -156,15 +160,19 @@ class Joint:
             stretched = (hand.place_rad(self._time_s or 0.0) - self.position_rad) * hand.stiffness
             torque += stretched
             b += hand.damping + STEP_S * hand.stiffness
-        if self.stops is not None and (deep := self._deep(self.stops)) != 0.0:
-            torque -= self.stop_stiffness * deep
-            b += math.sqrt(2.0 * J * self.stop_stiffness) + STEP_S * self.stop_stiffness
+        deep, braked = 0.0 if self.stops is None else self._deep(self.stops), 0.0
+        if deep != 0.0:
+            K, D = self.stop_stiffness, self.stop_damping
+            torque -= K * deep
+            braked = (math.sqrt(2.0 * J * K) if D is None else D) + STEP_S * K
+            b += braked
         w = before + STEP_S / J * torque
         # J (w' - w) / dt = torque - b w' - c sign(w'): dry friction brakes at most to standstill.
         self.velocity_rad_s = math.copysign(max(abs(w) - STEP_S / J * c, 0.0) / (1.0 + STEP_S * b / J), w)
         self.hand_nm = 0.0
         if hand is not None:
             self.hand_nm = stretched - (hand.damping + STEP_S * hand.stiffness) * self.velocity_rad_s
+        self.stop_nm = -self.stop_stiffness * deep - braked * self.velocity_rad_s
         self.position_rad += STEP_S * self.velocity_rad_s
 
     def _deep(self, stops: tuple[float, float]) -> float:

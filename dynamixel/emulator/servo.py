@@ -186,6 +186,7 @@ class Servo:
             "torque_nm": self.joint.torque_nm,
             "load_nm": self.joint.load_nm,
             "hand_nm": self.joint.hand_nm,
+            "stop_nm": self.joint.stop_nm,
             "hardware_error": [error.name.lower() for error in HardwareError(self.value("Hardware Error Status"))],  # type: ignore[union-attr]
             "bus_watchdog": self.value("Bus Watchdog"),
             "voltage_v": self.voltage_v,

@@ -6,15 +6,15 @@ the described friction, so the rest still brakes. Springs and damping oppose the
 is commanded during a fault.
 """
 
-import math
 from collections.abc import Sequence
 
+from haptether.dynamixel.arm import JointCompensation
 from haptether.dynamixel.description import ArmDescription, ArmKinematics
 from haptether.dynamixel.description.kinematics import Numbers
 from haptether.master.dynamixel.options import LeaderOptions
 
 
-class Compensation:
+class Compensation(JointCompensation):
     """Joint torques in addition to the reflected force.
 
     tau = k_g dV/dq + k_f (c tanh(w / w_0) + b w) - d w + limits, within `most` of each joint.
@@ -30,29 +30,26 @@ class Compensation:
         self, options: LeaderOptions, arm: ArmDescription, kinematics: ArmKinematics, most: Sequence[float]
     ) -> None:
         default = 1.0 if arm.knows_masses else 0.0
-        self.gravity_gain = default if options.gravity_gain is None else options.gravity_gain
-        self._gravity = kinematics.gravity
-        self._speed = options.friction_speed
+        super().__init__(
+            gravity=kinematics.gravity,
+            gravity_gain=default if options.gravity_gain is None else options.gravity_gain,
+            coulomb=[options.friction_gain * (joint.coulomb_nm or 0.0) for joint in arm.joints],
+            viscous=[options.friction_gain * (joint.viscous_nm_s or 0.0) - options.damping for joint in arm.joints],
+            friction_speed=options.friction_speed,
+        )
         self._stiffness = options.limit_stiffness
         self._limit_damping = options.limit_damping
         self._joints = [
-            (
-                options.friction_gain * (joint.coulomb_nm or 0.0),
-                options.friction_gain * (joint.viscous_nm_s or 0.0) - options.damping,
-                joint.low_rad, joint.high_rad, bound,
-                # Overlapping springs would leave a step between them.
-                min(options.limit_margin, 0.5 * (joint.high_rad - joint.low_rad)),
-            )
+            # Overlapping springs would leave a step between them.
+            (joint.low_rad, joint.high_rad, bound, min(options.limit_margin, 0.5 * (joint.high_rad - joint.low_rad)))
             for joint, bound in zip(arm.joints, most, strict=True)
-        ]  # fmt: skip
+        ]
 
     def torques(self, q: Numbers, w: Numbers) -> list[float]:
         """Return the torque in N m of each joint at its angle and velocity."""
         found = []
-        for angle, speed, weight, (coulomb, viscous, low, high, most, margin) in zip(
-            q, w, self._gravity(q), self._joints, strict=True
-        ):
-            torque = self.gravity_gain * weight + coulomb * math.tanh(speed / self._speed) + viscous * speed
+        for angle, speed, own, (low, high, most, margin) in zip(q, w, super().torques(q, w), self._joints, strict=True):
+            torque = own
             if (deep := angle - high + margin) > 0.0:
                 torque -= self._stiffness * deep + self._limit_damping * max(speed, 0.0)
             elif (deep := low + margin - angle) > 0.0:

@@ -45,7 +45,7 @@ def joint_model(
     Raises:
         ValueError: The description lacks a value, which must be identified.
     """
-    own = _motor_inertia(arm, inertia)
+    own = arm.motor_inertia(inertia)
     if not arm.knows_friction:
         message = f"{arm.name}: its friction is not known: identify it, and write it to the description"
         raise ValueError(message)
@@ -70,7 +70,7 @@ def pose_model(
     Raises:
         ValueError: Same as for `joint_model`, for inertia only.
     """
-    own = _motor_inertia(arm, inertia)
+    own = arm.motor_inertia(inertia)
     posture = _posture(arm, q)
     kinematics = ArmKinematics(arm)
     joints = np.array(own) + kinematics.link_inertia(posture)
@@ -84,13 +84,3 @@ def pose_model(
 
 def _posture(arm: ArmDescription, q: Sequence[float] | None) -> list[float]:
     return [joint.start_rad for joint in arm.joints] if q is None else list(q)
-
-
-def _motor_inertia(arm: ArmDescription, inertia: Sequence[float] | None) -> list[float]:
-    if inertia is not None:
-        return list(inertia)
-    known = [joint.inertia_kg_m2 for joint in arm.joints if joint.inertia_kg_m2 is not None]
-    if len(known) < len(arm.joints):
-        message = f"{arm.name}: the inertia of its servos is not known: give it, or identify it"
-        raise ValueError(message)
-    return [joint.motors * one for joint, one in zip(arm.joints, known, strict=True)]

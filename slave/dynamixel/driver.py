@@ -9,6 +9,7 @@ import numpy as np
 from haptether.dynamixel.arm import ArmSettings, GripServo, ServoArm, Vector
 from haptether.printed import printed
 from haptether.slave.device import SlaveSample
+from haptether.slave.dynamixel.current import CurrentControl
 from haptether.slave.dynamixel.options import DynamixelSlaveOptions, dynamixel_slave_options
 from haptether.slave.dynamixel.torque import JointTorque
 
@@ -19,7 +20,7 @@ REST_LAG: Final = 0.05
 
 
 class DynamixelSlave:
-    """Servo arm whose joints follow commanded positions; see `SlaveDevice` and docs/dynamixel.md.
+    """Servo arm whose joints follow positions, and in mode `current` take torques; see `SlaveDevice`.
 
     Args:
         options: Fields of `DynamixelSlaveOptions`.
@@ -37,6 +38,11 @@ class DynamixelSlave:
     def axes(self) -> int:
         """Number of joints."""
         return len(self.settings.servos)
+
+    @property
+    def takes_force(self) -> bool:
+        """True if `write_force` exerts torques on the joints."""
+        return self._control is not None
 
     @property
     def max_speed(self) -> float:
@@ -65,6 +71,8 @@ class DynamixelSlave:
             viscous=self.options.viscous,
             filter_hz=self.options.force_filter_hz,
         )
+        self._control = CurrentControl(self.options, self.settings) if self.options.mode == "current" else None
+        """Control on the host, in current mode."""
         count = len(self.settings.servos)
         self._low: Vector = np.array([servo.low_rad for servo in self.settings.servos])
         self._high: Vector = np.array([servo.high_rad for servo in self.settings.servos])
@@ -74,7 +82,11 @@ class DynamixelSlave:
         self._goal: Vector | None = None
         """Last sent goal; None until the joints are held."""
         self._led = False
-        """True if a command came since the last stop."""
+        """True if a position was commanded since the last stop."""
+        self._forced = False
+        """True if the last command was a force."""
+        self._is_written = False
+        """True if a command came since the last read."""
         self._refused: str | None = None
         """Refused command; the arm holds its joints."""
         self._shown: str | None = None
@@ -91,9 +103,10 @@ class DynamixelSlave:
 
     def open(self) -> None:
         """Run the checklist; with the first `read` the arm carries its own weight at its position."""
-        self._goal, self._led, self._refused, self._is_measured = None, False, None, False
+        self._goal, self._refused, self._is_measured = None, None, False
+        self._led = self._forced = self._is_written = False
         self.servos.open(give_torque=False)
-        self._torque.reset()
+        self._reset()
         self._read_s = self._written_s = time.monotonic()
 
     def read(self) -> SlaveSample:
@@ -109,18 +122,25 @@ class DynamixelSlave:
         if fresh:
             self._position, self._velocity = arm.position.copy(), arm.velocity.copy()
         if arm.fault is not None:
-            self._goal, self._led = None, False
+            self._goal, self._led, self._forced = None, False, False
             # The servos have no torque, so their currents show no force.
             self._felt = np.zeros(len(self._felt))
-            self._torque.reset()
+            self._reset()
         elif fresh:
-            self._felt = self._torque.of(arm.current, arm.velocity, now_s - self._read_s)
+            period_s = now_s - self._read_s
+            if self._control is None:
+                self._felt = self._torque.of(arm.current, arm.velocity, period_s)
+            else:
+                self._felt = self._control.take(arm.plausible.position, arm.velocity, arm.current, period_s)
             if self._goal is None:
                 self._goal = self._within(arm.plausible.position)
-            if arm.ramp < 1.0:
+            if self._control is not None and not self._is_written:
+                # A current lasts until the next one, so without a command the host holds the joints.
+                self._hold(self.options.max_lag)
+            elif self._control is None and arm.ramp < 1.0:
                 # The caps rise with each write.
-                arm.write_positions(self._goal)
-        self._read_s = now_s
+                self._send(self._goal)
+        self._read_s, self._is_written = now_s, False
         self._shown = arm.fault or self._refused
         return self._sample()
 
@@ -128,6 +148,7 @@ class DynamixelSlave:
         """Send the joints on, within their limits and speed; no effect during a fault."""
         if self._goal is None or self._refused is not None or self.servos.fault is not None:
             return
+        self._end_force()
         now_s = time.monotonic()
         wanted = np.array(position, dtype=float)
         if not np.isfinite(wanted).all():
@@ -149,16 +170,35 @@ class DynamixelSlave:
         self._written_s = now_s
         goal = np.clip(wanted, self._goal - step, self._goal + step)
         at, lag = self.servos.plausible.position, self.options.max_lag
-        self._goal = self._within(np.clip(goal, at - lag, at + lag))
-        self.servos.write_positions(self._goal)
+        self._send(self._within(np.clip(goal, at - lag, at + lag)))
+
+    def write_force(self, force: tuple[float, ...], torque: tuple[float, float, float] | None = None) -> None:  # noqa: ARG002  # of a pose
+        """Exert torques in N m on the joints until the next command; no effect during a fault.
+
+        Raises:
+            ValueError: The mode is not `current`, or the number of torques is wrong.
+        """
+        if self._control is None:
+            message = f"{self.servos.name}: mode = {self.options.mode}: must be current for an arm that takes forces"
+            raise ValueError(message)
+        wanted = np.array(force, dtype=float)
+        if wanted.shape != self._low.shape:
+            message = f"{self.servos.name}: {len(force)} torques: must be {self.axes}, one of each joint"
+            raise ValueError(message)
+        if self._goal is None or self._refused is not None or self.servos.fault is not None:
+            return
+        if not np.isfinite(wanted).all():
+            self._refuse("a torque was commanded that is no number: see the other side, then acknowledge")
+            return
+        self._led, self._forced, self._is_written = False, True, True
+        self.servos.write_currents(self._control.exerting(wanted))
 
     def stop(self) -> None:
         """Hold the joints in place; keep the goal offset that carries their weight."""
-        self._led = False
         if self._goal is not None and self.servos.fault is None:
-            at = self.servos.plausible.position
-            self._goal = self._within(np.clip(self._goal, at - REST_LAG, at + REST_LAG))
-            self.servos.write_positions(self._goal)
+            # In current mode a hold that is pushed away keeps its pull, up to that of the largest lag.
+            self._hold(REST_LAG if self._control is None or self._led else self.options.max_lag)
+        self._led = False
 
     def acknowledge(self) -> None:
         """Acknowledge a fixed fault: the checklist runs again, and reports when the arm is ready."""
@@ -171,6 +211,31 @@ class DynamixelSlave:
     def close(self) -> None:
         """Lower the arm if its mode allows it, and end all torque."""
         self.servos.close()
+
+    def _end_force(self) -> None:
+        """Start the goal where the joints come to rest after a force."""
+        if self._forced and self._control is not None:
+            self._goal = self._within(self._control.rest())
+        self._forced = False
+
+    def _hold(self, lag: float) -> None:
+        """Hold the last goal, within a lag in rad of the joints."""
+        self._end_force()
+        assert self._goal is not None
+        at = self.servos.plausible.position
+        self._send(self._within(np.clip(self._goal, at - lag, at + lag)))
+
+    def _send(self, goal: Vector) -> None:
+        self._goal, self._is_written = goal, True
+        if self._control is None:
+            self.servos.write_positions(goal)
+        else:
+            self.servos.write_currents(self._control.holding(goal))
+
+    def _reset(self) -> None:
+        self._torque.reset()
+        if self._control is not None:
+            self._control.reset()
 
     def _refuse(self, text: str) -> None:
         self.stop()

@@ -1,6 +1,6 @@
 """Options of a servo arm's driver: `[slave.options]` of a scene."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
@@ -8,19 +8,22 @@ from typing import Annotated, Any, Final, Literal, TypeAlias
 import msgspec
 from msgspec import Meta
 
-from haptether.dynamixel.arm import ArmSettings, read_calibration
+from haptether.dynamixel.arm import ArmSettings, ServoSettings, read_calibration
+from haptether.dynamixel.description import ArmDescription, load_arm
 from haptether.dynamixel.models import OperatingMode
 from haptether.options import converted, refused
 
 DEVICE: Final = "device = dynamixel"
 MAX_JOINTS: Final = 7
 MODES: Final = {
+    "current": OperatingMode.CURRENT,
     "current-position": OperatingMode.CURRENT_BASED_POSITION,
     "position": OperatingMode.EXTENDED_POSITION,
 }
 
 Torque: TypeAlias = Annotated[float, Meta(ge=0.0, le=20.0, extra={"unit": "N m"})]
 Viscous: TypeAlias = Annotated[float, Meta(ge=0.0, le=20.0, extra={"unit": "N m s/rad"})]
+Inertia: TypeAlias = Annotated[float, Meta(gt=0.0, le=10.0, extra={"unit": "kg m^2"})]
 
 
 class DynamixelSlaveOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -30,8 +33,8 @@ class DynamixelSlaveOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_un
     """Serial port, such as /dev/serial/by-id/usb-FTDI_..."""
     arm: str
     """Calibration file from `haptether dynamixel calibrate`."""
-    mode: Literal["current-position", "position"] = "current-position"
-    """Joint control with a capped current, or with the full current."""
+    mode: Literal["current-position", "position", "current"] = "current-position"
+    """Joint control with a capped current, or with the full current; or currents, for an arm that takes forces."""
     max_speed: Annotated[float, Meta(gt=0.0, le=10.0, extra={"unit": "rad/s"})] = 1.0
     """Largest commanded joint speed."""
     max_jump: Annotated[float, Meta(gt=0.0, le=0.5, extra={"unit": "rad"})] = 0.1
@@ -47,7 +50,27 @@ class DynamixelSlaveOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_un
     viscous: tuple[Viscous, ...] = ()
     """Viscous friction of each gear; by default 0."""
     force_filter_hz: Annotated[float, Meta(gt=0.0, le=1000.0, extra={"unit": "Hz"})] | None = 20.0
-    """Corner frequency of the torque low-pass; None for none."""
+    """Corner frequency of the torque low-pass; None for none. Mode `current` has `observer_bandwidth` instead."""
+    inertia: tuple[Inertia, ...] = ()
+    """Mode `current`: inertia of each joint at its output; with a description that of motors and gears, to which its
+    links are added.
+    """
+    description: str | None = None
+    """Mode `current`: name or path of a description of the arm, for gravity and inertia of its links."""
+    gravity_gain: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    """Mode `current`: compensated fraction of gravity; by default 1 if the masses are known."""
+    friction_gain: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.0
+    """Mode `current`: compensated fraction of `coulomb` and `viscous`."""
+    friction_speed: Annotated[float, Meta(ge=0.01, le=1.0, extra={"unit": "rad/s"})] = 0.1
+    """Mode `current`: speed below which that fraction decreases to 0."""
+    joint_bandwidth: Annotated[float, Meta(ge=1.0, le=60.0, extra={"unit": "rad/s"})] = 25.0
+    """Mode `current`: w of the joint spring M w^2 and damper 2 M w, which follow positions and hold."""
+    max_torque: tuple[Torque, ...] = ()
+    """Mode `current`: largest commanded torque of each joint; by default that of its current cap."""
+    limit_margin: Annotated[float, Meta(ge=0.0, le=1.0, extra={"unit": "rad"})] = 0.1
+    """Mode `current`: distance from a joint's limit in which a commanded torque towards it fades to 0."""
+    observer_bandwidth: Annotated[float, Meta(ge=1.0, le=500.0, extra={"unit": "rad/s"})] = 50.0
+    """Mode `current`: g of the observer of the environment's torque."""
     watchdog_s: Annotated[float, Meta(ge=0.04, le=2.54, extra={"unit": "s"})] = 0.1
     """Silence after which the servos end their torque."""
     timeout_s: Annotated[float, Meta(ge=0.001, le=0.1, extra={"unit": "s"})] = 0.02
@@ -78,10 +101,12 @@ class DynamixelSlaveOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_un
             joints = tuple(replace(servo, mode=MODES[self.mode]) for servo in servos)
         except ValueError as error:
             raise refused(DEVICE, "mode", self.mode, str(error)) from None
-        for key in ("torque_constant", "coulomb", "viscous"):
+        for key in ("torque_constant", "coulomb", "viscous", "inertia", "max_torque"):
             given = getattr(self, key)
             if given and len(given) != len(servos):
                 raise refused(DEVICE, key, given, f"must have {len(servos)} numbers, one of each joint")
+        if self.mode == "current" and not self.inertia and self.description is None:
+            raise refused(DEVICE, "inertia", self.inertia, "must be given in mode = current, or a description")
         return ArmSettings(
             port=self.port,
             servos=joints,
@@ -93,6 +118,27 @@ class DynamixelSlaveOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_un
             release_s=self.release_s,
             verify_watchdog=self.verify_watchdog,
         )
+
+    def described(self, servos: Sequence[ServoSettings]) -> ArmDescription | None:
+        """Return the description of the arm, or None without one.
+
+        Raises:
+            ValueError: The description cannot be read, has other servos, or lacks a required value.
+        """
+        if self.description is None:
+            return None
+        try:
+            arm = load_arm(self.description)
+            arm.motor_inertia(self.inertia or None)
+        except ValueError as error:
+            raise refused(DEVICE, "description", self.description, str(error)) from None
+        found = [(joint.servo, joint.model, joint.shadows) for joint in arm.joints]
+        if found != [(servo.servo_id, servo.model, servo.shadows) for servo in servos]:
+            why = f"must have the servos of {self.arm}, with their models and shadows, in the same order"
+            raise refused(DEVICE, "description", self.description, why)
+        if self.gravity_gain and not arm.knows_masses:
+            raise refused(DEVICE, "gravity_gain", self.gravity_gain, f"{arm.name} has joints without a mass: must be 0")
+        return arm
 
 
 def dynamixel_slave_options(given: Mapping[str, Any]) -> DynamixelSlaveOptions:

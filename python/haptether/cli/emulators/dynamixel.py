@@ -54,9 +54,9 @@ class DynamixelEmulator(EmulatorOptions):
     """Reported firmware version; fast reads exist from 45 on, in 330 models from 46 on."""
     start: Annotated[tuple[float, ...], tyro.conf.arg(metavar="Q")] = ()
     """Initial joint angles in rad from the mechanical centre; by default 0."""
-    stops: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID=A:B[:K]")] = ()
+    stops: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID=A:B[:K[:D]]")] = ()
     """Stops of the output of a servo at two angles in rad from its mechanical centre, such as jaws or an object between
-    them, as ID=A:B, or with a stiffness in N m/rad as ID=A:B:K."""
+    them, as ID=A:B, with a stiffness in N m/rad as ID=A:B:K, and with a damping in N m s/rad as ID=A:B:K:D."""
     constants: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID=NM_PER_A")] = ()
     """Torque constants in N m/A of servos, as ID=NM_PER_A; by default the likely one of each model."""
     return_delay: int = 0
@@ -138,7 +138,7 @@ class DynamixelEmulator(EmulatorOptions):
             try:
                 set_stops(bus.servo(int(number)).joint, ends.split(":"))
             except ValueError as error:
-                why = f"{error}" if number.isdecimal() else "must be ID=A:B or ID=A:B:K"
+                why = f"{error}" if number.isdecimal() else "must be ID=A:B or ID=A:B:K[:D]"
                 message = f"stops = {text}: {why}"
                 raise ValueError(message) from None
 
