@@ -8,11 +8,13 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 import pytest
-from tests.dynamixel.test_force_follower import ARM, LEVER_M, first
+from tests.dynamixel.test_force_follower import ARM, UNIT_NM, WALLS, first
 from tests.dynamixel.virtual import TICK_S, Follower, World
 
 from haptether.dynamixel.description import load_arm
 from haptether.dynamixel.emulator import ArmLoad, HeldBy, JointSettings, servos_of
+
+pytestmark = pytest.mark.slow
 
 Array = npt.NDArray[np.float64]
 KP, KD, OBSERVER = 800.0, 40.0, 50.0
@@ -20,7 +22,11 @@ KP, KD, OBSERVER = 800.0, 40.0, 50.0
 INERTIA = 0.0082 + 0.5 * 0.15**2
 PUBLISHED_KF = 0.5 / INERTIA
 """Published start (2 M)^-1: C2 = C3 = M K_f = 0.5."""
+SMALL = 0.1
+"""Share of that for a small force gain: C = 0.05."""
 WALL_RAD = 0.3
+MOVING_RAD_S = 0.05
+"""Two units of Present Velocity, as in the tests of a leader alone."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +67,8 @@ def arms(world: World, folder: Path, *, friction: bool, **options: Any) -> list[
 
 def coupled(
     world: World, folder: Path, kf: float, wall: float | None, *,
-    wall_damping: float | None = None, hand: tuple[float, float] = (5.0, 0.1), to_rad: float = 0.5, move_s: float = 2.0, rest_s: float = 3.0,
+    wall_damping: float | None = None, hand: tuple[float, float] = (5.0, 0.1),
+    to_rad: float = 0.5, move_s: float = 2.0, rest_s: float = 3.0,
     friction: bool = False, **options: Any,  # noqa: ANN401  # of drivers
 ) -> Run:  # fmt: skip
     """Couple two joints at 500 Hz; a hand of K, D turns the leader from 0 towards an angle, and keeps pressing there.
@@ -90,3 +97,70 @@ def coupled(
             )
         )  # fmt: skip
     return Run(*np.array(rows).T)
+
+
+def share_of_gravity(run: Run, *, moving: bool) -> float:
+    """Return the root mean square of the hand's torque as a share of that of gravity."""
+    felt = run.hand[np.abs(run.speed) > MOVING_RAD_S] if moving else run.hand
+    return float(np.sqrt(np.mean(felt**2) / np.mean(run.gravity**2)))
+
+
+def swung(world: World, folder: Path, kf: float, *, friction: bool, gain: float = 0.0) -> Run:
+    """Lead both arms slowly by a stiff hand, as in the tests of a leader alone."""
+    return coupled(
+        world, folder, kf, None, hand=(200.0, 2.0), to_rad=1.0, move_s=6.0, rest_s=1.0,
+        friction=friction, friction_gain=gain, friction_speed=0.03,
+    )  # fmt: skip
+
+
+def test_free_motion_of_both_arms_needs_under_5_percent_of_gravity(world: World, tmp_path: Path) -> None:
+    """Check the effort: 1.8 %."""
+    run = swung(world, tmp_path, PUBLISHED_KF, friction=False)
+    assert 0.005 < share_of_gravity(run, moving=False) < 0.05
+    assert np.abs(run.apart).max() < 0.005
+
+
+@pytest.mark.parametrize(("gain", "low", "high"), [(0.9, 0.03, 0.05), (0.0, 0.25, 0.45)])
+def test_friction_is_felt_by_what_is_left_of_it_over_the_force_gain(
+    world: World, tmp_path: Path, gain: float, low: float, high: float
+) -> None:
+    """Check the effort while the arms move: 4.7 % with 0.9 of the friction compensated, 35 % without."""
+    run = swung(world, tmp_path, PUBLISHED_KF, friction=True, gain=gain)
+    assert low < share_of_gravity(run, moving=True) < high
+
+
+def test_a_small_force_gain_makes_the_arms_heavy(world: World, tmp_path: Path) -> None:
+    """Check the effort: 12 %, from the felt inertia 1 / K_f of 20 M, and from whole units of current over C."""
+    run = swung(world, tmp_path, SMALL * PUBLISHED_KF, friction=False)
+    assert 0.08 < share_of_gravity(run, moving=True) < 0.16
+
+
+@pytest.mark.parametrize("wall", WALLS)
+@pytest.mark.parametrize("share", [1.0, SMALL])
+def test_the_hand_feels_the_torque_of_a_wall_without_damping(
+    world: World, tmp_path: Path, wall: str, share: float
+) -> None:
+    run = coupled(world, tmp_path, share * PUBLISHED_KF, WALLS[wall], wall_damping=0.0)
+    hand, pressed = run.hand[-500:], -run.wall[-500:]
+    # Two sides, each with a truncated command and a rounded measurement, over 2 C; and the measurements themselves.
+    tolerance = 1.5 * UNIT_NM / (share * PUBLISHED_KF * INERTIA) + UNIT_NM
+    assert hand.mean() == pytest.approx(pressed.mean(), abs=tolerance)
+    # Hand and wall in series: the coupling adds no compliance.
+    expected = (0.5 - WALL_RAD) / (1.0 / 5.0 + 1.0 / WALLS[wall])
+    assert 0.5 * (hand.mean() + pressed.mean()) == pytest.approx(expected, abs=tolerance)
+    assert max(np.ptp(hand), np.ptp(pressed)) < 0.1 * expected
+    assert np.abs(run.apart[-500:]).max() < 0.003
+
+
+@pytest.mark.parametrize("wall", WALLS)
+def test_four_times_the_published_force_gain_chatters_on_a_wall_without_damping(
+    world: World, tmp_path: Path, wall: str
+) -> None:
+    run = coupled(world, tmp_path, 4.0 * PUBLISHED_KF, WALLS[wall], wall_damping=0.0)
+    assert np.ptp(run.wall[-500:]) > 0.5
+
+
+def test_four_times_the_published_force_gain_settles_on_a_damped_wall(world: World, tmp_path: Path) -> None:
+    run = coupled(world, tmp_path, 4.0 * PUBLISHED_KF, WALLS["2000 N/m"])
+    assert np.ptp(run.wall[-500:]) < 0.1
+    assert run.hand[-500:].mean() == pytest.approx(-run.wall[-500:].mean(), abs=2.5 * UNIT_NM)

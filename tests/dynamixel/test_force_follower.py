@@ -54,9 +54,10 @@ WEIGHT_NM = 0.5 * 9.81 * 0.15
 
 def one_joint(world: World, folder: Path, **given: Any) -> Follower:  # noqa: ANN401  # of joint and driver
     """Return a follower of one joint with the inertia `INERTIA`, which its options state."""
-    loads = {key: given.pop(key) for key in ("coulomb", "viscous", "position_rad") if key in given}
-    known = {key: [value] for key, value in loads.items() if key != "position_rad"}
-    return Follower(world, folder, [joint_servo(INERTIA, **loads)], inertia=[INERTIA], **{**known, **given})
+    loads: dict[str, float] = {key: given.pop(key) for key in ("coulomb", "viscous", "position_rad") if key in given}
+    options: dict[str, Any] = {"inertia": [INERTIA], **given}
+    options |= {key: [value] for key, value in loads.items() if key != "position_rad"}
+    return Follower(world, folder, [joint_servo(INERTIA, **loads)], **options)
 
 
 def first(sample: SlaveSample) -> tuple[float, float, float]:

@@ -58,6 +58,8 @@ def test_a_reset_makes_all_as_at_the_start() -> None:
         (["--stops", "1=0.1:0.1"], "stops = 1=0.1:0.1: 0.1 0.1: must be two angles within 1000 rad"),
         (["--stops", "x=0:1"], "stops = x=0:1: must be ID=A:B or ID=A:B:K"),
         (["--stops", "1=0:1:0"], "stops = 1=0:1:0: 0: stiffness must be above 0 and at most 4100 N m/rad"),
+        (["--stops", "1=0:1:9:-1"], "stops = 1=0:1:9:-1: -1: damping must be 0 to 10000 N m s/rad"),
+        (["--stops", "1=0:1:9:1:1"], "stops = 1=0:1:9:1:1: '1 1': must be 1 finite number"),
         (["--stops", "9=0:1"], "stops = 9=0:1: id 9: must be one of 1, 2, 3"),
     ],
 )

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from haptether.dynamixel import SERVO_MODELS, OperatingMode
 from haptether.dynamixel.control_table import RAD_PER_TICK
-from haptether.dynamixel.emulator import HardwareError, JointSettings, Servo, set_stops
+from haptether.dynamixel.emulator import HardwareError, Joint, JointSettings, Servo, set_stops
 from haptether.dynamixel.emulator.protocol import ErrorNumber
 
 NONE, ACCESS, RANGE = ErrorNumber.NONE, ErrorNumber.ACCESS, ErrorNumber.DATA_RANGE
@@ -161,6 +161,27 @@ def test_a_stop_bears_the_current_of_its_cap(goal: int, stiffness: float | None)
     joint.stops = None
     world.run(1.0)
     assert world.value("Present Position") == pytest.approx(goal, abs=3)
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.2, None])
+def test_a_joint_rebounds_from_a_stop_by_its_damping(ratio: float | None) -> None:
+    model = SERVO_MODELS["XL330-M288"]
+    inertia, stiffness = 1e-3, 2.0
+    joint = Joint(model, JointSettings(inertia=inertia, viscous=0.0, coulomb=0.0))
+    damping = [] if ratio is None else [f"{2.0 * ratio * math.sqrt(inertia * stiffness):.9f}"]
+    set_stops(joint, ["-1", "0", f"{stiffness:g}", *damping])
+    joint.velocity_rad_s = 2.0
+    joint.advance(0.0, None)
+    pushed = 0.0
+    for index in range(1, 200):
+        joint.advance(1e-3 * index + 1e-6, None)
+        pushed += 1e-3 * joint.stop_nm
+    # The implicit step adds w dt / 2 to the ratio.
+    total = (math.sqrt(0.5) if ratio is None else ratio) + 0.5e-3 * math.sqrt(stiffness / inertia)
+    expected = -2.0 * math.exp(-math.pi * total / math.sqrt(1.0 - total**2))
+    assert joint.velocity_rad_s == pytest.approx(expected, abs=0.1)
+    # The torque of the stop is what has turned it around.
+    assert pushed == pytest.approx(inertia * (joint.velocity_rad_s - 2.0), rel=1e-9)
 
 
 def test_what_is_measured_is_that_of_the_last_time_however_it_is_read() -> None:
