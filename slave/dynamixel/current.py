@@ -38,6 +38,9 @@ class CurrentControl:
         self._kinematics = None if arm is None else ArmKinematics(arm)
         self._own: Vector = np.array(options.inertia if arm is None else arm.motor_inertia(options.inertia or None))
         coulomb, viscous = (list(given or nothing) for given in (options.coulomb, options.viscous))
+        if arm is not None and arm.knows_friction and not (options.coulomb or options.viscous):
+            coulomb = [joint.coulomb_nm or 0.0 for joint in arm.joints]
+            viscous = [joint.viscous_nm_s or 0.0 for joint in arm.joints]
         default = 1.0 if arm is not None and arm.knows_masses else 0.0
         self._compensation = JointCompensation(
             gravity=None if self._kinematics is None else self._kinematics.gravity,

@@ -56,11 +56,11 @@ class DynamixelSlaveOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_un
     links are added.
     """
     description: str | None = None
-    """Mode `current`: name or path of a description of the arm, for gravity and inertia of its links."""
+    """Mode `current`: name or path of a description of the arm, for gravity, inertia and friction."""
     gravity_gain: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
     """Mode `current`: compensated fraction of gravity; by default 1 if the masses are known."""
     friction_gain: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.0
-    """Mode `current`: compensated fraction of `coulomb` and `viscous`."""
+    """Mode `current`: compensated fraction of the friction: of `coulomb` and `viscous`, or of the description."""
     friction_speed: Annotated[float, Meta(ge=0.01, le=1.0, extra={"unit": "rad/s"})] = 0.1
     """Mode `current`: speed below which that fraction decreases to 0."""
     joint_bandwidth: Annotated[float, Meta(ge=1.0, le=60.0, extra={"unit": "rad/s"})] = 25.0

@@ -1,7 +1,9 @@
 """Four-channel control in its acceleration form on two arms that take forces: free motion, and contact with walls."""
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import msgspec
@@ -16,6 +18,7 @@ from haptether.dynamixel.emulator import ArmLoad, HeldBy, JointSettings, servos_
 
 pytestmark = pytest.mark.slow
 
+DOCUMENT = Path(__file__).parents[2] / "docs/dynamixel.md"
 Array = npt.NDArray[np.float64]
 KP, KD, OBSERVER = 800.0, 40.0, 50.0
 """Published gains in 1/s^2, 1/s and rad/s."""
@@ -99,68 +102,92 @@ def coupled(
     return Run(*np.array(rows).T)
 
 
+@cache
+def run(kf_share: float, wall: str | None = None, **options: Any) -> Run:  # noqa: ANN401  # of `coupled`
+    """Return a run with a share of the published force gain; by default the wall has no damping."""
+    stiffness = None if wall is None else WALLS[wall]
+    with pytest.MonkeyPatch.context() as patched, TemporaryDirectory() as folder:
+        return coupled(
+            World(patched), Path(folder), kf_share * PUBLISHED_KF, stiffness, **{"wall_damping": 0.0, **options}
+        )
+
+
+def swung(kf_share: float, *, friction: bool = False, gain: float = 0.0) -> Run:
+    """Lead both arms slowly by a stiff hand, as in the tests of a leader alone."""
+    return run(
+        kf_share, hand=(200.0, 2.0), to_rad=1.0, move_s=6.0, rest_s=1.0,
+        friction=friction, friction_gain=gain, friction_speed=0.03,
+    )  # fmt: skip
+
+
 def share_of_gravity(run: Run, *, moving: bool) -> float:
     """Return the root mean square of the hand's torque as a share of that of gravity."""
     felt = run.hand[np.abs(run.speed) > MOVING_RAD_S] if moving else run.hand
     return float(np.sqrt(np.mean(felt**2) / np.mean(run.gravity**2)))
 
 
-def swung(world: World, folder: Path, kf: float, *, friction: bool, gain: float = 0.0) -> Run:
-    """Lead both arms slowly by a stiff hand, as in the tests of a leader alone."""
-    return coupled(
-        world, folder, kf, None, hand=(200.0, 2.0), to_rad=1.0, move_s=6.0, rest_s=1.0,
-        friction=friction, friction_gain=gain, friction_speed=0.03,
-    )  # fmt: skip
+def rows() -> list[str]:
+    """Return the table of the document."""
+    lines = []
+    for kf_share in (SMALL, 1.0, 2.0, 4.0):
+        cells = [
+            f"{kf_share * PUBLISHED_KF * INERTIA:g}",
+            f"{100.0 * share_of_gravity(swung(kf_share), moving=False):.1f} %",
+        ]
+        for wall in WALLS:
+            hand, pressed = run(kf_share, wall).hand[-500:], -run(kf_share, wall).wall[-500:]
+            ripple = np.ptp(pressed)
+            calm = f"{hand.mean():.3f}, {pressed.mean():.3f}, {ripple:.3f}"
+            cells.append(calm if ripple < 0.1 * pressed.mean() else "chatters")
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
 
 
-def test_free_motion_of_both_arms_needs_under_5_percent_of_gravity(world: World, tmp_path: Path) -> None:
+def test_the_document_has_these_figures() -> None:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    for line in rows():
+        assert line in text, line
+
+
+def test_free_motion_of_both_arms_needs_under_5_percent_of_gravity() -> None:
     """Check the effort: 1.8 %."""
-    run = swung(world, tmp_path, PUBLISHED_KF, friction=False)
-    assert 0.005 < share_of_gravity(run, moving=False) < 0.05
-    assert np.abs(run.apart).max() < 0.005
+    free = swung(1.0)
+    assert 0.005 < share_of_gravity(free, moving=False) < 0.05
+    assert np.abs(free.apart).max() < 0.005
 
 
 @pytest.mark.parametrize(("gain", "low", "high"), [(0.9, 0.03, 0.05), (0.0, 0.25, 0.45)])
-def test_friction_is_felt_by_what_is_left_of_it_over_the_force_gain(
-    world: World, tmp_path: Path, gain: float, low: float, high: float
-) -> None:
+def test_friction_is_felt_by_what_is_left_of_it_over_the_force_gain(gain: float, low: float, high: float) -> None:
     """Check the effort while the arms move: 4.7 % with 0.9 of the friction compensated, 35 % without."""
-    run = swung(world, tmp_path, PUBLISHED_KF, friction=True, gain=gain)
-    assert low < share_of_gravity(run, moving=True) < high
+    assert low < share_of_gravity(swung(1.0, friction=True, gain=gain), moving=True) < high
 
 
-def test_a_small_force_gain_makes_the_arms_heavy(world: World, tmp_path: Path) -> None:
+def test_a_small_force_gain_makes_the_arms_heavy() -> None:
     """Check the effort: 12 %, from the felt inertia 1 / K_f of 20 M, and from whole units of current over C."""
-    run = swung(world, tmp_path, SMALL * PUBLISHED_KF, friction=False)
-    assert 0.08 < share_of_gravity(run, moving=True) < 0.16
+    assert 0.08 < share_of_gravity(swung(SMALL), moving=True) < 0.16
 
 
 @pytest.mark.parametrize("wall", WALLS)
-@pytest.mark.parametrize("share", [1.0, SMALL])
-def test_the_hand_feels_the_torque_of_a_wall_without_damping(
-    world: World, tmp_path: Path, wall: str, share: float
-) -> None:
-    run = coupled(world, tmp_path, share * PUBLISHED_KF, WALLS[wall], wall_damping=0.0)
-    hand, pressed = run.hand[-500:], -run.wall[-500:]
+@pytest.mark.parametrize("kf_share", [1.0, SMALL])
+def test_the_hand_feels_the_torque_of_a_wall_without_damping(wall: str, kf_share: float) -> None:
+    pressing = run(kf_share, wall)
+    hand, pressed = pressing.hand[-500:], -pressing.wall[-500:]
     # Two sides, each with a truncated command and a rounded measurement, over 2 C; and the measurements themselves.
-    tolerance = 1.5 * UNIT_NM / (share * PUBLISHED_KF * INERTIA) + UNIT_NM
+    tolerance = 1.5 * UNIT_NM / (kf_share * PUBLISHED_KF * INERTIA) + UNIT_NM
     assert hand.mean() == pytest.approx(pressed.mean(), abs=tolerance)
     # Hand and wall in series: the coupling adds no compliance.
     expected = (0.5 - WALL_RAD) / (1.0 / 5.0 + 1.0 / WALLS[wall])
     assert 0.5 * (hand.mean() + pressed.mean()) == pytest.approx(expected, abs=tolerance)
     assert max(np.ptp(hand), np.ptp(pressed)) < 0.1 * expected
-    assert np.abs(run.apart[-500:]).max() < 0.003
+    assert np.abs(pressing.apart[-500:]).max() < 0.003
 
 
 @pytest.mark.parametrize("wall", WALLS)
-def test_four_times_the_published_force_gain_chatters_on_a_wall_without_damping(
-    world: World, tmp_path: Path, wall: str
-) -> None:
-    run = coupled(world, tmp_path, 4.0 * PUBLISHED_KF, WALLS[wall], wall_damping=0.0)
-    assert np.ptp(run.wall[-500:]) > 0.5
+def test_four_times_the_published_force_gain_chatters_on_a_wall_without_damping(wall: str) -> None:
+    assert np.ptp(run(4.0, wall).wall[-500:]) > 0.5
 
 
-def test_four_times_the_published_force_gain_settles_on_a_damped_wall(world: World, tmp_path: Path) -> None:
-    run = coupled(world, tmp_path, 4.0 * PUBLISHED_KF, WALLS["2000 N/m"])
-    assert np.ptp(run.wall[-500:]) < 0.1
-    assert run.hand[-500:].mean() == pytest.approx(-run.wall[-500:].mean(), abs=2.5 * UNIT_NM)
+def test_four_times_the_published_force_gain_settles_on_a_damped_wall() -> None:
+    damped = run(4.0, "2000 N/m", wall_damping=None)
+    assert np.ptp(damped.wall[-500:]) < 0.1
+    assert damped.hand[-500:].mean() == pytest.approx(-damped.wall[-500:].mean(), abs=2.5 * UNIT_NM)

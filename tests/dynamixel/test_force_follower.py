@@ -14,10 +14,11 @@ from tests.dynamixel.virtual import MODEL, TICK_S, Follower, World, joint_servo
 
 from haptether.dynamixel.control_table import RAD_PER_TICK, RAD_S_PER_UNIT
 from haptether.dynamixel.description import load_arm
-from haptether.dynamixel.emulator import ArmLoad, servos_of, set_stops
+from haptether.dynamixel.emulator import ArmLoad, Servo, servos_of, set_stops
 from haptether.dynamixel.models import SERVO_MODELS
-from haptether.slave import SlaveSample
+from haptether.slave import GripperCommand, SlaveSample
 from haptether.slave.dynamixel.driver import DynamixelSlave
+from haptether.slave.dynamixel.gripper.driver import DynamixelGripper
 from haptether.slave.dynamixel.observer import ReactionForceObserver
 
 UNIT_NM = (SERVO_MODELS[MODEL].current_unit_a or 0.0) * SERVO_MODELS[MODEL].nominal_nm_per_a
@@ -393,6 +394,21 @@ def test_positions_are_followed_in_current_mode_too(world: World, tmp_path: Path
     follower.read()
     follower.driver.write((math.nan,), (0.0,))
     assert "an angle was commanded that is no number" in str(follower.read().fault)
+
+
+def test_a_gripper_on_the_bus_follows_while_the_arm_takes_forces(world: World, tmp_path: Path) -> None:
+    jaws = Servo(SERVO_MODELS["XL330-M288"], 7, baud=4_000_000)
+    gripper = DynamixelGripper(id=7, model="XL330-M288", open_rad=0.0, closed_rad=1.0, lever_m=0.05)
+    follower = Follower(world, tmp_path, [joint_servo(INERTIA), jaws], gripper=gripper, inertia=[INERTIA])
+    set_stops(follower.joint, ["-3", "0.02", "80"])
+    for _ in range(1000):
+        follower.read()
+        gripper.read()
+        follower.driver.write_force((0.3,))
+        gripper.write(GripperCommand(position=0.8, speed=2.0, force_n=2.0))
+    assert gripper.read().position == pytest.approx(0.8, abs=0.02)
+    assert follower.joint.torque_nm == pytest.approx(0.3, abs=UNIT_NM)
+    assert follower.sample.fault is None
 
 
 def test_the_servo_ends_its_current_when_its_host_stands_still(world: World, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from haptether.dynamixel.emulator.protocol import ErrorNumber
 from haptether.dynamixel.models import SERVO_MODELS
 from haptether.slave import SlaveSample
 from haptether.slave.dynamixel.driver import DynamixelSlave
+from haptether.slave.dynamixel.gripper.driver import DynamixelGripper
 
 TICK_S = 0.002
 MODEL = "XM430-W350"
@@ -128,6 +129,7 @@ class Follower:
         folder: Place of the calibration file.
         servos: Emulated servos; the driver knows their torque constants.
         load: Gravity on them.
+        gripper: Driver of a gripper on the last servo, which is no joint.
         low_rad: Lower limit of each joint.
         high_rad: Upper limit of each joint.
         options: Options of the driver.
@@ -135,7 +137,7 @@ class Follower:
 
     def __init__(
         self, world: World, folder: Path, servos: Sequence[Servo], load: ArmLoad | None = None,
-        *, low_rad: float = -3.0, high_rad: float = 3.0, port: str = "virtual",
+        *, gripper: DynamixelGripper | None = None, low_rad: float = -3.0, high_rad: float = 3.0, port: str = "virtual",
         **options: Any,  # noqa: ANN401  # options of the driver
     ) -> None:  # fmt: skip
         self.world, self.servos = world, servos
@@ -146,11 +148,13 @@ class Follower:
                 servo_id=one.id, model=one.model.name, low_rad=low_rad, high_rad=high_rad, cap_a=2.0,
                 torque_constant=one.joint.constant_nm_per_a,
             )
-            for one in servos
+            for one in (servos if gripper is None else servos[:-1])
         )  # fmt: skip
         write_calibration(path, BAUD, settings)
         given = {"mode": "current", "ramp_s": 0.0, "release_s": 0.0, "verify_watchdog": False, **options}
         self.driver = DynamixelSlave(port=port, arm=str(path), **given)
+        if gripper is not None:
+            gripper.attach(self.driver)
         self.driver.open()
         self.sample = self.driver.read()
 
