@@ -92,13 +92,13 @@ class CurrentControl:
     def exerting(self, torque: Vector) -> Vector:
         """Return the currents in A that exert torques in N m on the joints."""
         w, speed = self._bandwidth, np.abs(self._velocity)
-        wanted = np.clip(torque, -self._most, self._most)
-        slow = np.clip((1.0 + FADE - speed / self._max_speed) / FADE, 0.0, 1.0)
+        wanted = np.minimum(np.maximum(torque, -self._most), self._most)
+        slow = np.minimum(np.maximum((1.0 + FADE - speed / self._max_speed) / FADE, 0.0), 1.0)
         wanted = self._room(wanted) * np.where(wanted * self._velocity > 0.0, slow * wanted, wanted)
         # Brake what is too fast, and motion towards a limit that is near.
         braked = np.maximum(speed - self._max_speed, (1.0 - self._room(self._velocity)) * speed)
         wanted -= 2.0 * self._inertia * w * np.copysign(braked, self._velocity)
-        beyond = self._position - np.clip(self._position, self._low, self._high)
+        beyond = self._position - np.minimum(np.maximum(self._position, self._low), self._high)
         return self._currents(wanted - self._inertia * w**2 * beyond)
 
     def holding(self, goal: Vector) -> Vector:
@@ -114,7 +114,7 @@ class CurrentControl:
     def _room(self, direction: Vector) -> Vector:
         """Return the distance to the limit in a direction over the margin, 0 to 1."""
         ahead = np.where(direction > 0.0, self._high - self._position, self._position - self._low)
-        room: Vector = np.clip(ahead / self._margin, 0.0, 1.0)
+        room: Vector = np.minimum(np.maximum(ahead / self._margin, 0.0), 1.0)
         return room
 
     def _currents(self, torque: Vector) -> Vector:
