@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from tests.dynamixel.emulated import emulated_bus
 from tests.live.sides import Never
@@ -26,6 +27,7 @@ MODEL = "XM430-W350"
 WALL_RAD, K_WALL = 0.1, 10.0
 TARGET_RAD, K_HAND, D_HAND = 0.8, 2.0, 0.0
 LASTS_S, LIMIT_S, PATIENCE_S = 8.0, "60", 20.0
+Array = npt.NDArray[np.float64]
 LOAD = JointSettings.of(SERVO_MODELS[MODEL])
 CONSTANT = SERVO_MODELS[MODEL].nominal_nm_per_a
 SCENE = f"""
@@ -111,8 +113,8 @@ torque_constant = {CONSTANT}
 """
 
 
-def over(round_trip_s: float, folder: Path) -> Scene:
-    """Return the scene over a network, with the coupling whose lines `haptether check` shows."""
+def given(round_trip_s: float, folder: Path) -> Scene:
+    """Return the scene over a network."""
     text = SCENE
     for name, content in (("ARM", ARM), ("SERVOS", SERVOS), ("LEADER", ""), ("FOLLOWER", "")):
         text = text.replace(f'"{name}"', f'"{folder / name}"')
@@ -120,32 +122,46 @@ def over(round_trip_s: float, folder: Path) -> Scene:
             (folder / name).write_text(content)
     (folder / "given.toml").write_text(text)
     links = [f"link.{direction}.delay_s={round_trip_s / 2.0}" for direction in ("forward", "backward")]
-    scene = load_scene(folder / "given.toml", links)
+    return load_scene(folder / "given.toml", links)
+
+
+def advised(scene: Scene) -> Scene:
+    """Return the scene with the coupling whose lines `haptether check` shows."""
     (advice,) = (one.text for one in check_scene(scene).findings if one.name == "coupling")
     fields = re.findall(r'(kind|stiffness|damping) = "?([a-z0-9.-]+)', advice)
     assert len(fields) == 3, advice
     return override_scene(scene, [f"coupling.{name}={value}" for name, value in fields])
 
 
-@pytest.mark.parametrize(
-    "round_trip_s",
-    [pytest.param(0.005, marks=pytest.mark.thorough), 0.04, pytest.param(0.2, marks=pytest.mark.thorough)],
-)
-@anew_after_stalls
-def test_the_advised_coupling_holds_contact_with_the_torque_of_virtual_time(
-    round_trip_s: float, tmp_path: Path
-) -> None:
-    scene = over(round_trip_s, tmp_path)
-    key, file, trace, result = (tmp_path / name for name in ("key", "s.toml", "t.npz", "m.json"))
+ACCELERATION_FORM = (
+    "slave.takes_force=true", f"slave.viscous={LOAD.viscous}", "slave.max_force_n=3.0", "slave.bandwidth_hz=4.0",
+    "slave.options.mode=current", f"slave.options.inertia=[{LOAD.inertia}]",
+    f"slave.options.torque_constant=[{CONSTANT}]",
+    "coupling.kind=four-channel", f"coupling.stiffness={800.0 * LOAD.inertia}",
+    f"coupling.damping={40.0 * LOAD.inertia}", "coupling.impedance=0.05",
+    "coupling.environment_gain=0.5", "coupling.grasp_gain=0.5",
+)  # fmt: skip
+"""Kp 800, Kd 40 and Kf = 1 / 2M of both joints."""
+
+
+def pressed(scene: Scene, folder: Path) -> tuple[Array, float, float]:
+    """Press the wall with the pair over the network of a scene.
+
+    Returns:
+        F_v of the last second and F_e of the wall in N m, and the angle in rad of the leader beyond the follower.
+    """
+    assert scene.link is not None
+    assert scene.link.forward is not None
+    key, file, trace, result = (folder / name for name in ("key", "s.toml", "t.npz", "m.json"))
     write_key(key, replace=True)
     save_scene(scene, file)
-    network = SimpleNamespace(delay_s=round_trip_s / 2.0, jitter_s=0.0, loss=0.0, seed=1)
+    network = SimpleNamespace(delay_s=scene.link.forward.delay_s, jitter_s=0.0, loss=0.0, seed=1)
     both = ("--scene", str(file), "--key", str(key), "--force")
     with ExitStack() as stack:
         bus = ("--servos", f"1={MODEL}", "--socket")
-        leader = stack.enter_context(emulated_bus(*bus, str(tmp_path / "LEADER")))
+        leader = stack.enter_context(emulated_bus(*bus, str(folder / "LEADER")))
         wall = ("--stops", f"1=-10:{WALL_RAD}:{K_WALL}")
-        follower = stack.enter_context(emulated_bus(*bus, str(tmp_path / "FOLLOWER"), *wall))
+        follower = stack.enter_context(emulated_bus(*bus, str(folder / "FOLLOWER"), *wall))
         leader.do(f"hand 1 0 {K_HAND} {D_HAND}")
         _, address = slave_behind(network, LIMIT_S, stack, Never(), *both)
         master = stack.enter_context(child_process(
@@ -156,16 +172,47 @@ def test_the_advised_coupling_holds_contact_with_the_torque_of_virtual_time(
         time.sleep(1.0)
         leader.do(f"hand 1 {TARGET_RAD} {K_HAND} {D_HAND} 1.0")
         time.sleep(LASTS_S - 2.0)
-        pressed_nm = K_WALL * (follower.servo(1)["position_rad"] - WALL_RAD)
+        place, place_of_leader = (float(bus.servo(1)["position_rad"]) for bus in (follower, leader))
         assert master.process.wait(PATIENCE_S) == 0, master.said()
     report = json.loads(result.read_text())
     assert (report["final_state"], report["holds"]) == ("engaged", 0)
     with np.load(trace) as arrays:
         late = arrays["time_s"] > arrays["time_s"][-1] - 1.0
-        felt_nm = arrays["rendered_force"][late]
+        felt_nm = np.asarray(arrays["rendered_force"][late])
+    return felt_nm, K_WALL * (place - WALL_RAD), place_of_leader - place
+
+
+@pytest.mark.parametrize(
+    "round_trip_s",
+    [pytest.param(0.005, marks=pytest.mark.thorough), 0.04, pytest.param(0.2, marks=pytest.mark.thorough)],
+)
+@anew_after_stalls
+def test_the_advised_coupling_holds_contact_with_the_torque_of_virtual_time(
+    round_trip_s: float, tmp_path: Path
+) -> None:
+    scene = advised(given(round_trip_s, tmp_path))
+    felt_nm, pressed_nm, _ = pressed(scene, tmp_path)
     expected = simulate(scene).signals
     expected_nm = np.ravel(expected.rendered_force)[expected.time_s > LASTS_S - 1.0]
     # A unit of Present Current is 5 mN m.
     assert np.ptp(felt_nm) < 0.01
     assert felt_nm.mean() == pytest.approx(expected_nm.mean(), rel=0.02)
     assert pressed_nm == pytest.approx(-expected_nm.mean(), rel=0.02)
+
+
+@anew_after_stalls
+def test_a_follower_in_current_mode_is_where_the_leader_is(tmp_path: Path) -> None:
+    """Without dry friction both are at one place; with c of each gear they may stick c / K apart.
+
+    Hand and wall share 0.7 rad / (1/K_h + 1/K_e), within c of each joint.
+    """
+    scene = override_scene(given(0.005, tmp_path), ACCELERATION_FORM)
+    felt_nm, pressed_nm, apart = pressed(scene, tmp_path)
+    assert scene.coupling is not None
+    assert scene.coupling.stiffness is not None
+    assert abs(apart) < LOAD.coulomb / scene.coupling.stiffness
+    shared_nm = (TARGET_RAD - WALL_RAD) / (1.0 / K_HAND + 1.0 / K_WALL)
+    assert felt_nm.mean() == pytest.approx(-shared_nm, abs=LOAD.coulomb)
+    assert pressed_nm == pytest.approx(shared_nm, abs=2.0 * LOAD.coulomb)
+    # F_h and F_e change by M / T with a unit of Present Velocity, 0.024 rad/s, in 0.05 of a second after their filters.
+    assert np.ptp(felt_nm) < 0.2
