@@ -20,7 +20,7 @@ class ReactionForceObserver:
     for that. A standing joint hides up to c of f, as in `JointTorque`, and the value nearest to 0 is reported.
 
     Source: T. Murakami, F. Yu, K. Ohnishi, "Torque sensorless control in multidegree-of-freedom manipulator", IEEE
-    Trans. Industrial Electronics 40(2), 1993, Eq. 12 to 15.
+    Trans. Industrial Electronics 40(2), 1993.
 
     Args:
         bandwidth: g in rad/s.
