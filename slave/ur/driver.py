@@ -2,6 +2,7 @@
 
 import sys
 import time
+from collections.abc import Callable
 from typing import Any, Final
 
 from msgspec.structs import replace
@@ -63,6 +64,11 @@ class UrSlave:
     def kinds(self) -> tuple[str, ...]:
         """Supported kinds of sides."""
         return ("linear", "pose") if self.options.axes == 3 else ("linear",)
+
+    @property
+    def takes_force(self) -> bool:
+        """True if `write_force` moves the arm: in mode direct-torque."""
+        return self.options.mode == "direct-torque"
 
     @property
     def axes(self) -> int:
@@ -204,6 +210,22 @@ class UrSlave:
             orientation: Unit quaternion w, x, y, z of kind "pose"; None for other kinds.
             angular_velocity: w in rad/s of kind "pose", shape `(3,)`; None for other kinds.
         """
+        self._command(lambda motion: motion.send(self._state, position, velocity, orientation, angular_velocity))
+
+    def write_force(self, force: tuple[float, ...], torque: tuple[float, float, float] | None = None) -> None:
+        """Exert a force on what the tool touches, until the next command, within the bounds of the options.
+
+        The same conditions as for `write` apply. A `write` continues from the arm's pose and velocity.
+
+        Args:
+            force: Force in N, shape `(axes,)`.
+            torque: Moment in N m about the tool point in the base frame, of kind "pose"; without it the tool keeps its
+                orientation.
+        """
+        self._command(lambda motion: motion.push(self._state, force, torque))
+
+    def _command(self, send: Callable[[Motion], None]) -> None:
+        """Send a command if the arm may move."""
         if self._recovery is not None:
             self._latch("engaged before the arm was ready: acknowledge again, and wait for the line that says so")
         if self._fault is not None or not self._watchdog.armed or self._motion is None:
@@ -218,7 +240,7 @@ class UrSlave:
             return
         self._waiting = 0
         try:
-            self._motion.send(self._state, position, velocity, orientation, angular_velocity)
+            send(self._motion)
         except MotionError as error:
             self._latch(str(error))
 

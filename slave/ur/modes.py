@@ -7,6 +7,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from haptether.slave.ur.connection import Control, Order
+from haptether.slave.ur.forces import ToolForces
 from haptether.slave.ur.kinematics.pose import (
     Array,
     Quaternion,
@@ -26,7 +27,6 @@ from haptether.slave.ur.stop import joint_deceleration, tool_deceleration
 if TYPE_CHECKING:
     from haptether.slave.ur.kinematics.arm import UrKinematics
     from haptether.slave.ur.kinematics.chain import UrCalibration
-    from haptether.slave.ur.kinematics.models import UrModel
 
 ROTATION_SPEED: Final = 0.5
 """Largest angular speed in rad/s that keeps the initial orientation under speedl."""
@@ -263,23 +263,38 @@ class DirectTorque:
 
     The controller compensates gravity and friction. The arm yields to a force. The joint angles include the set
     orientation, so these springs also act on the rotation, `J^-T K J^-1` at the tool, without a second spring.
+
+    The mode also takes forces, see `ToolForces`.
     """
 
     name = "directTorque"
     goes_on = True
     finds_joints = True
 
-    def __init__(self, options: UrOptions, joints: "JointTracking", model: "UrModel") -> None:
+    def __init__(self, options: UrOptions, joints: "JointTracking") -> None:
+        model = joints.kinematics.model
         shares = np.array((1.0, 1.0, 1.0, WRIST_SHARE, WRIST_SHARE, WRIST_SHARE))
         self._stiffness = options.joint_stiffness * shares
         self._damping = options.joint_damping * shares
         self._max_torque = options.torque_share * np.array(model.max_torque)
         self._options = options
         self.joints: JointTracking = joints
+        max_speed = SPRUNG_SPEED_SHARE * np.array(model.max_speed)
+        self.forces = ToolForces(options, joints, self._stiffness, self._max_torque, max_speed)
 
     def begin(self, state: UrState) -> None:
         """See `Mode`."""
         self.joints.begin(state)
+
+    def resume(self, state: UrState) -> None:
+        """Start a motion at the arm's pose and velocity."""
+        self.joints.begin(state)
+        self.joints.qd = np.array(state.qd)
+
+    def push(self, force: Three, moment: Three | None, state: UrState) -> Order:
+        """Return the order that exerts a force in N and a moment in N m, see `ToolForces.torque`."""
+        torque = self.forces.torque(force, moment, state)
+        return lambda control: bool(control.directTorque(torque))
 
     def order(
         self, position: Three, velocity: Three, state: UrState, elapsed_s: float, attitude: Attitude | None = None
@@ -352,7 +367,7 @@ class JointTracking:
         self.max_speed = np.array(speeds)
         """Largest joint speeds in rad/s."""
         self.q, self.qd = np.zeros(6), np.zeros(6)
-        self._kinematics = kinematics
+        self.kinematics = kinematics
         self._streaming = UrStreaming(kinematics, limits, period_s=period_s)
         self._posed = self._streaming
         if options.axes == 3:
@@ -387,7 +402,7 @@ class JointTracking:
 
     def begin(self, state: UrState) -> None:
         """Start a motion at the arm's pose."""
-        transform = self._kinematics.forward(state.q)
+        transform = self.kinematics.forward(state.q)
         self._rotation = np.array(transform[:3, :3])
         self._model_turn = matrix_from_rotvec(state.pose[3:]).T @ self._rotation
         self.offset = transform[:3, 3] - np.array(state.pose[:3])
@@ -401,7 +416,7 @@ class JointTracking:
 
     def tool(self) -> tuple[Three, Quaternion, list[float]]:
         """Return position in m, orientation, and twist in m/s and rad/s of the tool at these angles."""
-        transform, jacobian = self._kinematics.forward_and_jacobian(self.q)
+        transform, jacobian = self.kinematics.forward_and_jacobian(self.q)
         orientation = quat_wxyz_from_matrix(transform[:3, :3] @ self._model_turn.T)
         x, y, z = (transform[:3, 3] - self.offset).tolist()
         return (x, y, z), orientation, (jacobian @ self.qd).tolist()
@@ -417,7 +432,7 @@ class JointTracking:
         streaming = self._streaming if attitude is None else self._posed
         away_rad = 0.0
         for _ in range(max(1, round(elapsed_s / self._period_s))):
-            transform = self._kinematics.forward(self.q)
+            transform = self.kinematics.forward(self.q)
             tool = transform[:3, 3]
             # Relative to the target one period ago; otherwise the joints would lead by v times a period.
             behind = target - tool - feed_forward * self._period_s
@@ -442,15 +457,19 @@ class JointTracking:
             message = f"the tool cannot follow: {behind_text} behind {_text(position)} m: {why}"
             raise UnreachableError(message)
 
+    def distances(self, q: Numbers) -> tuple[Array, Array]:
+        """Return distances of planes and links in m, (n,), and their gradients, (n, 6), see `UrStreaming`."""
+        return self._streaming.distances(q)
+
     @property
     def singular(self) -> bool:
         """True if the arm is too close to a singularity for the controller to invert a twist."""
-        return self._kinematics.manipulability(self.q) < MIN_TWIST_MANIPULABILITY * self._manipulability_unit
+        return self.kinematics.manipulability(self.q) < MIN_TWIST_MANIPULABILITY * self._manipulability_unit
 
     def _slow_before_singularity(self) -> None:
         """Reduce joint velocities that would approach a singularity too fast."""
-        now, least = self._kinematics.manipulability(self.q), MIN_MANIPULABILITY * self._manipulability_unit
-        lost = now - self._kinematics.manipulability(self.q + self.qd * self._period_s)
+        now, least = self.kinematics.manipulability(self.q), MIN_MANIPULABILITY * self._manipulability_unit
+        lost = now - self.kinematics.manipulability(self.q + self.qd * self._period_s)
         allowed = max(0.0, now - least) * APPROACH_HZ * self._period_s
         self._slowed = SINGULAR if lost > allowed else ""
         if lost > allowed:
@@ -496,7 +515,7 @@ def ur_mode(options: UrOptions, period_s: float, tool: Numbers, calibration: "Ur
         return ServoL(options, period_s, joints)
     if options.mode == "speedl":
         return SpeedL(options, period_s, joints)
-    return DirectTorque(options, joints, model)
+    return DirectTorque(options, joints)
 
 
 def _limited(vector: list[float], limit: float) -> list[float]:

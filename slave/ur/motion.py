@@ -11,7 +11,7 @@ import numpy as np
 from haptether.slave.ur.checks import MODEL_M
 from haptether.slave.ur.connection import RtdeConnection
 from haptether.slave.ur.kinematics.pose import finite, quat_wxyz_from_rotvec, turn_between, unit_quaternion
-from haptether.slave.ur.modes import Mode, UnreachableError, model_distance
+from haptether.slave.ur.modes import DirectTorque, Mode, UnreachableError, model_distance
 from haptether.slave.ur.options import Three, UrOptions
 from haptether.slave.ur.set_point import ORIGIN, Attitude, OrientationSetPoint, SetPoint
 from haptether.slave.ur.state import UrState
@@ -67,6 +67,8 @@ class Motion:
         )
         self._turns = False
         """True if an orientation was commanded since the start of motion; otherwise the initial one is kept."""
+        self._pushes = False
+        """True if the last command was a force."""
         self._goal = self.turning.attitude
         self._wrist = 0.0
         """Sine of joint 5 on its last side of the singularity."""
@@ -97,14 +99,14 @@ class Motion:
         stop.update()
         if not stop.ready:
             return
-        target = placed(self._options, position, self.point.position if stop.commanded else _three(state.pose))
+        goes_on = stop.commanded and not self._pushes
+        target = placed(self._options, position, self.point.position if goes_on else _three(state.pose))
         if not stop.commanded:
             self._begin(state, target, commanded)
-        elif stop.phase is Phase.PAUSED:
-            # Continue from rest at full speed.
-            self._at_rest(state)
-            stop.begin()
-            self._written_s = now_s - self._period_s
+        elif self._pushes:
+            self._take_over(state, commanded)
+        if stop.phase is Phase.PAUSED:
+            self._resume(state, now_s)
         elapsed_s = min(max(now_s - self._written_s, 0.25 * self._period_s), MAX_PERIODS * self._period_s)
         self._written_s = now_s
         point, mode = self.point, self.mode
@@ -120,6 +122,39 @@ class Motion:
         self._connection.stream(mode.name, order, idle)
         self.latency.add(now_s, along(self._options, target), along(self._options, state.pose))
 
+    def push(self, state: UrState, force: tuple[float, ...], torque: tuple[float, ...] | None = None) -> None:
+        """Exert a force in N, along the scene axes, and a moment in N m about the tool point in the base frame.
+
+        No effect while the arm comes to rest. Without a moment the tool keeps its orientation, and along one axis its
+        place in the other two directions: those of the last motion, or of the arm at rest.
+
+        Raises:
+            MotionError: The mode takes no forces, the force is invalid, the arm must not move from its pose, or it is
+                pushed too far from a direction that it keeps.
+        """
+        mode = self.mode
+        if not isinstance(mode, DirectTorque):
+            message = f"commanded a force: mode = '{self._options.mode}' takes positions: direct-torque takes both"
+            raise MotionError(message)
+        along_base, moment = _wrench(self._options, force, torque)
+        now_s = time.monotonic()
+        stop = self._soft_stop
+        stop.update()
+        if not stop.ready:
+            return
+        if not stop.commanded:
+            self._check_place(state)
+            self._at_rest(state)
+            self._start()
+        elif stop.phase is Phase.PAUSED:
+            self._resume(state, now_s)
+        if not self._pushes:
+            mode.forces.hold(self.point.position, self.turning.attitude.orientation)
+        self._pushes, self._written_s = True, now_s
+        order = mode.push(along_base, moment, state)
+        self._check_held(mode)
+        self._connection.stream(mode.name, order, stop.after_silence(mode.brake(state)))
+
     def outside(self, state: UrState) -> float:
         """Return the distance of the tool beyond the workspace in m; 0 inside."""
         return self.point.outside(_three(state.pose))
@@ -133,6 +168,9 @@ class Motion:
         self._at_rest(state)
         for attitude in (None, self.turning.attitude)[: 2 if self._options.axes == 3 else 1]:
             self.mode.order(self.point.position, self.point.velocity, state, self._period_s, attitude)
+        if isinstance(self.mode, DirectTorque):
+            self.mode.forces.hold(self.point.position, self.turning.attitude.orientation)
+            self.mode.push(ORIGIN, None, state)
 
     def _turn(self, commanded: Attitude | None, elapsed_s: float) -> Attitude | None:
         """Return the set orientation; None to keep the initial one."""
@@ -154,32 +192,64 @@ class Motion:
                 " acknowledge and engage anew"
             )
             raise MotionError(message)
+        self._check_place(state)
+        self._turns = commanded is not None
+        self._at_rest(state)
+        if commanded is not None:
+            self._check_poses()
+            self._check_turn(commanded)
+        self._start()
+
+    def _start(self) -> None:
+        """Start from rest."""
+        self._soft_stop.begin()
+        self.latency.clear()
+        self._written_s = time.monotonic() - self._period_s
+
+    def _resume(self, state: UrState, now_s: float) -> None:
+        """Continue from rest after a pause, at full speed."""
+        self._at_rest(state)
+        self._soft_stop.begin()
+        self._written_s = now_s - self._period_s
+
+    def _take_over(self, state: UrState, commanded: Attitude | None) -> None:
+        """Continue a motion that forces have made, from the arm's pose and velocity."""
+        assert isinstance(self.mode, DirectTorque)
+        self._turns = commanded is not None
+        if commanded is not None:
+            self._check_poses()
+        self._at_rest(state)
+        self.point.begin(_three(state.pose), _three(state.speed))
+        self.turning.begin(quat_wxyz_from_rotvec(state.pose[3:]), _three(state.speed[3:]))
+        self.mode.resume(state)
+        self.latency.clear()
+
+    def _check_place(self, state: UrState) -> None:
+        """Check that the arm may move from its pose."""
+        max_m = self._options.max_jump
         if (beyond_m := self.outside(state)) > max_m:
             message = f"the tool is {1e3 * beyond_m:.1f} mm outside its workspace: move it inside, then acknowledge"
             raise MotionError(message)
         if (beyond_rad := self.tilted(state)) > self._options.max_turn:
             message = f"the tool is tilted {beyond_rad:.3f} rad beyond tool_cone: turn it back, then acknowledge"
             raise MotionError(message)
-        self._turns = commanded is not None
-        self._at_rest(state)
-        if commanded is not None:
-            self._check_turn(commanded)
-        self._soft_stop.begin()
-        self.latency.clear()
-        self._written_s = time.monotonic() - self._period_s
 
     def _check_turn(self, commanded: Attitude) -> None:
-        """Check that a motion with poses may start from rest here."""
+        """Check that a turn may start from rest here."""
         options = self._options
-        if options.axes != 3:
-            message = "commanded an orientation along one axis: axes = 3 in the options takes poses, acknowledge then"
-            raise MotionError(message)
         away_rad = math.hypot(*turn_between(self.turning.attitude.orientation, commanded.orientation))
         if away_rad > options.max_turn:
             message = (
                 f"commanded to begin {away_rad:.3f} rad away from the tool's orientation (max_turn"
                 f" {options.max_turn:g} rad): acknowledge and engage anew"
             )
+            raise MotionError(message)
+
+    def _check_poses(self) -> None:
+        """Check that this arm can turn its tool."""
+        options = self._options
+        if options.axes != 3:
+            message = "commanded an orientation along one axis: axes = 3 in the options takes poses, acknowledge then"
             raise MotionError(message)
         distance_m = model_distance(self.mode)
         if distance_m is not None and distance_m > MODEL_M:
@@ -194,6 +264,7 @@ class Motion:
         self.point.begin(_three(state.pose))
         self.turning.begin(quat_wxyz_from_rotvec(state.pose[3:]))
         self._goal = self.turning.attitude
+        self._pushes = False
         self._wrist = math.sin(state.q[4])
         self.mode.begin(state)
 
@@ -208,6 +279,17 @@ class Motion:
             raise MotionError(message)
         if self._turns:
             self._check_turns(state)
+
+    def _check_held(self, mode: DirectTorque) -> None:
+        """Limit the deviation from a held direction, because the arm corrects it as soon as it can."""
+        away_m, away_rad = mode.forces.away_m, mode.forces.away_rad
+        if away_m > self._max_behind_m or away_rad > self._max_behind_rad:
+            message = (
+                f"the arm is pushed off its place: {1e3 * away_m:.0f} mm beside its line (allowed"
+                f" {1e3 * self._max_behind_m:.0f} mm), turned by {away_rad:.2f} rad (allowed"
+                f" {self._max_behind_rad:.2f} rad): see what pushes it, then acknowledge"
+            )
+            raise MotionError(message)
 
     def _check_turns(self, state: UrState) -> None:
         """Limit the orientation lag, and detect a turned wrist."""
@@ -250,6 +332,22 @@ def _attitude(orientation: tuple[float, ...], angular_velocity: tuple[float, ...
         message = f"commanded {error}: see the master, then acknowledge"
         raise MotionError(message) from None
     return Attitude(unit, (x, y, z))
+
+
+def _wrench(
+    options: UrOptions, force: tuple[float, ...], torque: tuple[float, ...] | None
+) -> tuple[Three, Three | None]:
+    """Return the checked force and moment in the base frame."""
+    try:
+        numbers = finite("force", force, options.axes)
+        moment = None if torque is None else finite("torque", torque, 3)
+    except ValueError as error:
+        message = f"commanded {error}: see the master, then acknowledge"
+        raise MotionError(message) from None
+    if moment is not None and options.axes != 3:
+        message = "commanded a torque along one axis: axes = 3 in the options takes poses, acknowledge then"
+        raise MotionError(message)
+    return placed(options, tuple(numbers), ORIGIN), None if moment is None else _three(tuple(moment))
 
 
 class Latency:

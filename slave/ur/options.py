@@ -54,6 +54,10 @@ class UrOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     """direct-torque: damping of the three large joints in N m s/rad; the wrists have a fifth."""
     torque_share: Annotated[float, Meta(gt=0.0, le=0.8)] = 0.3
     """direct-torque: largest commanded fraction of each joint's torque."""
+    max_force: Annotated[float, Meta(gt=0.0, le=300.0, extra={"unit": "N"})] = 50.0
+    """direct-torque: largest commanded force in N."""
+    max_torque: Annotated[float, Meta(gt=0.0, le=100.0, extra={"unit": "N m"})] = 5.0
+    """direct-torque: largest commanded moment about the tool point in N m."""
     payload_kg: Annotated[float, Meta(ge=0.0, le=50.0, extra={"unit": "kg"})] | None = None
     """Mass of everything on the flange; by default as set on the pendant."""
     payload_cog: Three | None = None

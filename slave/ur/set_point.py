@@ -52,9 +52,9 @@ class SetPoint:
         self.velocity: Three = ORIGIN
         """m/s."""
 
-    def begin(self, position: Three) -> None:
-        """Start at rest."""
-        self.position, self.velocity = position, ORIGIN
+    def begin(self, position: Three, velocity: Three = ORIGIN) -> None:
+        """Start at a position with a velocity."""
+        self.position, self.velocity = position, velocity
 
     def outside(self, position: Three) -> float:
         """Return the distance of a point beyond the workspace in m; 0 inside."""
@@ -68,8 +68,8 @@ class SetPoint:
         error = _minus(_minus(target, _scaled(target_velocity, elapsed_s)), self.position)
         distance = math.hypot(*error)
         towards = _scaled(error, closing_speed(distance, limit, settle) / distance) if distance > 0.0 else ORIGIN
-        wanted = _shortened(_plus(target_velocity, towards), self._max_speed)
-        change = _shortened(_minus(wanted, self.velocity), limit * elapsed_s)
+        wanted = shortened(_plus(target_velocity, towards), self._max_speed)
+        change = shortened(_minus(wanted, self.velocity), limit * elapsed_s)
         velocity = _plus(self.velocity, change)
         # Mean of old and new velocity: exact for constant acceleration.
         moved = _plus(self.position, _scaled(_plus(self.velocity, velocity), 0.5 * elapsed_s))
@@ -136,9 +136,9 @@ class OrientationSetPoint:
             self._max_axis_speed = math.sqrt(0.5 * max_acceleration * math.tan(cone.half_angle))
         self.attitude = AT_REST
 
-    def begin(self, orientation: Quaternion) -> None:
-        """Start at rest."""
-        self.attitude = Attitude(orientation, ORIGIN)
+    def begin(self, orientation: Quaternion, angular_velocity: Three = ORIGIN) -> None:
+        """Start at an orientation with a rate."""
+        self.attitude = Attitude(orientation, angular_velocity)
         if self._cone is not None:
             self._max_tilt = max(self._cone.half_angle, self._cone.tilt(orientation)[0])
 
@@ -155,9 +155,9 @@ class OrientationSetPoint:
         distance = math.hypot(*error)
         closing = closing_speed(distance, self._max_acceleration, self._settle)
         towards = _scaled(error, closing / distance) if distance > 0.0 else ORIGIN
-        wanted = _shortened(_plus(goal_velocity, towards), self._max_speed)
+        wanted = shortened(_plus(goal_velocity, towards), self._max_speed)
         if self._cone is None:
-            change = _shortened(_minus(wanted, velocity), limit)
+            change = shortened(_minus(wanted, velocity), limit)
         else:
             change = self._braked(self._cone, wanted, limit)
         after = _plus(velocity, change)
@@ -181,8 +181,8 @@ class OrientationSetPoint:
         orientation, velocity = self.attitude
         axis = tool_axis(orientation)
         about = _scaled(axis, _dot(wanted, axis))
-        wanted = _plus(about, _shortened(_minus(wanted, about), self._max_axis_speed))
-        change = _shortened(_minus(wanted, velocity), limit)
+        wanted = _plus(about, shortened(_minus(wanted, about), self._max_axis_speed))
+        change = shortened(_minus(wanted, velocity), limit)
         tilt, outward = cone.tilt(orientation)
         allowed = closing_speed(max(0.0, self._max_tilt - tilt), 0.5 * self._max_acceleration, self._settle)
         room, along = allowed - _dot(velocity, outward), _dot(change, outward)
@@ -190,7 +190,7 @@ class OrientationSetPoint:
             return change
         room = max(room, -limit)
         across = _minus(change, _scaled(outward, along))
-        return _plus(_scaled(outward, room), _shortened(across, math.sqrt(limit * limit - room * room)))
+        return _plus(_scaled(outward, room), shortened(across, math.sqrt(limit * limit - room * room)))
 
     def _kept(self, orientation: Quaternion) -> Quaternion:
         """Project onto the edge a step beyond it, which is smaller than the curvature of the axis path per step."""
@@ -226,6 +226,7 @@ def _scaled(a: Three, by: float) -> Three:
     return a[0] * by, a[1] * by, a[2] * by
 
 
-def _shortened(a: Three, limit: float) -> Three:
+def shortened(a: Three, limit: float) -> Three:
+    """Return a vector with its length limited."""
     length = math.hypot(*a)
     return _scaled(a, limit / length) if length > limit else a

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from haptether.slave.ur_emulator.server import Server
 
 MAX_FORCE_N: Final = 10_000.0
+MAX_CLAMP: Final = 1000.0
+"""Largest stiffness in N m/rad, and damping in N m s/rad, of a clamp."""
 MAX_START_UP_S: Final = 60.0
 SHOWN_LINES: Final = 20
 """Lines of the log if no number is given."""
@@ -53,6 +55,7 @@ class ControlLine(CommandLine):
                 "reset": self._reset,
                 "forget-lateness": lambda _a, _t: self._process.reset_lateness() if self._process else None,
                 "push": self._push,
+                "clamp": self._clamp,
                 "engage": lambda _a, _t: self._environment.engage(),
                 "anchor": lambda _a, _t: self._environment.anchor(self._controller.robot.measured.pose[:3]),
                 "protective-stop": self._protective_stop,
@@ -130,6 +133,14 @@ class ControlLine(CommandLine):
             refuse(f"force {arguments[0]}: must be one or three numbers of at most {MAX_FORCE_N:g} N")
         duration_s = _positive(arguments[1:], math.inf)
         self._environment.push((force[0], force[1], force[2]), duration_s)
+
+    def _clamp(self, arguments: list[str], _now_s: float) -> None:
+        if not 1 <= len(arguments) <= 2:
+            refuse("must be a stiffness in N m/rad, and a damping in N m s/rad")
+        given = numbers(arguments, len(arguments))
+        if not all(0.0 <= number <= MAX_CLAMP for number in given):
+            refuse(f"{' '.join(arguments)}: must be between 0 and {MAX_CLAMP:g}")
+        self._environment.clamp(*given)
 
     def _protective_stop(self, arguments: list[str], _now_s: float) -> None:
         self._controller.safety.protective_stop(" ".join(arguments) or "on command", self._controller.now_s)

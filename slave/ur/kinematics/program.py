@@ -114,6 +114,7 @@ class BoundedProgram:
             self.speed_limit = SpeedLimit(limits.max_tool_speed, memory[7].reshape(3, 6), memory[8].reshape(6, 6))
         self._normals = np.array([normal for _, normal, _ in distances]).reshape(n, 3)
         self._distances, self._free = memory[5], memory[6]
+        self._floors = np.zeros(n)
         self._slack, self._spare, self._nearest, self._need = self.function.numbers[-4:]
         self._certificate = np.zeros(14)
         """Certificate per kind: joint angles, and distance there."""
@@ -131,7 +132,13 @@ class BoundedProgram:
         floors = self._normals @ offset
         self.function.keep(0, floors)
         self.function.all(q, np.zeros(6), np.zeros(6))
-        self.function.keep(0, np.minimum(floors, self._distances))
+        self._floors = np.minimum(floors, self._distances)
+        self.function.keep(0, self._floors)
+
+    @property
+    def left(self) -> Array:
+        """Distances of the last call above their floors in m, (n,)."""
+        return self._distances - self._floors
 
     def certify(self, seen: "BoundedProgram", q: Numbers, kind: int) -> bool:
         """Store a distance certificate; return True if the distance is more than twice the need of one period.

@@ -11,13 +11,18 @@ methods", 2004, for the cost; O. Kanoun, F. Lamiraux, P.-B. Wieber, "Kinematic C
 Trans. Robotics 27(4), 2011, for inequalities in it.
 """
 
+from typing import Final
+
 import numpy as np
 
 from haptether.slave.ur.kinematics.arm import UrKinematics
 from haptether.slave.ur.kinematics.constraints import StreamingCost, StreamingLimits
+from haptether.slave.ur.kinematics.models import Six
 from haptether.slave.ur.kinematics.pose import Array, Numbers
 from haptether.slave.ur.kinematics.program import ITSELF, PLANES, BoundedProgram
 from haptether.slave.ur.kinematics.quadratic import UNBOUNDED, QuadraticProgram, QuadraticSolver
+
+STANDING: Final[Six] = (0.0,) * 6
 
 
 class UrStreaming:
@@ -118,6 +123,17 @@ class UrStreaming:
         for program in (self._near, self._far, self._free):
             if program is not None:
                 program.begin(q, np.array(offset, dtype=np.float64))
+
+    def distances(self, q: Numbers) -> tuple[Array, Array]:
+        """Return the kept distances in m, (n,), and their gradients in m/rad, (n, 6), at joint angles in rad, (6,).
+
+        The gradients are the same memory at every call.
+
+        Raises:
+            ValueError: A value is not finite.
+        """
+        self._near.function.all(q, STANDING, STANDING)
+        return self._near.left, self._near.quadratic.rows
 
     def velocity(self, q: Numbers, qd: Numbers, twist: Numbers) -> Array:
         """Return joint velocities for the next period, (6,), rad/s.

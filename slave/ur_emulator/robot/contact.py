@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from haptether._core import ForceSensor
-from haptether.slave.ur.kinematics.pose import Vector
+from haptether.slave.ur.kinematics.pose import Vector, rotvec_from_matrix
 from haptether.slave.ur_emulator.robot.kinematics import Array, Six, Three
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ TORQUE_SHARE: Final = 0.1
 
 
 class ToolEnvironment:
-    """Forces on the tool: a scene around it, at rest until `engage`, and pushes on command.
+    """Forces on the tool: a scene around it, at rest until `engage`, pushes and a clamp on command.
 
     The scene's axes are those of the base. The tool position at `anchor` is the start of the scene's arm. Before
     `engage` the scene's time stands still and its pushers do not push.
@@ -33,6 +33,10 @@ class ToolEnvironment:
         self._engaged_at_s = math.inf
         self._push: Vector = (0.0, 0.0, 0.0)
         self._push_until_s = -math.inf
+        self._clamp = (0.0, 0.0)
+        """Stiffness in N m/rad and damping in N m s/rad of the clamp."""
+        self._clamped: Array | None = None
+        """Orientation at which the clamp is at rest; None until it is known."""
         self._now_s = 0.0
 
     @property
@@ -54,6 +58,7 @@ class ToolEnvironment:
         self._origin = None
         self._engaged_at_s = math.inf
         self._push_until_s = -math.inf
+        self.clamp(0.0)
 
     def anchor(self, position: Sequence[float]) -> None:
         """Anchor the scene: its arm starts at this position in m, in the base frame."""
@@ -63,6 +68,26 @@ class ToolEnvironment:
     def push(self, force: Vector, duration_s: float) -> None:
         """Add a force in N on the tool for a time; it replaces the previous push."""
         self._push, self._push_until_s = force, self._now_s + duration_s
+
+    def clamp(self, stiffness: float, damping: float = 0.0) -> None:
+        """Hold the tool's present orientation by a spring in N m/rad and a damper in N m s/rad; 0 N m/rad ends it."""
+        self._clamp, self._clamped = (stiffness, damping), None
+
+    def moment(self, rotation: Array, angular_velocity: Sequence[float]) -> Vector:
+        """Return the clamp's moment in N m about the tool point, in the base frame: `k log(R_0 R') - d w`.
+
+        Args:
+            rotation: base_from_tool, (3, 3).
+            angular_velocity: In rad/s, (3,).
+        """
+        stiffness, damping = self._clamp
+        if stiffness == 0.0:
+            return 0.0, 0.0, 0.0
+        if self._clamped is None:
+            self._clamped = rotation.copy()
+        turned = rotvec_from_matrix(self._clamped @ rotation.T)
+        x, y, z = (stiffness * a - damping * w for a, w in zip(turned, angular_velocity, strict=True))
+        return x, y, z
 
     def force(self, time_s: float, position: Sequence[float], velocity: Sequence[float]) -> Vector:
         """Return the force in N on the tool, in the base frame."""

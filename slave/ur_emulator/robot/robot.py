@@ -242,7 +242,8 @@ class Robot:
         # The kinematics reuse their memory in the next call.
         velocity = six(jacobian @ np.array(qd))
         pose = six(pose_from_transform(tool))
-        force = (*self.touch.force(time_s, pose[:3], velocity[:3]), 0.0, 0.0, 0.0)
+        touch = self.touch
+        force = (*touch.force(time_s, pose[:3], velocity[:3]), *touch.moment(tool[:3, :3], velocity[3:]))
         torque = six(jacobian.T @ np.array(force))
         return Measured(q, qd, tool, pose, velocity, force, self.sensing.sample(force), torque)
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from haptether.bridge import load_scene, scene_json
 from haptether.slave import ForceSensor, SceneTouch
@@ -141,3 +142,19 @@ def test_pushes_add_to_the_scene_and_end() -> None:
     around.push((1.0, 2.0, 3.0), 0.5)
     assert around.force(1.4, (-0.015, 0.0, 0.0), REST) == pytest.approx((3.0, 2.0, 3.0))
     assert around.force(1.5, (-0.015, 0.0, 0.0), REST) == pytest.approx((2.0, 0.0, 0.0))
+
+
+def test_a_clamp_turns_the_tool_back_until_it_ends() -> None:
+    around = ToolEnvironment()
+    begin = Rotation.from_rotvec((0.3, -2.0, 0.5))
+    assert around.moment(begin.as_matrix(), REST) == (0.0, 0.0, 0.0)
+    around.clamp(20.0, 2.0)
+    assert around.moment(begin.as_matrix(), REST) == pytest.approx(REST, abs=1e-12)
+    turned = (Rotation.from_rotvec((0.0, 0.1, -0.2)) * begin).as_matrix()
+    # -20 N m/rad times the turn, and -2 N m s/rad times the rate, both in the base frame.
+    assert around.moment(turned, (1.0, 0.0, 0.0)) == pytest.approx((-2.0, -2.0, 4.0))
+    # It holds another orientation from then on, and none after a reset.
+    around.clamp(20.0)
+    assert around.moment(turned, (1.0, 0.0, 0.0)) == pytest.approx(REST, abs=1e-12)
+    around.reset()
+    assert around.moment(begin.as_matrix(), REST) == (0.0, 0.0, 0.0)
