@@ -249,6 +249,15 @@ def test_a_force_makes_the_tool_no_faster_than_its_limit(monkeypatch: pytest.Mon
     driven.driver.close()
 
 
+def test_a_moment_turns_the_tool_no_faster_than_its_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    driven = WorldDriven(monkeypatch, free(), axes=3, max_angular_speed=0.4)
+    samples = driven.run(1.0, driven.push(*AT_REST, torque=(0.0, 0.0, 2.0)))
+    speeds = np.array([sample.angular_velocity for sample in samples])
+    assert np.linalg.norm(speeds, axis=1).max() < 0.4 * 1.03
+    assert speeds[-1, 2] > 0.3
+    driven.driver.close()
+
+
 def test_a_faster_tool_is_damped(monkeypatch: pytest.MonkeyPatch) -> None:
     driven = WorldDriven(monkeypatch, free(), max_speed=0.05)
     driven.run(0.1, driven.push(0.0))

@@ -258,6 +258,23 @@ def test_direct_torque_turns_a_joint_against_its_friction() -> None:
     assert old.playing
 
 
+def test_a_stiff_wall_gives_an_arm_under_direct_torque_no_energy() -> None:
+    contact = "contact = { stiffness = 50000, damping = 0 }"
+    objects = f"environment.objects=[{{ shape = {{ kind = 'plane' }}, {contact} }}]"
+    world = World("5.26", scene="remote_push", overrides=[objects, "environment.pushers=[]", "slave.position=0"])
+    _, jacobian = world.controller.robot.arm.transform_and_jacobian(START)
+    torque = (-10.0 * jacobian[0]).tolist()
+    forces = []
+    for _ in range(1000):
+        world.realtime(66, [*torque, *(0.0,) * 12])
+        world.cycles(1)
+        forces.append(world.vector("actual_TCP_force")[0])
+    first, last = max(forces[:250]), max(forces[750:])
+    # A constant force on an undamped spring swings to twice the force; friction of b/I = 0.8 /s is all that damps it.
+    assert 19.0 < first < 20.0
+    assert 10.0 + (first - 10.0) * math.exp(-0.5 * 0.8 * 2.0) * 0.9 < last < 17.0
+
+
 def test_a_sensor_of_the_client_can_take_the_place_of_the_flange(world: World) -> None:
     world.controller.inputs.write({"external_force_torque": (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)})
     world.cycles(2)
