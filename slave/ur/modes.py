@@ -287,9 +287,8 @@ class DirectTorque:
         self.joints.begin(state)
 
     def resume(self, state: UrState) -> None:
-        """Start a motion at the arm's pose and velocity."""
-        self.joints.begin(state)
-        self.joints.qd = np.array(state.qd)
+        """Continue a motion at the arm's pose and velocity."""
+        self.joints.resume(state)
 
     def push(self, force: Three, moment: Three | None, state: UrState) -> Order:
         """Return the order that exerts a force in N and a moment in N m, see `ToolForces.torque`."""
@@ -402,16 +401,21 @@ class JointTracking:
 
     def begin(self, state: UrState) -> None:
         """Start a motion at the arm's pose."""
-        transform = self.kinematics.forward(state.q)
-        self._rotation = np.array(transform[:3, :3])
-        self._model_turn = matrix_from_rotvec(state.pose[3:]).T @ self._rotation
-        self.offset = transform[:3, 3] - np.array(state.pose[:3])
-        self.q, self.qd = np.array(state.q), np.zeros(6)
+        self.resume(state)
+        self.qd = np.zeros(6)
         self._streaming.begin(self.q, self.offset)
         if self._posed is not self._streaming:
             self._posed.begin(self.q, self.offset)
             apart = max(math.hypot(*self.offset), math.hypot(*rotvec_from_matrix(self._model_turn)))
             self._avoids_singularities = self._sends_poses and apart > SAME_CHAIN
+
+    def resume(self, state: UrState) -> None:
+        """Continue at the arm's pose and velocity, with the distances that `begin` allowed."""
+        transform = self.kinematics.forward(state.q)
+        self._rotation = np.array(transform[:3, :3])
+        self._model_turn = matrix_from_rotvec(state.pose[3:]).T @ self._rotation
+        self.offset = transform[:3, 3] - np.array(state.pose[:3])
+        self.q, self.qd = np.array(state.q), np.array(state.qd)
         self._braked.begin(np.array(transform[:3, 3]), self.offset)
 
     def tool(self) -> tuple[Three, Quaternion, list[float]]:

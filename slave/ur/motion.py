@@ -218,9 +218,7 @@ class Motion:
         self._turns = commanded is not None
         if commanded is not None:
             self._check_poses()
-        self._at_rest(state)
-        self.point.begin(_three(state.pose), _three(state.speed))
-        self.turning.begin(quat_wxyz_from_rotvec(state.pose[3:]), _three(state.speed[3:]))
+        self._place(state, _three(state.speed), _three(state.speed[3:]))
         self.mode.resume(state)
         self.latency.clear()
 
@@ -261,12 +259,16 @@ class Motion:
 
     def _at_rest(self, state: UrState) -> None:
         """Start a motion at the arm's pose."""
-        self.point.begin(_three(state.pose))
-        self.turning.begin(quat_wxyz_from_rotvec(state.pose[3:]))
+        self._place(state)
+        self.mode.begin(state)
+
+    def _place(self, state: UrState, velocity: Three = ORIGIN, angular_velocity: Three = ORIGIN) -> None:
+        """Place the set point at the arm's pose."""
+        self.point.begin(_three(state.pose), velocity)
+        self.turning.begin(quat_wxyz_from_rotvec(state.pose[3:]), angular_velocity)
         self._goal = self.turning.attitude
         self._pushes = False
         self._wrist = math.sin(state.q[4])
-        self.mode.begin(state)
 
     def _check_follows(self, state: UrState) -> None:
         """Limit the lag, because the arm corrects it as soon as it can."""

@@ -291,6 +291,22 @@ def test_a_force_does_not_pass_a_plane(monkeypatch: pytest.MonkeyPatch) -> None:
     driven.driver.close()
 
 
+def test_a_plane_stays_where_it_is_while_forces_and_motions_alternate(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = free()
+    level = world.controller.robot.measured.pose[0] - 0.005
+    driven = WorldDriven(monkeypatch, world, workspace=[[1.0, 0.0, 0.0, level]])
+    driven.run(0.5, driven.push(-25.0))
+    world.environment.push((-20.0, 0.0, 0.0), 100.0)
+    deepest = []
+    for _ in range(10):
+        driven.run(0.2, driven.push(-25.0))
+        deepest.append(level - world.vector("actual_TCP_pose")[0])
+        driven.run(0.02, lambda _: driven.driver.write((level,), (0.0,)))
+    # Somebody presses the tool beyond it; each time the spring is that of the plane of the options.
+    assert 0.005 < deepest[-1] < 1.2 * 20.0 * mobility()[0, 0] / 100.0
+    driven.driver.close()
+
+
 def test_a_tool_pushed_through_a_plane_is_pushed_back(monkeypatch: pytest.MonkeyPatch) -> None:
     world = free()
     level = world.controller.robot.measured.pose[0] - 0.01
