@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,8 +13,12 @@ from tests.ur.virtual import START, World
 from tests.ur.virtual_driver import WorldDriven
 
 from haptether.slave import SlaveSample, UrKinematics, UrSlave, ur_model
+from haptether.slave.ur.forces import SOFT, ToolForces
 from haptether.slave.ur.kinematics.constraints import ToolCone
-from haptether.slave.ur.options import UrOptions
+from haptether.slave.ur.kinematics.pose import pose_from_transform, quat_wxyz_from_rotvec
+from haptether.slave.ur.modes import DirectTorque, ur_mode
+from haptether.slave.ur.options import UrOptions, ur_options
+from haptether.slave.ur.state import UrState
 
 Array = npt.NDArray[np.float64]
 Command = Callable[[SlaveSample], None]
@@ -389,6 +394,40 @@ def test_a_singular_wrist_softens_the_springs_and_no_joint_jumps(monkeypatch: py
     assert (np.abs(rates).max(axis=0) < 0.55 * np.array(MODEL.max_speed)).all()
     assert driven.world.playing
     driven.driver.close()
+
+
+def law(q: tuple[float, ...], **given: Any) -> tuple[ToolForces, UrState]:  # noqa: ANN401
+    """Return the law of forces that holds an arm at rest, and the state of that arm."""
+    mode = ur_mode(ur_options({"host": "fake", "mode": "direct-torque"} | given), PERIOD_S, (0.0,) * 6)
+    assert isinstance(mode, DirectTorque)
+    x, y, z, *rotvec = pose_from_transform(UrKinematics(MODEL).forward(q)).tolist()
+    state = UrState(1.0, q, q, (0.0,) * 6, (x, y, z, *rotvec), (0.0,) * 6, (0.0,) * 6, 7, 1, 1, 2, 1.0)
+    mode.begin(state)
+    mode.forces.hold((x, y, z), quat_wxyz_from_rotvec(rotvec))
+    return mode.forces, state
+
+
+def test_the_springs_are_soft_where_the_wrist_is_singular() -> None:
+    away = 2e-3
+    # Damped least squares: a deviation of `e` needs at most `K e / (2 s)`, at a singular value of s = 0.05.
+    most = OPTIONS.joint_stiffness * away / (2.0 * SOFT)
+    for q5 in (0.0, 1e-6, 1e-3, 0.05):
+        forces, state = law((*START[:4], q5, 0.0))
+        for axis in np.eye(3):
+            turn = Rotation.from_rotvec(away * axis) * Rotation.from_rotvec(state.pose[3:])
+            away_state = state._replace(pose=(*state.pose[:3], *turn.as_rotvec().tolist()))
+            torque = np.abs(forces.torque(AT_REST, None, away_state))
+            assert 0.05 < torque.max() < most
+
+
+def test_a_motion_across_the_axis_takes_no_force_along_it() -> None:
+    forces, state = law(START, max_speed=0.1, joint_damping=0.0, torque_share=0.8)
+    jacobian = np.array(UrKinematics(MODEL).forward_and_jacobian(START)[1])
+    across, along = (np.linalg.solve(jacobian, of) for of in np.eye(6)[[1, 0]])
+    for qd, share in ((0.3 * across, 1.0), (-0.05 * along, 1.0), (0.3 * along, 0.0)):
+        moving = state._replace(qd=tuple(qd.tolist()))
+        added = np.subtract(forces.torque((10.0, 0.0, 0.0), None, moving), forces.torque(AT_REST, None, moving))
+        assert added == pytest.approx(10.0 * share * jacobian[0], abs=1e-9)
 
 
 # -------------------------------------------------------------------------------------------- refusals and switches
