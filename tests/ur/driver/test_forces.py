@@ -72,17 +72,24 @@ def mobility(q: tuple[float, ...] = START) -> Array:
     return np.array(jacobian / INERTIA @ jacobian.T)
 
 
-def settled(walls: int, *, clamped: bool = False, share: float = 1.0) -> float:
-    """Return the remainder after `SETTLE_S` of a deviation of the arm in contact: `e^-(s t)` of its slowest mode.
+def settled(
+    walls: int,
+    *,
+    clamped: bool = False,
+    share: float = 1.0,
+    coupling: tuple[float, float] = (0.0, 0.0),
+    seconds: float = SETTLE_S,
+) -> float:
+    """Return the remainder after a time in s of a deviation of the arm in contact: `e^-(s t)` of its slowest mode.
 
     The eigenvalues are those of `I q'' = -(b + D) q' - K q` at the start. K and D are those of the walls, of the
-    clamp, or else of the springs that hold the directions without a wall, times a share.
+    clamp, or else of the springs that hold the directions without a wall, times a share. A coupling adds N/m and N s/m.
     """
     jacobian = np.array(UrKinematics(MODEL).forward_and_jacobian(START)[1])
     rows = np.eye(6)
     touched = rows[:walls]
-    at_tool = WALL_N_M * touched.T @ touched
-    damping = WALL_N_S_M * touched.T @ touched
+    at_tool = (WALL_N_M + coupling[0]) * touched.T @ touched
+    damping = (WALL_N_S_M + coupling[1]) * touched.T @ touched
     if clamped:
         at_tool[3:, 3:], damping[3:, 3:] = CLAMP[0] * np.eye(3), CLAMP[1] * np.eye(3)
     else:
@@ -93,7 +100,7 @@ def settled(walls: int, *, clamped: bool = False, share: float = 1.0) -> float:
     stiff = jacobian.T @ at_tool @ jacobian / INERTIA[:, np.newaxis]
     damped = (jacobian.T @ damping @ jacobian + np.diag(FRICTION)) / INERTIA[:, np.newaxis]
     modes = np.linalg.eigvals(np.block([[np.zeros((6, 6)), np.eye(6)], [-stiff, -damped]]))
-    return math.exp(modes.real.max() * SETTLE_S)
+    return math.exp(modes.real.max() * seconds)
 
 
 # -------------------------------------------------------------------------------------------------------- contact
@@ -412,19 +419,38 @@ def test_the_springs_are_soft_where_the_wrist_is_singular() -> None:
     # Damped least squares: a deviation of `e` needs at most `K e / (2 s)`, at a singular value of s = 0.05.
     most = OPTIONS.joint_stiffness * away / (2.0 * SOFT)
     for q5 in (0.0, 1e-6, 1e-3, 0.05):
-        forces, state = law((*START[:4], q5, 0.0))
-        for axis in np.eye(3):
-            turn = Rotation.from_rotvec(away * axis) * Rotation.from_rotvec(state.pose[3:])
-            away_state = state._replace(pose=(*state.pose[:3], *turn.as_rotvec().tolist()))
-            torque = np.abs(forces.torque(AT_REST, None, away_state))
-            assert 0.05 < torque.max() < most
+        q = (*START[:4], q5, 0.0)
+        # The wrench that no joint feels, and an axis across it, so that all of it is held.
+        *_, lost = np.linalg.svd(UrKinematics(MODEL).forward_and_jacobian(q)[1])[0].T
+        axis = np.cross(lost[:3], (0.0, 0.0, 1.0))
+        forces, state = law(q, axis=axis.tolist())
+        turn = Rotation.from_rotvec(away * lost[3:]) * Rotation.from_rotvec(state.pose[3:])
+        place = np.array(state.pose[:3]) + away * lost[:3]
+        away_state = state._replace(pose=(*place.tolist(), *turn.as_rotvec().tolist()))
+        torque = np.abs(forces.torque(AT_REST, None, away_state))
+        assert torque.max() < most
+        # Away from the singularity the springs are there.
+        assert torque.max() > (0.5 if q5 == 0.05 else 0.0)
+
+
+def test_a_joint_at_half_its_largest_speed_is_not_accelerated() -> None:
+    forces, state = law(START, axes=3, max_angular_speed=6.0)
+    moment = (0.0, 0.0, -2.0)
+    free = forces.torque(AT_REST, moment, state)
+    assert free[5] > 1.0
+    excess, speed = 0.1, 0.5 * MODEL.max_speed[5]
+    fast = forces.torque(AT_REST, moment, state._replace(qd=(*(0.0,) * 5, speed + excess)))
+    # Damping of 20 /s on the nominal inertia, and no torque that accelerates.
+    assert fast[5] == pytest.approx(-20.0 * INERTIA[5] * excess)
+    slow = forces.torque(AT_REST, moment, state._replace(qd=(*(0.0,) * 5, speed - 1.0)))
+    assert slow == pytest.approx(free)
 
 
 def test_a_motion_across_the_axis_takes_no_force_along_it() -> None:
     forces, state = law(START, max_speed=0.1, joint_damping=0.0, torque_share=0.8)
     jacobian = np.array(UrKinematics(MODEL).forward_and_jacobian(START)[1])
     across, along = (np.linalg.solve(jacobian, of) for of in np.eye(6)[[1, 0]])
-    for qd, share in ((0.3 * across, 1.0), (-0.05 * along, 1.0), (0.3 * along, 0.0)):
+    for qd, share in ((0.3 * across + 0.04 * along, 1.0), (0.3 * along, 0.0)):
         moving = state._replace(qd=tuple(qd.tolist()))
         added = np.subtract(forces.torque((10.0, 0.0, 0.0), None, moving), forces.torque(AT_REST, None, moving))
         assert added == pytest.approx(10.0 * share * jacobian[0], abs=1e-9)
@@ -680,9 +706,12 @@ def test_a_computed_force_settles_at_the_closed_form(
     samples = driven.run(SETTLE_S, couple)
     # Both springs are in series: K_e K/(K_e + K) times the depth.
     want = WALL_N_M * stiffness / (WALL_N_M + stiffness) * depth_m
-    assert samples[-1].force == pytest.approx(want, abs=1e-4)
-    assert samples[-1].position == pytest.approx(wall_m - want / WALL_N_M, abs=1e-6)
+    rest_s = SETTLE_S - (GAP_M + depth_m) / speed
+    error = want * settled(1, coupling=(stiffness, damping), seconds=rest_s)
+    assert error < 1e-3
+    assert samples[-1].force == pytest.approx(want, abs=error)
+    assert samples[-1].position == pytest.approx(wall_m - want / WALL_N_M, abs=error / WALL_N_M)
     # The path to it: no rebound from the wall after the end of the motion.
-    settled = np.array([sample.force for sample in samples[len(samples) // 2 :]])
-    assert 0.9 * want < settled.min() <= settled.max() < 1.1 * want
+    late = np.array([sample.force for sample in samples[len(samples) // 2 :]])
+    assert 0.9 * want < late.min() <= late.max() < 1.1 * want
     driven.driver.close()
