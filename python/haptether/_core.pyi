@@ -2807,10 +2807,10 @@ class SlaveLoop(_SlaveSide, _DrivenLoop):
                 clock. It never decreases.
 
         Returns:
-            "wait", "move", "exert" or "stop", and two tuples that are empty except for "move" and "exert". Of "move":
-            the commanded position in m and velocity in m/s, shape `(axes,)` each; for kind "pose" also orientation and
-            angular velocity. Of "exert", only for `[slave] takes_force`: force in N, shape `(axes,)`, and torque in N m,
-            empty except for kind "pose". None if the run is over. An arm without commands is brought to rest with constant deceleration,
+            "wait", "move" or "stop", and the commanded position in m and velocity in m/s, shape `(axes,)` each, both
+            empty except for "move". For kind "pose" a move also has the orientation and the angular velocity. Or, for an
+            arm that takes forces, "exert", the force in N, shape `(axes,)`, and for kind "pose" the torque in N m. None
+            if the run is over. An arm without commands is brought to rest with constant deceleration,
             `slave.max_acceleration` of the scene or 5 m/s², and 25 rad/s².
 
         Raises:

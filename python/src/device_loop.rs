@@ -467,9 +467,13 @@ impl SlaveLoop {
             SlaveOrder::Wait => (pyo3::intern!(py, "wait"), PyTuple::empty(py), PyTuple::empty(py)),
             SlaveOrder::Stop => (pyo3::intern!(py, "stop"), PyTuple::empty(py), PyTuple::empty(py)),
             SlaveOrder::Exert { force, torque } => {
-                let torque =
-                    torque.map_or_else(|| Ok(PyTuple::empty(py)), |one| written(py, one.as_slice()))?;
-                (pyo3::intern!(py, "exert"), out(&force)?, torque)
+                let (name, force) = (pyo3::intern!(py, "exert"), out(&force)?);
+                return match torque {
+                    Some(torque) => {
+                        (name, force, written(py, torque.as_slice())?).into_pyobject(py).map(Some)
+                    }
+                    None => (name, force).into_pyobject(py).map(Some),
+                };
             }
             SlaveOrder::Move { position, velocity, rotation: None } => {
                 (pyo3::intern!(py, "move"), out(&position)?, out(&velocity)?)

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 LOOK_S = 0.001
 LONGEST_S = 60.0
+ENGAGED = 2
+LATE = 500
+"""Last engaged ticks whose forces are reported."""
 MIN_M = 1e-7
 """Smallest distance that counts as motion, in m: above the rounding of an arm at rest."""
 
@@ -76,6 +79,8 @@ class Watched:
             "arm_travel_m": float(np.ptp(trace.position.ravel())) if len(trace) else 0.0,
             "environment_force_n": float(np.abs(trace.environment_force).max(initial=0.0)),
             "device_force_n": float(np.abs(near.device_force).max(initial=0.0)),
+            "felt_n": near.rendered_force.ravel()[near.state == ENGAGED][-LATE:].tolist(),
+            "pressed_n": trace.environment_force.ravel()[trace.state == ENGAGED][-LATE:].tolist(),
         }
 
 

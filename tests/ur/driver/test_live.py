@@ -58,6 +58,33 @@ MODES = [
 ]
 
 
+FORCES = {"mode": "direct-torque", "max_speed": 0.5}
+TAKES_FORCE = ("slave.takes_force=true", "slave.mass_kg=10.0", "safety.controllers=[]", "operator.release.at_s=100")
+
+
+@pytest.mark.parametrize(
+    ("kind", "stiffness", "damping", "lasts_s"),
+    [("position-force-computed", 200.0, 15.0, 10.0), ("pd-damped", 200.0, 30.0, 6.0)],
+)
+@anew_after_stalls
+def test_an_arm_that_takes_forces_presses_with_that_of_the_coupling(
+    kind: str, stiffness: float, damping: float, lasts_s: float
+) -> None:
+    coupling = (f"coupling.kind={kind}", f"coupling.stiffness={stiffness}", f"coupling.damping={damping}")
+    host = free_host()
+    with emulator("--scene", "remote_push", "--version", "5.26", host=host):
+        with driven({**CALM, **FORCES, "host": host}, *TAKES_FORCE, *coupling) as watching:
+            at_s = engaged(watching)
+            while time.monotonic() < at_s + lasts_s:
+                watching.look(0.05)
+            figures = watching.end()
+    assert not [event for event in watching.events if event.get("fault")], watching.events
+    # The hand of 300 N/m is 45 mm behind a wall of 100 N/m; the device has 0.038 N of friction.
+    shared_n = 0.045 / (1.0 / 300.0 + 1.0 / stiffness + 1.0 / 100.0)
+    assert figures["pressed_n"] == pytest.approx([shared_n] * 500, abs=0.05)
+    assert figures["felt_n"] == pytest.approx([shared_n] * 500, abs=0.1)
+
+
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("row", MODES, ids=lambda row: row.mode)
 @anew_after_stalls
