@@ -72,12 +72,14 @@ def test_an_arm_that_takes_forces_presses_with_that_of_the_coupling(
 ) -> None:
     coupling = (f"coupling.kind={kind}", f"coupling.stiffness={stiffness}", f"coupling.damping={damping}")
     host = free_host()
-    with emulator("--scene", "remote_push", "--version", "5.26", host=host):
-        with driven({**CALM, **FORCES, "host": host}, *TAKES_FORCE, *coupling) as watching:
-            at_s = engaged(watching)
-            while time.monotonic() < at_s + lasts_s:
-                watching.look(0.05)
-            figures = watching.end()
+    with (
+        emulator("--scene", "remote_push", "--version", "5.26", host=host),
+        driven({**CALM, **FORCES, "host": host}, *TAKES_FORCE, *coupling) as watching,
+    ):
+        at_s = engaged(watching)
+        while time.monotonic() < at_s + lasts_s:
+            watching.look(0.05)
+        figures = watching.end()
     assert not [event for event in watching.events if event.get("fault")], watching.events
     # The hand of 300 N/m is 45 mm behind a wall of 100 N/m; the device has 0.038 N of friction.
     shared_n = 0.045 / (1.0 / 300.0 + 1.0 / stiffness + 1.0 / 100.0)
