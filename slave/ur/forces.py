@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 NOMINAL_ACCELERATION: Final = 50.0
 """Acceleration in rad/s² of a joint at its largest torque: sets the nominal inertia, which no vendor publishes."""
 LIMIT_RATE: Final = 10.0
-"""Rate w in 1/s of the law before a limit. The loop takes 8 ms, so 2 w is far from its phase margin."""
+"""Rate w in 1/s of the law before a limit: a loop delay of 8 ms costs its damping of 2 w a phase of 0.16 rad."""
 FADE_SHARE: Final = 0.5
 """Largest fraction of a speed limit below the limit over which an accelerating force fades."""
 SOFT: Final = 0.05
