@@ -106,6 +106,7 @@ def settled(
 # -------------------------------------------------------------------------------------------------------- contact
 
 
+@pytest.mark.thorough
 def test_a_force_along_one_axis_is_that_of_the_contact(monkeypatch: pytest.MonkeyPatch) -> None:
     driven = WorldDriven(monkeypatch, wall(1))
     assert driven.driver.takes_force
@@ -187,6 +188,7 @@ def test_a_free_arm_accelerates_by_its_inertia_and_feels_no_force(monkeypatch: p
     driven.driver.close()
 
 
+@pytest.mark.thorough
 def test_the_directions_that_are_not_commanded_are_held(monkeypatch: pytest.MonkeyPatch) -> None:
     driven = WorldDriven(monkeypatch, free(), max_speed=1.0)
     home = driven.world.vector("actual_TCP_pose")
@@ -233,6 +235,7 @@ def test_the_largest_force_and_moment_bound_the_command(monkeypatch: pytest.Monk
     driven.driver.close()
 
 
+@pytest.mark.thorough
 def test_torques_are_scaled_down_together(monkeypatch: pytest.MonkeyPatch) -> None:
     driven = WorldDriven(monkeypatch, wall(3), axes=3, torque_share=0.02)
     force = np.array((-8.0, -5.0, -11.0))
@@ -248,6 +251,7 @@ def test_torques_are_scaled_down_together(monkeypatch: pytest.MonkeyPatch) -> No
     driven.driver.close()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("force", [4.0, 40.0])
 def test_a_force_makes_the_tool_no_faster_than_its_limit(monkeypatch: pytest.MonkeyPatch, force: float) -> None:
     driven = WorldDriven(monkeypatch, free(), max_speed=0.1)
@@ -261,6 +265,7 @@ def test_a_force_makes_the_tool_no_faster_than_its_limit(monkeypatch: pytest.Mon
     driven.driver.close()
 
 
+@pytest.mark.thorough
 def test_a_moment_turns_the_tool_no_faster_than_its_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     driven = WorldDriven(monkeypatch, free(), axes=3, max_angular_speed=0.4)
     samples = driven.run(1.0, driven.push(*AT_REST, torque=(0.0, 0.0, 2.0)))
@@ -303,6 +308,7 @@ def test_a_force_does_not_pass_a_plane(monkeypatch: pytest.MonkeyPatch) -> None:
     driven.driver.close()
 
 
+@pytest.mark.thorough
 def test_a_plane_stays_where_it_is_while_forces_and_motions_alternate(monkeypatch: pytest.MonkeyPatch) -> None:
     world = free()
     level = world.controller.robot.measured.pose[0] - 0.005
@@ -334,6 +340,7 @@ def test_a_tool_pushed_through_a_plane_is_pushed_back(monkeypatch: pytest.Monkey
     driven.driver.close()
 
 
+@pytest.mark.thorough
 def test_a_moment_does_not_pass_the_cone(monkeypatch: pytest.MonkeyPatch) -> None:
     world = free()
     x, y, z = world.controller.robot.measured.tool[:3, 2].tolist()
@@ -367,6 +374,7 @@ def test_a_moment_does_not_pass_the_end_of_a_joint(monkeypatch: pytest.MonkeyPat
     driven.driver.close()
 
 
+@pytest.mark.thorough
 def test_the_arm_is_kept_clear_of_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     world = free()
     x, y, _ = world.controller.robot.measured.pose[:3]
@@ -387,6 +395,7 @@ def test_the_arm_is_kept_clear_of_itself(monkeypatch: pytest.MonkeyPatch) -> Non
     driven.driver.close()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("axes", [1, 3])
 def test_a_singular_wrist_softens_the_springs_and_no_joint_jumps(monkeypatch: pytest.MonkeyPatch, axes: int) -> None:
     driven = WorldDriven(monkeypatch, free((*START[:4], 0.02, 0.0)), axes=axes)
@@ -459,6 +468,7 @@ def test_a_motion_across_the_axis_takes_no_force_along_it() -> None:
 # -------------------------------------------------------------------------------------------- refusals and switches
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("axes", "force", "torque", "said"),
     [
@@ -581,6 +591,7 @@ def test_a_force_after_a_motion_keeps_the_load_of_the_other_directions(monkeypat
     driven.driver.close()
 
 
+@pytest.mark.thorough
 def test_poses_and_forces_may_alternate(monkeypatch: pytest.MonkeyPatch) -> None:
     driven = WorldDriven(monkeypatch, free(), axes=3)
     sample = driven.step()
@@ -685,6 +696,7 @@ def test_an_arm_that_is_pushed_off_its_line_is_a_fault(monkeypatch: pytest.Monke
 # ------------------------------------------------------------------------------------------------------- couplings
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("stiffness", "damping"), [(300.0, 20.0), (800.0, 60.0)])
 def test_a_computed_force_settles_at_the_closed_form(
     monkeypatch: pytest.MonkeyPatch, stiffness: float, damping: float
