@@ -73,10 +73,17 @@ def check_force(device: object, *, takes_force: bool) -> None:
     Raises:
         DeviceError: The driver takes motions only.
     """
-    if takes_force and not getattr(device, "takes_force", False):
+    name = type(device).__name__
+    if getattr(device, "takes_force", False) is True and not callable(getattr(device, "write_force", None)):
         message = (
-            f"[slave] takes_force = true: {type(device).__name__} takes only motions with these options: set its option"
-            " for forces, or takes_force = false"
+            f"{name}: takes_force = True, and no write_force: a driver of such an arm has both (docs/new_device.md)"
+        )
+        raise DeviceError(message)
+    if takes_force and getattr(device, "takes_force", False) is not True:
+        message = (
+            f"[slave] takes_force = true: {name} takes only motions with these options: set mode to that for forces"
+            " (dynamixel: current, ur: direct-torque), add takes_force and write_force to a driver of your own, or set"
+            " takes_force = false"
         )
         raise DeviceError(message)
 

@@ -60,7 +60,8 @@ def slave_drivers(scene: Scene) -> "tuple[Scene, SlaveDevice | None, Gripper | N
     check_period(device, "[slave] period_s", slave_period_s(scene))
     check_force(device, takes_force=table.takes_force)
     _check_axes(scene, device, "slave")
-    return _bounded(_no_faster(scene, device), device, "slave"), device, gripper
+    scene = _no_stronger(_no_faster(scene, device), device)
+    return _bounded(scene, device, "slave"), device, gripper
 
 
 def slave_period_s(scene: Scene) -> float:
@@ -93,6 +94,19 @@ def _no_faster(scene: Scene, device: "SlaveDevice") -> Scene:
         if most is not None and (now if isinstance(now, int | float) else float("inf")) > most:
             slower.append(f"coupling.{key}={most}")
     return override_scene(scene, slower) if slower else scene
+
+
+def _no_stronger(scene: Scene, device: "SlaveDevice") -> Scene:
+    """Return the scene with forces no larger than the arm exerts: a force that was cut would count as energy."""
+    table = scene.slave
+    if table is None or not table.takes_force:
+        return scene
+    weaker = []
+    for key, bound in (("max_force_n", "max_force"), ("max_torque_nm", "max_torque")):
+        most, now = getattr(device, bound, None), getattr(table, key)
+        if most is not None and (now is None or now > most):
+            weaker.append(f"slave.{key}={most}")
+    return override_scene(scene, weaker) if weaker else scene
 
 
 def _bounded(scene: Scene, device: object, side: Literal["master", "slave"]) -> Scene:

@@ -26,7 +26,9 @@ MEASURED = {"trigger", "measured_velocity", "measured_angular_velocity"}
 """Signals that not every device measures; omitted if always unknown."""
 GRIPPER = {"gripper", "gripper_command", "gripper_force", "holds_object"}
 """Signals of a slave's gripper; omitted if `gripper` is always unknown."""
-SHARED = ("environment_", "gripper", "holds_object")
+EXERTED = "exerted_force"
+"""F_c of an arm that takes forces; omitted if always unknown."""
+SHARED = ("environment_", "exerted_", "gripper", "holds_object")
 """Prefixes of slave signals without a master signal of the same name."""
 
 
@@ -136,6 +138,8 @@ def _slave_signals(recording: Recording, begun_s: float) -> dict[str, Array]:
     has_gripper = not _is_unknown(recording.signals["gripper"])
     for name, values in recording.signals.items():
         if name in {"time_ns", "security"} or (name in GRIPPER and not has_gripper):
+            continue
+        if name == EXERTED and _is_unknown(values):
             continue
         kept[name if name.startswith(SHARED) else f"slave_{name}"] = _shaped(name, values)
     return kept

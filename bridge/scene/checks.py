@@ -79,6 +79,7 @@ def contradictions(scene: Scene) -> Iterator[SceneError]:
     yield from _felt_trigger(scene)
     if scene.slave is not None:
         yield from _slave(scene.slave, scene.run)
+        yield from _takes_force(scene, scene.slave)
     for key in ("link", "coupling", "security"):
         if scene.slave is None and getattr(scene, key) is not None:
             yield contradiction((key,), "needs an arm to lead to: add [slave] or leave it out")
@@ -402,13 +403,25 @@ def _slave(table: SlaveTable, run: RunTable) -> Iterator[SceneError]:
         if table.control != "pd" and getattr(table, key) is not None:
             yield contradiction(("slave", key), f'control = "{table.control}" has none, only "pd"')
     if table.takes_force and table.control == "velocity":
-        yield contradiction(("slave", "takes_force"), 'needs control = "position" or "pd" between forces')
+        allowed = '"position" or "pd" for an arm that takes forces: it follows a position while nothing couples it'
+        yield wrong(("slave", "control"), table.control, allowed)
     if not table.takes_force and table.viscous > 0.0:
-        yield contradiction(("slave", "viscous"), "is friction under a force: needs takes_force = true")
+        yield contradiction(("slave", "viscous"), "only an arm with takes_force = true has it; leave it out")
     gripper = table.gripper
     if gripper is not None and gripper.object is not None and gripper.object < gripper.position:
         allowed = f"at least [slave.gripper] position, {gripper.position:g}: the jaws meet it from outside"
         yield wrong(("slave", "gripper", "object"), gripper.object, allowed)
+
+
+def _takes_force(scene: Scene, slave: SlaveTable) -> Iterator[SceneError]:
+    if not slave.takes_force:
+        return
+    if scene.master.kind == "joints" and slave.mass_kg == SlaveTable().mass_kg:
+        why = "must be given for joints that take forces: the smallest inertia in kg m², with which bounds brake"
+        yield contradiction(("slave", "mass_kg"), why)
+    for key in ("tool_mass_kg", "tool_damping", "tool_lead_s"):
+        if scene.coupling is not None and getattr(scene.coupling, key) is not None:
+            yield contradiction(("coupling", key), "an arm with takes_force = true has no virtual tool; leave it out")
 
 
 def _driver_options(scene: Scene) -> Iterator[SceneError]:

@@ -288,7 +288,10 @@ def _slave(table: SlaveTable, run: RunTable, master: Spec) -> SlaveTable:
     critical = 2.0 * sqrt((table.stiffness or 0.0) * table.mass_kg)
     position = tuple(master["position"])
     tool = table.tool and _tool(table.tool)
-    return _filled(replace(table, tool=tool), stiffness=0.0, damping=critical, period_s=run.period_s, position=position)
+    return _filled(
+        replace(table, tool=tool), stiffness=0.0, damping=critical, period_s=run.period_s, position=position,
+        max_force_n=50.0, max_torque_nm=5.0,
+    )  # fmt: skip
 
 
 def _tool(table: ToolTable) -> ToolTable:

@@ -6,7 +6,10 @@
 use haptether_safety::Axes;
 use nalgebra::{Unit, UnitQuaternion};
 
-use crate::{coupling::RotationState, plant::SlavePlant};
+use crate::{
+    coupling::RotationState,
+    plant::{SlavePlant, ToolMotion},
+};
 
 /// Order to an arm's driver.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,6 +31,8 @@ pub enum SlaveOrder<const N: usize> {
         force: Axes<N>,
         /// Torque in N m about the tool point; `None` if the tool is led as a point.
         torque: Option<Axes<3>>,
+        /// Accepted motion of the tool, from which it brakes once it is no longer led.
+        motion: ToolMotion<N>,
     },
     /// Stop softly and stay.
     Stop,
@@ -145,9 +150,9 @@ impl<const N: usize> SlavePlant<N> for DrivenSlave<N> {
         self.order = SlaveOrder::Move { position, velocity, rotation };
     }
 
-    fn exert(&mut self, force: &Axes<N>, torque: &Axes<3>) {
-        (self.order, self.braking) =
-            (SlaveOrder::Exert { force: *force, torque: self.rotation.map(|_| *torque) }, None);
+    fn exert(&mut self, (force, torque): (&Axes<N>, &Axes<3>), motion: &ToolMotion<N>) {
+        let torque = motion.rotation.map(|_| *torque);
+        (self.order, self.braking) = (SlaveOrder::Exert { force: *force, torque, motion: *motion }, None);
     }
 
     /// Left to the driver: the rest position is unknown here.
@@ -159,9 +164,8 @@ impl<const N: usize> SlavePlant<N> for DrivenSlave<N> {
     fn hold(&mut self) -> Axes<N> {
         let (from, velocity, rotation) = match self.order {
             SlaveOrder::Move { position, velocity, rotation } => (position, velocity, rotation),
-            SlaveOrder::Exert { .. } => {
-                let turn = self.rotation.map(|turned| (turned.orientation, turned.angular_velocity));
-                (self.sample[0], self.sample[1], turn)
+            SlaveOrder::Exert { motion: ToolMotion { position, velocity, rotation }, .. } => {
+                (position, velocity, rotation)
             }
             SlaveOrder::Wait | SlaveOrder::Stop => return Axes::repeat(f64::NAN),
         };
@@ -309,6 +313,26 @@ mod tests {
         assert_eq!(*arm.order(), SlaveOrder::Stop);
         arm.write(&Axes::zeros(), &Axes::zeros());
         assert_eq!(commanded(&arm).0, Axes::<3>::zeros());
+    }
+
+    /// The driver's newest sample is wrong at the tick that ends the engagement; the endpoint has held it back.
+    #[test]
+    fn an_arm_under_a_force_brakes_from_its_accepted_motion() {
+        let mut arm = DrivenSlave::<3>::new(2.0).unwrap();
+        let turned = UnitQuaternion::from_scaled_axis(Axes::<3>::new(0.0, 0.0, 0.3));
+        let (position, velocity) = (Axes::<3>::new(0.05, 0.0, 0.0), Axes::<3>::new(0.1, 0.0, 0.0));
+        let motion = ToolMotion { position, velocity, rotation: Some((turned, Axes::zeros())) };
+        arm.sample = [Axes::repeat(3.0); 3];
+        arm.read(0);
+        arm.exert((&Axes::repeat(1.0), &Axes::zeros()), &motion);
+        let SlaveOrder::Exert { force, torque, .. } = *arm.order() else { panic!("{:?}", arm.order()) };
+        assert_eq!((force, torque), (Axes::repeat(1.0), Some(Axes::zeros())));
+        let rest = arm.hold();
+        assert!((rest - position - Axes::<3>::new(0.1 * 0.1 / 4.0, 0.0, 0.0)).norm() < 1e-12);
+        assert!(arm.rest_orientation().unwrap().angle_to(&turned) < 1e-12);
+        arm.write_rotation(&turned, &Axes::zeros());
+        arm.write(&rest, &Axes::zeros());
+        assert!((commanded(&arm).0 - position).norm() < 1e-12);
     }
 
     #[test]

@@ -52,7 +52,8 @@ pub use local::{DelayLine, LocalLoop, LocalTick, Rendering, SceneRendering, True
 pub use pace::TickTime;
 pub use path::{PathReport, PeerPath};
 pub use plant::{
-    DrivenMaster, MasterPlant, ModelArm, ModelPlant, RotationTruth, SlavePlant, Truth, TurningMaster,
+    DrivenMaster, MasterPlant, ModelArm, ModelPlant, RotationTruth, SlavePlant, ToolMotion, Truth,
+    TurningMaster,
 };
 pub use port::{CouplingMessage, MAX_ENERGY_J, PortEnergy, PortState};
 pub use record::{

@@ -91,6 +91,17 @@ pub trait ModelPlant<const N: usize>: MasterPlant<N> {
     fn wall_force(&self) -> Axes<N>;
 }
 
+/// Motion of a tool.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ToolMotion<const N: usize> {
+    /// Position in m.
+    pub position: Axes<N>,
+    /// Velocity in m/s.
+    pub velocity: Axes<N>,
+    /// Orientation, and angular velocity in rad/s; `None` for a point.
+    pub rotation: Option<(UnitQuaternion<f64>, Axes<3>)>,
+}
+
 /// A slave arm; time is an argument.
 pub trait SlavePlant<const N: usize> {
     /// Start time at `now_ns`; called once, before the first read.
@@ -103,8 +114,8 @@ pub trait SlavePlant<const N: usize> {
     fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>);
 
     /// Exert `force` in N on the tool, and `torque` in N m about the tool point if the arm turns, until the next command.
-    /// Only called for an arm that takes forces.
-    fn exert(&mut self, force: &Axes<N>, torque: &Axes<3>);
+    /// Only called for an arm that takes forces. `motion` is the accepted motion of the arm.
+    fn exert(&mut self, wrench: (&Axes<N>, &Axes<3>), motion: &ToolMotion<N>);
 
     /// Stop softly within the arm's bounds and stays there, whatever was written. Returns the rest position in m.
     /// Nothing is written until the stop is over. Never an emergency stop: nothing on the network can switch power
@@ -390,7 +401,7 @@ impl SlavePlant<3> for SimulatedTool {
         SimulatedTool::write(self, position, velocity);
     }
 
-    fn exert(&mut self, force: &Axes<3>, torque: &Axes<3>) {
+    fn exert(&mut self, (force, torque): (&Axes<3>, &Axes<3>), _motion: &ToolMotion<3>) {
         SimulatedTool::exert(self, force, torque);
     }
 
@@ -444,7 +455,7 @@ impl<const N: usize> SlavePlant<N> for SimulatedSlave<N> {
         SimulatedSlave::write(self, position, velocity);
     }
 
-    fn exert(&mut self, force: &Axes<N>, _torque: &Axes<3>) {
+    fn exert(&mut self, (force, _torque): (&Axes<N>, &Axes<3>), _motion: &ToolMotion<N>) {
         SimulatedSlave::exert(self, force);
     }
 

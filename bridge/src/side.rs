@@ -14,7 +14,7 @@ use crate::{
     ladder::{Button, Clutch, ClutchError, ClutchOperator, LadderState},
     link::{LinkTime, RejectReason},
     pace::TickTime,
-    plant::{MasterPlant, SlavePlant},
+    plant::{MasterPlant, SlavePlant, ToolMotion},
     record::{
         LadderSnapshot, MasterRecord, MasterRotation, MasterTurn, SlaveRecord, SlaveRotation, SlaveTurn,
         WithTriggerFeedback,
@@ -486,18 +486,19 @@ impl<P: SlavePlant<N>, const N: usize, R> SlaveSide<P, N, R> {
     /// Pass the command of a tick to the arm: a force, or a motion with position and velocity in m and m/s.
     #[inline(always)] // once a tick
     fn command_plant(&mut self, tick: &SlaveTick<N>, motion: [Axes<N>; 2]) {
+        let of_tool = self.reference_point.and_then(|point| point.commanded(tick));
+        let [position, velocity] = of_tool.unwrap_or(motion);
         if let Some(exerted) = tick.exerted {
             let point = self.reference_point;
             let of_tool = point.map(|point| point.exerted(exerted, tick.orientation.as_ref()));
             let (force, torque) = of_tool.unwrap_or(exerted);
-            return self.plant.exert(&force, &torque);
+            let rotation = tick.orientation.map(|orientation| (orientation, tick.angular_velocity));
+            return self.plant.exert((&force, &torque), &ToolMotion { position, velocity, rotation });
         }
         if let Some(orientation) = &tick.orientation {
             self.plant.write_rotation(orientation, &tick.angular_velocity);
         }
-        let of_tool = self.reference_point.and_then(|point| point.commanded(tick));
-        let [command, velocity] = of_tool.unwrap_or(motion);
-        self.plant.write(&command, &velocity);
+        self.plant.write(&position, &velocity);
     }
 }
 

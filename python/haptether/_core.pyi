@@ -2069,6 +2069,10 @@ class SlaveTrace(_SideTicks):
         """F_e in N, of wall and pusher on the tool."""
 
     @property
+    def exerted_force(self) -> _Array:
+        """F_c in N on an arm that takes forces; NaN while it follows a position."""
+
+    @property
     def orientation(self) -> _Array | None:
         """R of the tool, unit quaternions w, x, y, z of shape `(n_ticks, 4)`; None except for kind "pose"."""
 

@@ -104,7 +104,7 @@ trace_class! {
 trace_class! {
     SlaveTrace,
     [
-        position, command, environment_force, gripper, gripper_command, gripper_force, holds_object,
+        position, command, environment_force, exerted_force, gripper, gripper_command, gripper_force, holds_object,
         limited, state, reason, clutch, overshoot_s, fault, orientation, command_orientation,
         environment_torque,
     ]

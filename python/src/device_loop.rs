@@ -466,7 +466,7 @@ impl SlaveLoop {
         let named = match output.order {
             SlaveOrder::Wait => (pyo3::intern!(py, "wait"), PyTuple::empty(py), PyTuple::empty(py)),
             SlaveOrder::Stop => (pyo3::intern!(py, "stop"), PyTuple::empty(py), PyTuple::empty(py)),
-            SlaveOrder::Exert { force, torque } => {
+            SlaveOrder::Exert { force, torque, .. } => {
                 let (name, force) = (pyo3::intern!(py, "exert"), out(&force)?);
                 return match torque {
                     Some(torque) => {

@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 
 from haptether.dynamixel.arm import ArmSettings, JointCompensation, Vector
+from haptether.dynamixel.arm.plausible import FASTEST_SHARE
 from haptether.dynamixel.description import ArmKinematics
 from haptether.slave.dynamixel.observer import ReactionForceObserver
 from haptether.slave.dynamixel.options import DynamixelSlaveOptions
@@ -59,6 +60,7 @@ class CurrentControl:
         self._most = np.minimum(np.array(options.max_torque), capped) if options.max_torque else capped
         self._bandwidth = options.joint_bandwidth
         self._max_speed = options.max_speed
+        self._fastest = FASTEST_SHARE * np.array([servo.servo.no_load_rad_s for servo in servos])
         self._low: Vector = np.array([servo.low_rad for servo in servos])
         self._high: Vector = np.array([servo.high_rad for servo in servos])
         self._position: Vector = np.zeros(count)
@@ -78,12 +80,19 @@ class CurrentControl:
             current_a: Measured currents in A.
             period_s: Time since the last sample in s.
         """
-        self._position, self._velocity = position.copy(), velocity.copy()
+        # A read beyond what a joint can do would brake with all of the current.
+        velocity = np.where(np.abs(velocity) > self._fastest, self._velocity, velocity)
+        self._position, self._velocity = position.copy(), velocity
         weight = np.zeros(len(position))
         if self._kinematics is not None:
             self._inertia = self._own + np.array(self._kinematics.link_inertia(position))
             weight = np.array(self._kinematics.gravity(position))
         return self._observer.of(self._nm_per_a * current_a, velocity, self._inertia, weight, period_s)
+
+    @property
+    def max_torque(self) -> float:
+        """Smallest of the largest commanded torques of the joints in N m."""
+        return float(self._most.min())
 
     def reset(self) -> None:
         """Reset the observer."""
@@ -119,5 +128,6 @@ class CurrentControl:
 
     def _currents(self, torque: Vector) -> Vector:
         own = np.array(self._compensation.torques(self._position, self._velocity))
-        currents: Vector = self._amperes * (torque + own)
+        bounded = np.minimum(np.maximum(torque, -self._most), self._most)
+        currents: Vector = self._amperes * (bounded + own)
         return currents

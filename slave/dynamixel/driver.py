@@ -50,6 +50,11 @@ class DynamixelSlave:
         return self.options.max_speed
 
     @property
+    def max_force(self) -> float | None:
+        """Largest torque in N m of `write_force` that every joint can exert; None in a position mode."""
+        return None if self._control is None else self._control.max_torque
+
+    @property
     def cycle_s(self) -> float | None:
         """Shortest bus cycle in s, once open."""
         return self.servos.cycle_s
@@ -117,6 +122,9 @@ class DynamixelSlave:
             self._is_measured = True
         fresh = arm.read()
         while not fresh and arm.fault is None:
+            if self._control is not None:
+                # Without a sample nothing bounds a torque, so the joints only carry themselves.
+                self.servos.write_currents(self._control.exerting(np.zeros(self.axes)))
             fresh = arm.read()
         now_s = time.monotonic()
         if fresh:

@@ -71,6 +71,16 @@ class UrSlave:
         return self.options.mode == "direct-torque"
 
     @property
+    def max_force(self) -> float:
+        """Largest force in N."""
+        return self.options.max_force
+
+    @property
+    def max_torque(self) -> float:
+        """Largest moment in N m about the tool point."""
+        return self.options.max_torque
+
+    @property
     def axes(self) -> int:
         """Number of axes of a sample."""
         return self.options.axes

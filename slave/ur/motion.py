@@ -104,7 +104,7 @@ class Motion:
         if not stop.commanded:
             self._begin(state, target, commanded)
         elif self._pushes:
-            self._take_over(state, commanded)
+            self._take_over(state, target, commanded)
         if stop.phase is Phase.PAUSED:
             self._resume(state, now_s)
         elapsed_s = min(max(now_s - self._written_s, 0.25 * self._period_s), MAX_PERIODS * self._period_s)
@@ -212,9 +212,16 @@ class Motion:
         self._soft_stop.begin()
         self._written_s = now_s - self._period_s
 
-    def _take_over(self, state: UrState, commanded: Attitude | None) -> None:
+    def _take_over(self, state: UrState, target: Three, commanded: Attitude | None) -> None:
         """Continue a motion that forces have made, from the arm's pose and velocity."""
         assert isinstance(self.mode, DirectTorque)
+        away_m = math.dist(target, _three(state.pose))
+        if away_m > self._max_behind_m:
+            message = (
+                f"commanded {1e3 * away_m:.1f} mm away from the tool after a force (allowed"
+                f" {1e3 * self._max_behind_m:.0f} mm): acknowledge and engage anew"
+            )
+            raise MotionError(message)
         self._turns = commanded is not None
         if commanded is not None:
             self._check_poses()

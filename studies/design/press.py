@@ -226,8 +226,10 @@ def _tables(scene: Scene, wall: float | None) -> tuple[dict[str, Any], float, fl
 
 
 def _stated(table: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
-    """Return the keys that have a value; those of a `pd` arm are 0 for others."""
+    """Return the keys that have a value; those of a `pd` arm, and of one that takes forces, are for no other."""
     absent = {"stiffness", "damping"} if table.get("control", "pd") != "pd" else set()
+    if not table.get("takes_force", False):
+        absent |= {"viscous"}
     return {name: table[name] for name in names if name not in absent and table[name] is not None}
 
 

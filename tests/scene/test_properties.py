@@ -37,6 +37,9 @@ def bad_numbers(run: Run, scene: Scene) -> list[str]:
         if name == "age_s":
             # There is no age before the first frame.
             finite |= np.isnan(signal) & (np.cumsum(finite) == 0)
+        elif name == "exerted_force":
+            # There is none while the arm follows a position.
+            finite |= np.isnan(signal)
         elif name == "gripper_command":
             # There is no command before the first one.
             finite |= np.isnan(signal) & (np.cumsum(finite) == 0)
@@ -274,7 +277,8 @@ def grids(draw: st.DrawFn, scene: Scene) -> dict[str, list[float]]:
         "safety.energy_threshold_j": (-0.1, -1e-4),
         "safety.hold_off_s": (0.0, 0.3),
     }
-    if scene.operator is not None:
+    if scene.operator is not None and scene.operator.aims is None:
+        # Aims replace the numbers of the hand.
         ranges |= {"operator.stiffness": (10.0, 1000.0), "operator.damping": (0.1, 20.0)}
     if scene.environment is not None and scene.environment.objects:
         ranges["environment.objects.0.contact.stiffness"] = (0.0, 3000.0)

@@ -126,10 +126,12 @@ class SlaveTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     """
     viscous: NonNegative = 0.0
     """b in N s/m, friction that an arm that takes forces does not compensate."""
-    max_force_n: Positive = 50.0
-    """Largest force in N (N m for joints) of the coupling on an arm that takes forces."""
-    max_torque_nm: Positive = 5.0
-    """Largest torque in N m of the same for kind "pose"."""
+    max_force_n: Positive | None = None
+    """Largest force in N (N m for joints) of the coupling on an arm that takes forces; by default 50, or that of its
+    driver if it is smaller.
+    """
+    max_torque_nm: Positive | None = None
+    """Largest torque in N m of the same for kind "pose"; by default 5, or that of its driver."""
     speed_bound: Positive | None = None
     """Speed limit of the arm in m/s (rad/s); a faster, persistent step of its position is a fault. Without a driver
     value, 20 m/s, or 60 rad/s for joints.

@@ -277,6 +277,7 @@ impl<const N: usize> Arm<N> {
         }
         let of_master = newest.as_ref().map(|master| [&master.position, &master.velocity]);
         let input = TranslationInput { state, stale_ns, newest: of_master };
+        self.count_exerted(reading, outgoing);
         let led = if let Some(coupled) = &mut self.coupled {
             let half = newest.as_ref().map_or(OfHalf::NONE, |master| master.half);
             let measured = [position, &reading.velocity, environment_force];
@@ -320,6 +321,16 @@ impl<const N: usize> Arm<N> {
         self.report(reading, turns, outgoing);
         let exerted = led.and_then(|_| self.exerted());
         ArmTick { command_velocity, angular_velocity, limited, exerted }
+    }
+
+    /// Count the work of the coupling on an arm that takes forces since the last tick, also at the tick that ends the
+    /// engagement. An invalid reading shows no motion.
+    #[inline(always)] // as check
+    fn count_exerted(&self, reading: &SlaveReading<N>, outgoing: &mut PortState) {
+        let Some(coupled) = self.coupled.as_ref().filter(|_| self.fault.is_none()) else { return };
+        let turning = self.rotation.as_ref().and_then(|rotation| rotation.coupled.as_ref());
+        let turned = turning.zip(reading.rotation).map_or(0.0, |(one, now)| one.worked_j(&now.orientation));
+        outgoing.energy.add(-(coupled.worked_j(&reading.position) + turned));
     }
 
     /// Force in N and torque in N m of the coupling on an arm that takes forces.

@@ -233,6 +233,8 @@ pub struct SlaveRecord<const N: usize, R = ()> {
     pub command: Axes<N>,
     /// `F_e` in N.
     pub environment_force: Axes<N>,
+    /// `F_c` in N on an arm that takes forces; NaN while it follows a position.
+    pub exerted_force: Axes<N>,
     /// Gripper, 0 open to 1 closed; NaN without one, as the next two.
     pub gripper: f64,
     /// Its last command, 0 open to 1 closed.
@@ -282,6 +284,7 @@ impl<const N: usize, R: SlaveTurn> Default for SlaveRecord<N, R> {
             position: zeros,
             command: zeros,
             environment_force: zeros,
+            exerted_force: Axes::repeat(f64::NAN),
             gripper: f64::NAN,
             gripper_command: f64::NAN,
             gripper_force: f64::NAN,
@@ -323,6 +326,7 @@ impl<const N: usize, R: SlaveTurn> SlaveRecord<N, R> {
             position: *position,
             command: tick.command.unwrap_or(*position),
             environment_force: *environment_force,
+            exerted_force: tick.exerted.map_or_else(|| Axes::repeat(f64::NAN), |(force, _)| force),
             gripper: jaws.map_or(f64::NAN, |jaws| jaws.position),
             gripper_command: gripper_command.unwrap_or(f64::NAN),
             gripper_force: jaws.map_or(f64::NAN, |jaws| jaws.force_n),

@@ -223,6 +223,11 @@ impl<const N: usize, R: SlaveTurn> Recorded for SlaveRecord<N, R> {
             ("position", "of the tool, in m", Value::Axes(self.position.as_slice())),
             ("command", "commanded position in m", Value::Axes(self.command.as_slice())),
             ("environment_force", "F_e in N", Value::Axes(self.environment_force.as_slice())),
+            (
+                "exerted_force",
+                "F_c in N on an arm that takes forces; null while it follows a position",
+                Value::Axes(self.exerted_force.as_slice()),
+            ),
             ("gripper", "0 open to 1 closed; null without a gripper", Value::Number(self.gripper)),
             (
                 "gripper_command",

@@ -19,7 +19,7 @@ use super::{
 };
 use crate::{
     ButtonWord, DrivenSlave, FaultText, GripperOrder, MasterPlant as _, MasterSide, MasterTurn, Side,
-    SlaveOrder, SlaveSide, SlaveTurn, Trace, Trigger,
+    SlaveOrder, SlaveSide, SlaveTurn, ToolMotion, Trace, Trigger,
     coupling::{RotationState, quat_wxyz},
     live::{
         DriverLoop, LiveRun, LiveSettings, LiveWatch, Newest, PacedLoop, PeerSocket, RecordOutputs,
@@ -320,8 +320,11 @@ impl<R: SlaveTurn, const N: usize> SlaveDriverLoop for PacedLoop<Timed<SlaveSide
                         velocity: padded(&velocity),
                         rotation,
                     },
-                    SlaveOrder::Exert { force, torque } => {
-                        SlaveOrder::Exert { force: padded(&force), torque }
+                    SlaveOrder::Exert { force, torque, motion } => {
+                        let ToolMotion { position, velocity, rotation } = motion;
+                        let (position, velocity) = (padded(&position), padded(&velocity));
+                        let motion = ToolMotion { position, velocity, rotation };
+                        SlaveOrder::Exert { force: padded(&force), torque, motion }
                     }
                 },
                 gripper: side.side.gripper.as_ref().map_or(GripperOrder::Hold, |jaws| *jaws.order()),

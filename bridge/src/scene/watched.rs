@@ -33,6 +33,7 @@ use haptether_safety::{
 #[derive(Clone)]
 pub(super) struct Watched<const N: usize> {
     has_gripper: bool,
+    takes_force: bool,
     judged: MeasureSettings,
     measures: Measures<N>,
     /// Distance of the arm in m that counts as divergence.
@@ -95,8 +96,10 @@ impl<const N: usize> Watched<N> {
         let judged = MeasureSettings::of(scene);
         // Until engagement, a scheduled release lies in the future.
         let ahead = MeasureSettings { release_s: judged.release_s.map(|_| f64::INFINITY), ..judged };
+        let takes_force = scene.slave.as_ref().is_some_and(|arm| arm.takes_force);
         Ok(Self {
             has_gripper,
+            takes_force,
             judged,
             measures: Measures::new(&ahead, start),
             max_distance: scene.run.diverged_position * coupling.max_position_scale().max(1.0),
@@ -379,6 +382,7 @@ impl<const N: usize> Watched<N> {
             ("gripper_force", Sample::Scalar(record.gripper_force)),
             ("holds_object", Sample::Scalar(f64::from(u8::from(record.holds_object)))),
         ]);
+        let exerted = self.takes_force.then_some(("exerted_force", Sample::Vector(&record.exerted_force)));
         self.slave.take(
             [
                 ("slave_time_s", Sample::Scalar(time_s)),
@@ -388,6 +392,7 @@ impl<const N: usize> Watched<N> {
                 ("slave_state", Sample::Scalar(f64::from(record.state.code()))),
             ]
             .into_iter()
+            .chain(exerted)
             .chain(gripper.into_iter().flatten()),
         );
         if let Some(turn) = record.rotation.rotation() {

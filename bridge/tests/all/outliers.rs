@@ -4,8 +4,8 @@
 use std::{fmt::Write as _, ops::ControlFlow};
 
 use haptether_bridge::{
-    Clutch, Event, LadderState, MasterPlant, MasterSide, SlavePlant, SlaveSide, Truth, VirtualSettings,
-    run_virtual,
+    Clutch, Event, LadderState, MasterPlant, MasterSide, SlavePlant, SlaveSide, ToolMotion, Truth,
+    VirtualSettings, run_virtual,
     scene::{SceneSpec, simulated_master, simulated_slave},
 };
 use haptether_netsim::LinkSettings;
@@ -71,8 +71,8 @@ impl<P: SlavePlant<1>> SlavePlant<1> for Spoiled<'_, P> {
         self.inner.write(position, velocity);
     }
 
-    fn exert(&mut self, force: &Axes<1>, torque: &Axes<3>) {
-        self.inner.exert(force, torque);
+    fn exert(&mut self, wrench: (&Axes<1>, &Axes<3>), motion: &ToolMotion<1>) {
+        self.inner.exert(wrench, motion);
     }
 
     fn stop(&mut self) -> Axes<1> {

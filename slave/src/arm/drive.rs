@@ -75,11 +75,18 @@ impl<const N: usize> ArmDrive<N> {
         self.force.as_ref()
     }
 
-    /// Follow a set position again, from where the tool is.
+    /// Follow a set position again, from where the tool is. A set position with a bound on its acceleration begins with the
+    /// velocity of the tool.
     pub(crate) fn follow(&mut self, tool: &Tool<N>) {
-        if self.force.take().is_some() {
-            self.set_points = std::array::from_fn(|axis| SetPoint::at_rest(tool.position[axis]));
+        if self.force.take().is_none() {
+            return;
         }
+        let Limits { speed, acceleration } = self.model.limits();
+        let keeps = if acceleration.is_finite() { speed } else { 0.0 };
+        self.set_points = std::array::from_fn(|axis| SetPoint {
+            velocity: tool.velocity[axis].clamp(-keeps, keeps),
+            ..SetPoint::at_rest(tool.position[axis])
+        });
     }
 
     /// K, B and the use of `V_cmd`, as [`ArmModel::impedance`]; friction alone while the arm exerts a force.

@@ -19,7 +19,7 @@ pub struct ForceArm {
 /// State of an arm against its bounds.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Room<'a, const N: usize> {
-    /// Way in m from the arm's start.
+    /// Displacement in m from the arm's start.
     pub(crate) away: &'a Axes<N>,
     /// Velocity in m/s.
     pub(crate) velocity: &'a Axes<N>,
@@ -43,7 +43,7 @@ impl ForceArm {
 
     /// Return the force in N that the bounds leave of `force`, and whether speed and reach acted.
     ///
-    /// - Force: `|F| <= F_max`.
+    /// - Force: `|F| <= F_max`; the bounds below come first.
     /// - Speed: no force along V, and `-M (|V| - v_max) / tau` against it.
     /// - Reach: no force outwards, and a critically damped spring back, `K = M / (4 tau²)` and `B = M / tau`.
     ///
@@ -57,17 +57,21 @@ impl ForceArm {
         let (speed, distance) = (velocity.norm(), away.norm());
         let (hurries, leaves) = (speed > max_speed, distance > reach);
         let damping = self.mass / BRAKES_S;
-        let mut force = *force;
+        let (mut force, mut brake) = (capped(force, self.most), Axes::zeros());
         if hurries {
             let along = velocity / speed;
-            force -= along * (force.dot(&along).max(0.0) + damping * (speed - max_speed));
+            force -= along * force.dot(&along).max(0.0);
+            brake -= along * (damping * (speed - max_speed));
         }
         if leaves {
             let outwards = away / distance;
             let back = damping * velocity.dot(&outwards) + 0.25 * damping / BRAKES_S * (distance - reach);
-            force -= outwards * (force.dot(&outwards).max(0.0) + back);
+            force -= outwards * force.dot(&outwards).max(0.0);
+            brake -= outwards * back;
         }
-        (capped(&force, self.most), [hurries, leaves])
+        // The brake comes first: a large force across a bound gets what it leaves.
+        let brake = capped(&brake, self.most);
+        (brake + capped(&force, self.most - brake.norm()), [hurries, leaves])
     }
 }
 
@@ -106,6 +110,24 @@ mod tests {
         assert!(rest < 0.01 && (at - 0.1).abs() < 1e-3, "{rest}, {at}");
         let free = pushed([f64::INFINITY; 2]);
         assert!((free[1][0] - 20.0 / MASS * 20.0).abs() < 1e-6, "{free:?}");
+    }
+
+    /// A force of ten times the cap, across the bounds, does not dilute the brakes: a mass on a string swings within them.
+    #[test]
+    fn a_large_force_across_a_bound_leaves_the_brake() {
+        let arm = ForceArm::new(MASS, 10.0).unwrap();
+        let (mut x, mut v) = (Axes::<2>::zeros(), Axes::<2>::new(0.08, 0.0));
+        let (mut far, mut fast) = (0.0_f64, 0.0_f64);
+        for tick in 0..20_000 {
+            let turn = f64::from(tick) * T;
+            let force = Axes::<2>::new(60.0 * turn.cos(), 80.0 * turn.sin());
+            let room = Room { away: &x, velocity: &v, bounds: [0.1, 0.05] };
+            v += arm.bounded(&force, &room).0 * (T / MASS);
+            x += v * T;
+            (far, fast) = (far.max(x.norm()), fast.max(v.norm()));
+        }
+        assert!((0.05..0.05 + 2.0 * 0.1 * BRAKES_S).contains(&far), "{far}");
+        assert!((0.095..0.1 + 10.0 / MASS * T * 2.0).contains(&fast), "{fast}");
     }
 
     #[test]

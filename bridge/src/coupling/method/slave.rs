@@ -115,7 +115,7 @@ pub(crate) struct CoupledSlave<const N: usize> {
     /// `F_c` in N since the last tick, and the position in m of the tool before it.
     force: Axes<N>,
     before: Axes<N>,
-    /// Work in J of `F_c` at the last tick.
+    /// Work in J of `F_c` on a virtual tool at the last tick.
     work_j: f64,
     /// Bounds on speed and reach that acted on `F_c`.
     limited: [bool; 2],
@@ -155,6 +155,11 @@ impl<const N: usize> CoupledSlave<N> {
     /// True if `F_c` moves the arm itself.
     pub(crate) fn takes_force(&self) -> bool {
         self.arm.is_some()
+    }
+
+    /// Return the work in J of `F_c` since the last tick, for an engaged arm that takes forces at `position` in m; else 0.
+    pub(crate) fn worked_j(&self, position: &Axes<N>) -> f64 {
+        if self.engaged && self.takes_force() { self.force.dot(&(position - self.before)) } else { 0.0 }
     }
 
     /// Step an engaged tick of `dt` s at the command `from` in m; return the command that the coupling requests, in m. For
@@ -223,7 +228,6 @@ impl<const N: usize> CoupledSlave<N> {
             is_new,
             rests: !moves,
         };
-        let exerted_j = own.exerted.dot(own.moved);
         self.force = self.half.slave(&own, &peer);
         if let Some(arm) = &self.arm {
             (self.force, self.limited) = arm.bounded(&self.force, room);
@@ -235,7 +239,6 @@ impl<const N: usize> CoupledSlave<N> {
         };
         self.before = *self.tool.position();
         if self.takes_force() {
-            self.work_j = exerted_j;
             return *from;
         }
         let command = self.tool.step(&self.force, environment_force, dt);
@@ -254,7 +257,7 @@ impl<const N: usize> CoupledSlave<N> {
         &mut self.tool
     }
 
-    /// Work in J of `F_c` at the last tick: on the tool over the tick that begins, or on the arm over the tick that ended.
+    /// Work in J of `F_c` on a virtual tool over the tick that begins; 0 for an arm that takes forces.
     pub(crate) fn work_j(&self) -> f64 {
         self.work_j
     }

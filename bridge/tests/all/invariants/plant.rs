@@ -1,6 +1,6 @@
 //! Device or arm whose sensors may be faulty.
 
-use haptether_bridge::{ButtonWord, MasterPlant, SlavePlant, Truth, coupling::RotationState};
+use haptether_bridge::{ButtonWord, MasterPlant, SlavePlant, ToolMotion, Truth, coupling::RotationState};
 use haptether_master::RotationSample;
 use haptether_safety::Axes;
 use haptether_slave::GripperSample;
@@ -156,8 +156,8 @@ impl<P: SlavePlant<N>, const N: usize> SlavePlant<N> for Plant<P, N> {
         self.model.write(position, velocity);
     }
 
-    fn exert(&mut self, force: &Axes<N>, torque: &Axes<3>) {
-        self.model.exert(force, torque);
+    fn exert(&mut self, wrench: (&Axes<N>, &Axes<3>), motion: &ToolMotion<N>) {
+        self.model.exert(wrench, motion);
     }
 
     fn stop(&mut self) -> Axes<N> {

@@ -3,7 +3,7 @@
 use std::{cell::RefCell, rc::Rc};
 
 use haptether_bridge::{
-    DrivenSlave, MasterPlant, SlaveOrder, SlavePlant, TurningMaster, coupling::RotationState,
+    DrivenSlave, MasterPlant, SlaveOrder, SlavePlant, ToolMotion, TurningMaster, coupling::RotationState,
 };
 use haptether_master::{
     LegShape, RotationHand, RotationHandParameters, RotationLeg, RotationParameters, RotationSample,
@@ -304,8 +304,8 @@ impl SlavePlant<3> for Arm {
         self.plant().write(position, velocity);
     }
 
-    fn exert(&mut self, force: &Axes<3>, torque: &Axes<3>) {
-        self.plant().exert(force, torque);
+    fn exert(&mut self, wrench: (&Axes<3>, &Axes<3>), motion: &ToolMotion<3>) {
+        self.plant().exert(wrench, motion);
     }
 
     fn stop(&mut self) -> Axes<3> {

@@ -47,7 +47,7 @@ pub(crate) struct CoupledSlaveTurn {
     /// `tau_c` in N m since the last tick, and the orientation of the tool before it.
     torque: Axes<3>,
     before: UnitQuaternion<f64>,
-    /// Work in J of `tau_c` at the last tick.
+    /// Work in J of `tau_c` on a virtual tool at the last tick.
     work_j: f64,
     /// Bounds on speed and turn that acted on `tau_c`.
     limited: [bool; 2],
@@ -94,6 +94,15 @@ impl CoupledSlaveTurn {
     /// True if `tau_c` turns the arm itself.
     pub(crate) fn takes_force(&self) -> bool {
         self.arm.is_some()
+    }
+
+    /// Return the work in J of `tau_c` since the last tick, for an engaged arm that takes torques at an orientation; else 0.
+    pub(crate) fn worked_j(&self, orientation: &UnitQuaternion<f64>) -> f64 {
+        if self.engaged && self.takes_force() {
+            self.torque.dot(&(orientation * self.before.inverse()).scaled_axis())
+        } else {
+            0.0
+        }
     }
 
     /// Step an engaged tick of `dt` s at the command `from`; return the command that the coupling requests. `torque` is
@@ -161,7 +170,6 @@ impl CoupledSlaveTurn {
             is_new,
             rests: !moves,
         };
-        let exerted_j = own.exerted.dot(own.moved);
         let mut coupled = self.half.slave(&own, &peer);
         if let Some(arm) = &self.arm {
             (coupled, self.limited) = arm.bounded(&coupled, room);
@@ -177,7 +185,6 @@ impl CoupledSlaveTurn {
         };
         (self.torque, self.before) = (coupled, self.orientation);
         if self.takes_force() {
-            self.work_j = exerted_j;
             return *from;
         }
         let VirtualToolSettings { mass, damping, lead_s } = self.tool;
@@ -216,7 +223,7 @@ impl CoupledSlaveTurn {
         self.arm.map(|_| (&self.torque, self.limited))
     }
 
-    /// Work in J of `tau_c` at the last tick: on the tool over the tick that begins, or on the arm over the tick that ended.
+    /// Work in J of `tau_c` on a virtual tool over the tick that begins; 0 for an arm that takes torques.
     pub(crate) fn work_j(&self) -> f64 {
         self.work_j
     }
