@@ -244,6 +244,36 @@ def test_a_torque_is_at_most_that_of_the_options(world: World, tmp_path: Path) -
     assert follower.joint.torque_nm <= 0.3
 
 
+def test_a_wrong_velocity_does_not_brake_with_all_of_the_current(world: World, tmp_path: Path) -> None:
+    follower = one_joint(world, tmp_path)
+    follower.exert(0.1, 0.0)
+    control = follower.driver._control
+    assert control is not None
+    # 5000 units of Present Velocity are 120 rad/s, and the servo makes 4.8 rad/s without load.
+    felt = control.take(np.zeros(1), np.array([5000.0 * RAD_S_PER_UNIT]), np.zeros(1), TICK_S)
+    assert np.abs(felt).max() < 2.0 * UNIT_NM
+    assert np.abs(control.exerting(np.zeros(1))).max() < 2.0 * UNIT_NM
+    # Too fast for `max_speed`, and possible: the damper brakes, with at most the largest torque.
+    control.take(np.zeros(1), np.array([8.0]), np.zeros(1), TICK_S)
+    braked = np.abs(control.exerting(np.zeros(1)) / control._amperes)
+    assert control.max_torque == follower.driver.max_force
+    assert 0.9 * min(2.0 * INERTIA * 25.0 * 7.0, control.max_torque) < braked[0] <= control.max_torque + 1e-12
+
+
+def test_while_answers_are_missing_the_joints_only_carry_themselves(
+    world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    follower = one_joint(world, tmp_path)
+    follower.exert(0.02, 0.1)
+    servos, answers, sent = follower.driver.servos, iter([False, False, True]), []
+    read, write = servos.read, servos.write_currents
+    monkeypatch.setattr(servos, "read", lambda: next(answers) and read())
+    monkeypatch.setattr(servos, "write_currents", lambda currents: (sent.append(currents.copy()), write(currents))[1])
+    follower.driver.read()
+    # The joint is slower than its bound, and has no weight and no friction.
+    assert [np.abs(one).max() for one in sent[:2]] == [0.0, 0.0]
+
+
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
 def test_a_torque_that_is_no_number_is_not_obeyed(world: World, tmp_path: Path, wrong: float) -> None:
     follower = one_joint(world, tmp_path)

@@ -620,6 +620,18 @@ def test_poses_and_forces_may_alternate(monkeypatch: pytest.MonkeyPatch) -> None
     driven.driver.close()
 
 
+def test_a_motion_far_from_the_tool_after_a_force_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    driven = WorldDriven(monkeypatch, free())
+    driven.run(0.1, driven.push(0.0))
+    at = driven.step(driven.push(0.0)).position
+    assert isinstance(at, float)
+    sample = driven.until(
+        lambda sample: sample.fault is not None, lambda _: driven.driver.write((at + 3.0,), (0.0,))
+    )  # fmt: skip
+    assert str(sample.fault).startswith("commanded 3000.0 mm away from the tool after a force")
+    driven.driver.close()
+
+
 # ------------------------------------------------------------------------------------------------ silence and faults
 
 
