@@ -266,9 +266,9 @@ def test_while_answers_are_missing_the_joints_only_carry_themselves(
     follower = one_joint(world, tmp_path)
     follower.exert(0.02, 0.1)
     servos, answers, sent = follower.driver.servos, iter([False, False, True]), []
-    read, write = servos.read, servos.write_currents
+    read = servos.read
     monkeypatch.setattr(servos, "read", lambda: next(answers) and read())
-    monkeypatch.setattr(servos, "write_currents", lambda currents: (sent.append(currents.copy()), write(currents))[1])
+    monkeypatch.setattr(servos, "write_currents", lambda currents: sent.append(currents.copy()))
     follower.driver.read()
     # The joint is slower than its bound, and has no weight and no friction.
     assert [np.abs(one).max() for one in sent[:2]] == [0.0, 0.0]
