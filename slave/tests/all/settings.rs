@@ -13,7 +13,8 @@ fn from<T: DeserializeOwned>(text: &str) -> Result<T, String> {
 }
 
 const ARM: &str = r#"{"control": "pd", "mass_kg": 4.0, "bandwidth_hz": 15.0, "stiffness": 900.0, "damping": 60.0,
-    "max_speed": 1.0, "max_acceleration": null, "period_s": 0.002, "position": [0.1, 0.0],
+    "max_speed": 1.0, "max_acceleration": null, "takes_force": false, "viscous": 0.0,
+    "max_force_n": 50.0, "max_torque_nm": 5.0, "period_s": 0.002, "position": [0.1, 0.0],
     "force_sensor": {"noise_n": 0.1, "bias_n": [0.5, -0.5], "quantum_n": 0.01, "rate_hz": null}}"#;
 
 #[test]
