@@ -193,6 +193,7 @@ def test_the_script_of_the_hand_starts_on_a_terminal_only(folder: Path, capsys: 
     assert "a person presses the clutch" in ended.stderr
 
 
+@pytest.mark.alone
 @pytest.mark.live
 @pytest.mark.timeout(180)
 def test_from_nothing_to_an_engaged_pair_with_an_emulated_arm(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -337,6 +337,7 @@ def test_a_brake_outlasts_the_connection(service: EmulatedInverse) -> None:
         assert step(driver, ticks=5).fault is None
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("stall_ms", [12, 25, 40])
 @anew_after_stalls
 def test_a_late_reply_costs_the_force_of_its_tick_and_nothing_else(service: EmulatedInverse, stall_ms: int) -> None:

@@ -136,6 +136,7 @@ def test_a_force_of_three_axes_is_that_of_the_contact(monkeypatch: pytest.Monkey
     driven.driver.close()
 
 
+@pytest.mark.thorough
 def test_a_force_and_a_moment_are_those_of_the_contact(monkeypatch: pytest.MonkeyPatch) -> None:
     """The tool touches three walls, and a clamp holds its orientation."""
     world = wall(3)
@@ -213,6 +214,7 @@ def test_the_directions_that_are_not_commanded_are_held(monkeypatch: pytest.Monk
     driven.driver.close()
 
 
+@pytest.mark.thorough
 def test_a_push_from_the_side_meets_the_springs(monkeypatch: pytest.MonkeyPatch) -> None:
     driven = WorldDriven(monkeypatch, free())
     home = driven.world.vector("actual_TCP_pose")
@@ -275,6 +277,7 @@ def test_a_moment_turns_the_tool_no_faster_than_its_limit(monkeypatch: pytest.Mo
     driven.driver.close()
 
 
+@pytest.mark.thorough
 def test_a_faster_tool_is_damped(monkeypatch: pytest.MonkeyPatch) -> None:
     driven = WorldDriven(monkeypatch, free(), max_speed=0.05)
     driven.run(0.1, driven.push(0.0))
@@ -325,6 +328,7 @@ def test_a_plane_stays_where_it_is_while_forces_and_motions_alternate(monkeypatc
     driven.driver.close()
 
 
+@pytest.mark.thorough
 def test_a_tool_pushed_through_a_plane_is_pushed_back(monkeypatch: pytest.MonkeyPatch) -> None:
     world = free()
     level = world.controller.robot.measured.pose[0] - 0.01
@@ -574,6 +578,7 @@ def test_a_motion_after_a_force_continues_from_the_arm(monkeypatch: pytest.Monke
     driven.driver.close()
 
 
+@pytest.mark.thorough
 def test_a_force_after_a_motion_keeps_the_load_of_the_other_directions(monkeypatch: pytest.MonkeyPatch) -> None:
     driven = WorldDriven(monkeypatch, free())
     home = driven.world.vector("actual_TCP_pose")
