@@ -114,7 +114,7 @@ pub trait SlavePlant<const N: usize> {
     fn write(&mut self, position: &Axes<N>, velocity: &Axes<N>);
 
     /// Exert `force` in N on the tool, and `torque` in N m about the tool point if the arm turns, until the next command.
-    /// Only called for an arm that takes forces. `motion` is the accepted motion of the arm.
+    /// Called only for an arm that takes forces. `motion` is the accepted motion of the arm.
     fn exert(&mut self, wrench: (&Axes<N>, &Axes<3>), motion: &ToolMotion<N>);
 
     /// Stop softly within the arm's bounds and stays there, whatever was written. Returns the rest position in m.

@@ -138,7 +138,8 @@ impl<const N: usize> SimulatedSlave<N> {
         }
     }
 
-    /// Exert `force` in N until the next command. An arm that takes motions only ignores it, as any that is not finite.
+    /// Exert `force` in N until the next command. A force that is not finite is ignored. An arm that takes motions only
+    /// ignores all.
     pub fn exert(&mut self, force: &Axes<N>) {
         self.plant.drive.exert(force);
     }

@@ -34,18 +34,18 @@ MOVING_RAD_S = 0.05
 
 @dataclass(frozen=True)
 class Run:
-    """Torques at each tick in N m."""
+    """Signals at each tick; torques are in N m."""
 
     hand: Array
-    """Of the hand on the leader."""
+    """Torque of the hand on the leader."""
     wall: Array
-    """Of the wall on the follower."""
+    """Torque of the wall on the follower."""
     apart: Array
     """Angle of the leader less that of the follower in rad."""
     gravity: Array
-    """Of the weight on the leader."""
+    """Torque of the weight on the leader."""
     speed: Array
-    """Of the leader in rad/s."""
+    """Speed of the leader in rad/s."""
 
 
 def arms(world: World, folder: Path, *, friction: bool, **options: Any) -> list[Follower]:  # noqa: ANN401  # of drivers

@@ -309,3 +309,19 @@ def test_the_energies_of_both_ports_are_those_of_the_plants(tmp_path: Path) -> N
     seen = np.array([signals["port_in_j"][-1], signals["port_out_j"][-1]])
     assert expected.min() > 1e-4
     assert seen == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_energies_of_an_arm_that_takes_forces_are_those_of_the_recorded_force(tmp_path: Path) -> None:
+    """`-F_c dx` to the last tick of the engagement, by the recorded force and way; F_c is unknown while it holds."""
+    files = (tmp_path / "master.mcap", tmp_path / "slave.mcap")
+    arm = {"position": 0.0, **FORCE_ARM}
+    simulate(pressed("pd-damped", 0.02, run={"duration_s": 3.0}, slave=arm), record=files)
+    signals = read_recording(files[1]).signals
+    coupled = np.isin(signals["state"], ["engaged", "stale"])
+    force, way = np.ravel(signals["exerted_force"]), np.diff(np.ravel(signals["position"]))
+    assert (np.isnan(force) == ~coupled).all()
+    work = -(force[:-1] * way)[coupled[:-1]]
+    expected = np.array([work[work > 0.0].sum(), -work[work < 0.0].sum()])
+    seen = np.array([signals["port_in_j"][-1], signals["port_out_j"][-1]])
+    assert expected.min() > 1e-4
+    assert seen == pytest.approx(expected, rel=1e-9)

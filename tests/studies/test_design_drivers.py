@@ -5,11 +5,13 @@ import re
 import sys
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from haptether.bridge import load_scene
+from haptether.bridge import load_scene, override_scene
+from haptether.bridge.devices.open import DeviceError, check_force
 from haptether.bridge.devices.scene import slave_drivers
 from haptether.cli import main
 from haptether.master import MasterSample
@@ -40,6 +42,7 @@ SLAVES: dict[str, tuple[str, list[str], str]] = {
     "an option out of range": (THREE, [*OF_UR, "slave.options.max_speed=-1"], "max_speed = -1: must be"),
     "an option that is missing": (THREE, ["slave.device=ur"], "host is missing"),
     "another number of axes": ("remote_push", [*OF_UR, "slave.options.axes=3"], "has 3 axes, the scene 1"),
+    "no forces": ("remote_push", [*OF_UR, "slave.takes_force=true"], "UrSlave takes only motions with these options"),
     "a file that is not there": (THREE, ["slave.device=dynamixel", "slave.options={port='x', arm='y'}"], "arm = 'y'"),
     "a gripper at a model": (THREE, ["slave.gripper={device='robotiq', options={host='a'}, force_n=5}"], "too"),
     "no such gripper": ("ur_pick", ["slave.gripper.device=robotix"], "no such driver (haptether.grippers)"),
@@ -164,3 +167,23 @@ def test_commands_are_no_faster_than_the_arm(asked: str, expected: float) -> Non
     assert device is not None
     assert bounded.coupling is not None
     assert bounded.coupling.command_speed == expected
+
+
+def test_forces_are_no_larger_than_those_of_the_driver() -> None:
+    """A force that the driver cuts would count as energy of the arm."""
+    options = [*OF_UR, "slave.options.mode=direct-torque", "slave.options.max_force=20"]
+    motions = load_scene("remote_push", options)
+    for changes, expected in (((), None), (("slave.takes_force=true",), 20.0)):
+        table = slave_drivers(override_scene(motions, changes))[0].slave
+        assert table is not None
+        assert table.max_force_n == expected
+    table = slave_drivers(override_scene(motions, ["slave.takes_force=true", "slave.max_force_n=5"]))[0].slave
+    assert table is not None
+    assert table.max_force_n == 5.0
+
+
+@pytest.mark.parametrize("takes_force", [False, True])
+def test_a_driver_that_promises_forces_without_the_method_is_refused(takes_force: bool) -> None:
+    with pytest.raises(DeviceError, match="takes_force = True, and no write_force"):
+        check_force(SimpleNamespace(takes_force=True), takes_force=takes_force)
+    check_force(SimpleNamespace(takes_force=True, write_force=print), takes_force=takes_force)

@@ -252,8 +252,8 @@ impl SimulatedTool {
         now_ns.saturating_sub(self.begun_ns) as f64 * 1e-9
     }
 
-    /// Exert a force in N and a torque in N m until the next command. An arm that takes motions only ignores them, as any
-    /// that are not finite.
+    /// Exert a force in N and a torque in N m until the next command. Values that are not finite are ignored. An arm that
+    /// takes motions only ignores all.
     pub fn exert(&mut self, force: &Axes<3>, torque: &Axes<3>) {
         if self.takes_force && all_finite(force) && all_finite(torque) {
             self.world.exerted = Some(Load { force: *force, torque: *torque });

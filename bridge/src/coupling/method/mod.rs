@@ -113,7 +113,7 @@ pub struct MethodSettings {
     pub gains: Gains,
     /// Virtual tool of the slave.
     pub tool: VirtualToolSettings,
-    /// Arm that takes forces, for translation and rotation, instead of a virtual tool; None for one that takes motions.
+    /// Bounds on force and torque of an arm that takes forces. It needs no virtual tool. None if the arm takes motions.
     pub forces: Option<[ForceArm; 2]>,
     /// `lambda_p` of the scene.
     pub position_scale: f64,

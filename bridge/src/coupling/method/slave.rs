@@ -246,8 +246,7 @@ impl<const N: usize> CoupledSlave<N> {
         command
     }
 
-    /// `F_c` in N for an arm that takes forces, and whether the bounds on speed and reach acted. None for one that takes
-    /// motions.
+    /// `F_c` in N, and whether the bounds on speed and reach acted. None unless the arm takes forces.
     pub(crate) fn exerted(&self) -> Option<(&Axes<N>, [bool; 2])> {
         self.arm.map(|_| (&self.force, self.limited))
     }

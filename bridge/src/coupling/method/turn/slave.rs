@@ -217,8 +217,7 @@ impl CoupledSlaveTurn {
         &self.velocity
     }
 
-    /// `tau_c` in N m for an arm that takes torques, and whether the bounds on speed and turn acted. None for one that takes
-    /// motions.
+    /// `tau_c` in N m, and whether the bounds on speed and turn acted. None unless the arm takes torques.
     pub(crate) fn exerted(&self) -> Option<(&Axes<3>, [bool; 2])> {
         self.arm.map(|_| (&self.torque, self.limited))
     }
