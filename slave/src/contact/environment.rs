@@ -303,14 +303,14 @@ impl<const N: usize> Environment<N> {
         object.contact().force(self.modes[index], distance, &normal, velocity)
     }
 
-    /// Piece of its contact law that object `index` is on.
-    pub(crate) fn mode(&self, index: usize, place: &Axes<N>, velocity: &Axes<N>) -> Mode {
+    /// Piece of its contact law that object `index` is on, and the distance to it in m.
+    pub(crate) fn mode(&self, index: usize, place: &Axes<N>, velocity: &Axes<N>) -> (Mode, f64) {
         let object = &self.objects[index];
         if object.shape().is_spring() {
-            return Mode::Touching;
+            return (Mode::Touching, f64::NEG_INFINITY);
         }
         let (distance, normal) = object.shape().surface(place);
-        object.contact().mode(-distance, -normal.dot(velocity))
+        (object.contact().mode(-distance, -normal.dot(velocity)), distance)
     }
 
     /// Force of object `index` and its slopes. A spring acts along all axes alike, so it has `drag` too.

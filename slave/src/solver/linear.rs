@@ -658,7 +658,9 @@ mod tests {
             let [u0, u1] = [input[0] + slope * bend, input[1] - slope];
             let (end, _) = by_halves.advance(arm, [u0 + u1 * bend, u1, 0.0], None, middle, step - bend);
             // A few roundings of the terms of the courses: positions, and speeds divided by the rates.
-            let size = x.abs() + v.abs() * step + away.abs() + input[0].abs() / (rate * rate) + speed.abs() / rate;
+            let risen = growth.abs() / (mass * rate * rate);
+            let size =
+                x.abs() + v.abs() * step + away.abs() + input[0].abs() / (rate * rate) + (speed.abs() + risen) / rate;
             let unsure = 64.0 * f64::EPSILON * (size + surface.abs());
             prop_assert!((found[0] - end[0]).abs() < unsure, "{found:?} {end:?}");
             let fastest = rate.max((wall / mass).sqrt()).max(arm[2] / mass).max(damping / mass);
@@ -676,9 +678,11 @@ mod tests {
                 let (now, _) = seen.advance(arm, [u0 + u1 * bend, u1, 0.0], None, now, (t - bend).max(0.0));
                 prop_assert!((now[0] - x).abs() <= swing + unsure, "{part}: {} {swing}", now[0] - x);
             }
-            let fastest_pull = (slope * bend).abs() + (growth / mass).abs() * step;
-            let speeds = v.abs() + (input[0].abs() + rate * rate * (x.abs() + surface.abs())) / rate + away.abs() * rate;
-            prop_assert!(has_wall || swing <= 10.0 * step * (speeds + fastest_pull / rate + speed.abs()), "{swing}");
+            // The energy of the motion beside the particular solution of the input after the bend bounds its speed.
+            let pull = input[0].abs() + (slope * bend).abs();
+            let around = rate * (x.abs() + (pull + arm[2] / mass * risen) / (rate * rate));
+            let fastest = v.abs() + around + 2.0 * risen + (slope * bend).abs() * bend;
+            prop_assert!(has_wall || swing <= step * fastest * (1.0 + 1e-9), "{swing} {}", step * fastest);
 
             let mut watched = line;
             watched.renew(arm, state);

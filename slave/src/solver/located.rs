@@ -3,12 +3,16 @@
 use crate::{
     Axes, Environment,
     arm::drive::Tool,
-    contact::object::STANDS,
+    contact::{law::Mode, object::STANDS},
     solver::{
         adaptive::SHORTEST,
         state::{Piece, Solver, TOOL, dense},
     },
 };
+
+/// Least and greatest share of a step between two tests for a change.
+const FINEST: f64 = 1.0 / 256.0;
+const COARSEST: f64 = 0.25;
 
 impl<const N: usize> Environment<N> {
     pub(crate) fn near_bodies(&self) -> usize {
@@ -98,7 +102,7 @@ impl<const N: usize> Environment<N> {
         for near in 0..self.reach.near.len() {
             let index = self.reach.near[near];
             let (place, velocity) = self.relative(&solver.state, index, piece, now);
-            self.modes[index] = self.mode(index, &place, &velocity);
+            self.modes[index] = self.mode(index, &place, &velocity).0;
             let reaction = -self.smooth(index, &place, &velocity);
             let slot = self.slots[index];
             if let Some(body) = self.objects[index].body_mut() {
@@ -115,20 +119,28 @@ impl<const N: usize> Environment<N> {
         came_to_rest
     }
 
-    /// True if, in the state `next`, a contact is on another piece of its law or a resting body breaks away.
-    pub(crate) fn changed(&self, solver: &Solver<N>, piece: Piece, now: f64) -> bool {
-        self.reach.near.iter().any(|&index| {
+    /// Time in s in which no contact begins after the state `next`, at twice the speeds there. None if, in that state,
+    /// a contact is on another piece of its law or a resting body breaks away.
+    fn clear_s(&self, solver: &Solver<N>, piece: Piece, now: f64) -> Option<f64> {
+        let mut clear = f64::INFINITY;
+        for &index in &self.reach.near {
             if self.objects[index].shape().is_spring() && self.objects[index].body().is_none() {
-                return false;
+                continue;
             }
             let (place, velocity) = self.relative(&solver.next, index, piece, now);
-            if self.mode(index, &place, &velocity) != self.modes[index] {
-                return true;
+            let (mode, distance) = self.mode(index, &place, &velocity);
+            if mode != self.modes[index]
+                || self.objects[index]
+                    .body()
+                    .is_some_and(|body| body.stands && !body.holds(&self.smooth(index, &place, &velocity)))
+            {
+                return None;
             }
-            self.objects[index]
-                .body()
-                .is_some_and(|body| body.stands && !body.holds(&self.smooth(index, &place, &velocity)))
-        })
+            if mode == Mode::Apart {
+                clear = clear.min(distance / (2.0 * velocity.norm()));
+            }
+        }
+        Some(clear)
     }
 
     /// Share of the step just after the first change.
@@ -145,23 +157,30 @@ impl<const N: usize> Environment<N> {
         }
         first_share(step, |share| {
             solver.combine(blocks, step, &dense(share));
-            self.changed(solver, piece, now + share * step)
+            self.clear_s(solver, piece, now + share * step)
         })
     }
 }
 
-/// Share of a step in s just after the first change, as far as a test at quarters of the step shows it.
-pub(crate) fn first_share(step: f64, mut changed: impl FnMut(f64) -> bool) -> Option<f64> {
-    let mut before = 0.0;
-    let mut after = [0.25, 0.5, 0.75, 1.0].into_iter().find(|&share| {
-        let found = changed(share);
-        before = if found { before } else { share };
-        found
-    })?;
+/// Share of a step in s just after the first change, as far as a test shows it at shares between [`FINEST`] and
+/// [`COARSEST`]; `clear_s` gives the time in s in which no contact begins after a share, and None after a change.
+///
+/// A tool that passes the corner of a box touches it for less than a quarter of a step.
+pub(crate) fn first_share(step: f64, mut clear_s: impl FnMut(f64) -> Option<f64>) -> Option<f64> {
+    let (mut before, mut after) = (0.0, 0.0);
+    let mut ahead = clear_s(0.0).unwrap_or(0.0);
+    loop {
+        after = (after + (ahead / step).clamp(FINEST, COARSEST)).min(1.0);
+        match clear_s(after) {
+            None => break,
+            Some(_) if after == 1.0 => return None,
+            Some(time) => (before, ahead) = (after, time),
+        }
+    }
     // To the rounding of the share, or to a time in which nothing moves.
     while after - before > 1e-15 && (after - before) * step > 0.1 * SHORTEST {
         let middle = 0.5 * (before + after);
-        if changed(middle) { after = middle } else { before = middle }
+        if clear_s(middle).is_none() { after = middle } else { before = middle }
     }
     Some(after)
 }

@@ -74,6 +74,11 @@ impl<const N: usize> Course<N> {
     fn swing(&self) -> Axes<N> {
         self.moved.iter().map(Axes::abs).sum()
     }
+
+    /// Bound in m/s on the speed at any time of the step.
+    fn fastest(&self) -> f64 {
+        self.velocity.iter().map(Axes::abs).sum::<Axes<N>>().norm()
+    }
 }
 
 /// A touched face.
@@ -423,11 +428,12 @@ impl<const N: usize> Environment<N> {
         let is_sure = !leaves && *clear > farthest + rounding && faces.iter().zip(series).all(stays);
         let mut taken = step;
         if !is_sure {
-            let changed = |share| {
+            let fastest = course.fastest();
+            let clear_s = |share| {
                 let (moved, velocity) = course.at(share);
-                self.is_other(faces, &(position + moved), &velocity)
+                self.clear_m(faces, &(position + moved), &velocity).map(|clear| clear / fastest)
             };
-            if let Some(share) = first_share(step, changed) {
+            if let Some(share) = first_share(step, clear_s) {
                 taken = (share * step).max(SHORTEST.min(step));
             }
         }
@@ -525,23 +531,31 @@ impl<const N: usize> Environment<N> {
         }
     }
 
-    /// True if, at another position and velocity, an object is on another piece of its law than in the modes and
-    /// `faces`.
-    fn is_other(&self, faces: &[Face<N>], position: &Axes<N>, velocity: &Axes<N>) -> bool {
-        self.reach.near.iter().any(|&index| {
+    /// Distance in m to the nearest object without contact, at another position and velocity. None if an object is on
+    /// another piece of its law there than in the modes and `faces`.
+    fn clear_m(&self, faces: &[Face<N>], position: &Axes<N>, velocity: &Axes<N>) -> Option<f64> {
+        let mut clear = f64::INFINITY;
+        for &index in &self.reach.near {
             let object = &self.objects[index];
             if object.shape().is_spring() {
-                return false;
+                continue;
             }
             let (distance, normal) = object.shape().surface(position);
             let along = normal.dot(velocity);
             let mode = object.contact().mode(-distance, -along);
             let glides = || (velocity - normal * along).norm() > FULL_SLIP;
-            mode != self.modes[index]
+            if mode != self.modes[index]
                 || faces.iter().find(|face| face.index == index).is_some_and(|face| {
                     normal != face.normal || (face.friction > 0.0 && glides() != face.glides)
                 })
-        })
+            {
+                return None;
+            }
+            if mode == Mode::Apart {
+                clear = clear.min(distance);
+            }
+        }
+        Some(clear)
     }
 }
 
@@ -774,6 +788,19 @@ mod tests {
         }
         prop_assert_eq!(runs[0].0.coarse_steps(), 0);
         Ok(())
+    }
+
+    /// A tool that passes a corner of a box touches it, here for up to 0.08 ms of a step of 1 ms.
+    #[test]
+    fn a_passed_corner_is_touched() {
+        let law = ContactLaw::HuntCrossley { stiffness: 1.6e5, exponent: 1.3, damping: 1.0 };
+        let shape = Shape::cuboid(Axes::zeros(), Axes::from([0.01, 0.01, 0.03])).unwrap();
+        let corner = Object::fixed(shape, Contact::new(law, 0.1).unwrap()).unwrap();
+        let control = ArmControl::Position { bandwidth_hz: 15.0 };
+        for past in [2e-6, 2e-5, 6e-5] {
+            let start = tool(Axes::from([-0.0098 + past, -0.0102, 0.0]), Axes::from([-0.8, 0.8, 0.1]));
+            compare(&[corner], &[], start, start.position, control, 1).unwrap();
+        }
     }
 
     fn vector(size: f64) -> impl Strategy<Value = Axes<3>> {
