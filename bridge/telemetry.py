@@ -59,6 +59,8 @@ class TelemetryLink(msgspec.Struct, frozen=True, kw_only=True):
     """Frames that arrived after a newer one, or too late to be read."""
     missing: int = 0
     """Frames of the peer that have not arrived, up to the newest one."""
+    coupling: str = ""
+    """Coupling in use, which an operator may switch; empty from a sender of an earlier version."""
 
 
 class TelemetrySample(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="sample"):

@@ -32,6 +32,8 @@ pub struct LinkStatistics {
     pub min_round_trip_ns: u64,
     /// Wait in ns of the frames with the least delay in the play-out; 0 without one.
     pub play_out_ns: u64,
+    /// Coupling of the frames to send; an operator may switch it.
+    pub coupling: CouplingKind,
 }
 
 impl LinkStatistics {
@@ -508,7 +510,7 @@ impl FrameLink {
 
     /// Count so far.
     pub fn statistics(&self) -> LinkStatistics {
-        self.statistics
+        LinkStatistics { coupling: self.layout.coupling, ..self.statistics }
     }
 }
 

@@ -2144,6 +2144,10 @@ class LinkStatistics:
     def play_out_s(self) -> float:
         """Wait in s that the play-out adds to the fastest frames; 0 without one."""
 
+    @property
+    def coupling(self) -> str:
+        """Coupling of the sent frames; an operator may switch it."""
+
 @final
 class PathReport:
     """Effects of the path on the peer's frames in a run, and knowledge of the peer's clock."""

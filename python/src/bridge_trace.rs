@@ -123,6 +123,7 @@ pub(crate) struct PyLinkStatistics {
     round_trip_s: f64,
     least_round_trip_s: f64,
     play_out_s: f64,
+    coupling: &'static str,
 }
 
 impl From<LinkStatistics> for PyLinkStatistics {
@@ -137,6 +138,7 @@ impl From<LinkStatistics> for PyLinkStatistics {
             round_trip_s: seconds(of.round_trip_ns),
             least_round_trip_s: seconds(of.min_round_trip_ns),
             play_out_s: seconds(of.play_out_ns),
+            coupling: of.coupling.name(),
         }
     }
 }

@@ -75,8 +75,7 @@ def test_a_switch_reaches_both_sides_and_a_slave_that_starts_anew(tmp_path: Path
     master.press_clutch()
     until(lambda: (master.state, slave.state) == ("engaged", "engaged"))
     time.sleep(1.0)
-    master.finish()
-    slave.finish()
+    assert [side.finish()[1].link.coupling for side in (master, slave)] == ["pspm", "pspm"]
     # Only PSPM counts its energy.
     for file in files:
         signals = read_recording(file).signals

@@ -260,12 +260,37 @@ def test_the_margin_of_a_pose_is_the_smaller_of_translation_and_rotation(
     assert state.passivity_margin() == pytest.approx(expected * 3.0 / (100.0 * (0.041 / 2 + 1e-3)))
 
 
+def test_after_a_switch_the_margin_is_that_of_the_other_coupling() -> None:
+    gains = ["coupling.kind=pd-damped", "coupling.stiffness=100", "coupling.damping=3"]
+    other = ["coupling.alternatives=[{kind='pd-damped', stiffness=50, damping=4}]", "coupling.kind=wave"]
+    state = SideState(hello(scene=json.loads(scene_json(load_scene("remote_push", [*gains, *other])))))
+    margins = []
+    for time_s, kind in enumerate(("wave", "pd-damped", "position-position")):
+        message = sample(float(time_s), round_trip_s=[0.04, 0.04, 0.04])
+        state.take(structs.replace(message, link=TelemetryLink(coupling=kind)))
+        margins.append(state.passivity_margin())
+    # No delay lies in the loop of a wave, so its least B is K dT.
+    assert margins == [pytest.approx(3.0 / (100.0 * 1e-3)), pytest.approx(4.0 / (50.0 * (0.041 / 2 + 1e-3))), None]
+    assert [text for _, text in state.events] == ["coupling pd-damped", "coupling position-position"]
+    assert "coupling pd-damped" in shown(state)
+
+
 @pytest.mark.parametrize(
-    "coupling", [None, {}, [], {"kind": 3}, {"kind": "pd-damped", "stiffness": "K", "damping": {}}]
+    "coupling",
+    [
+        "pd-damped",
+        {"kind": "wave", "alternatives": [3]},
+        None,
+        {},
+        [],
+        {"kind": 3},
+        {"kind": "pd-damped", "stiffness": "K", "damping": {}},
+    ],
 )
 def test_a_margin_of_odd_settings_is_not_shown(coupling: object) -> None:
     state = SideState(hello(scene={"coupling": coupling, "run": {"period_s": 1e-3}, "slave": {"period_s": 1e-3}}))
-    state.take(sample(0.0, round_trip_s=[0.04, 0.04, 0.04]))
+    link = TelemetryLink(coupling="tdpa")
+    state.take(structs.replace(sample(0.0, round_trip_s=[0.04, 0.04, 0.04]), link=link))
     assert state.passivity_margin() is None
 
 

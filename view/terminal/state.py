@@ -88,6 +88,9 @@ class SideState:
         """Latest ladder transitions and trips, with times in s."""
         self.events_seen = 0
         """Number of events, including dropped ones."""
+        scene_coupling = (hello.scene or {}).get("coupling")
+        self._coupling: dict[str, Any] = scene_coupling if isinstance(scene_coupling, dict) else {}
+        """Settings of the coupling in use; empty without one."""
         self._begun_s: float | None = None
         self._samples: deque[TelemetrySample] = deque(maxlen=MAX_SAMPLES)
 
@@ -100,6 +103,7 @@ class SideState:
                     self._begun_s = self.time_s
                 self.ticks += message.ticks
                 self.dropped = message.dropped
+                self._switch(message)
                 self._samples.append(message)
                 while self._samples[0].time_ns < message.time_ns - SECOND_NS:
                     self._samples.popleft()
@@ -212,7 +216,7 @@ class SideState:
         """
         scene, round_trip_s = self.hello.scene or {}, self.peak("round_trip_s")
         try:
-            table, period_s = scene["coupling"], max(scene["run"]["period_s"], scene["slave"]["period_s"])
+            table, period_s = self._coupling, max(scene["run"]["period_s"], scene["slave"]["period_s"])
             facts = coupling_facts(
                 table["kind"], stiffness=table["stiffness"], damping=table["damping"],
                 round_trip_s=round_trip_s + period_s, period_s=period_s,
@@ -251,6 +255,17 @@ class SideState:
         arrived = last.fresh + last.late - first.fresh - first.late
         missing = max(0, last.missing - first.missing)
         return missing / (arrived + missing) if arrived + missing > 0 else None
+
+    def _switch(self, message: TelemetrySample) -> None:
+        """Note another coupling, and take its gains from the scene."""
+        kind = message.link.coupling
+        if not self._coupling or not kind or kind == self._coupling.get("kind"):
+            return
+        first = self.hello.scene["coupling"] if self.hello.scene else {}
+        tables = (first, *first.get("alternatives", ()))
+        found = (table for table in tables if isinstance(table, dict) and table.get("kind") == kind)
+        self._coupling = first | next(found, {"kind": kind})
+        self._note(message.time_ns, f"coupling {kind}")
 
     def _note(self, time_ns: int, text: str) -> None:
         self.events.append((time_ns * 1e-9, text))

@@ -4,6 +4,7 @@ use serde_json::json;
 
 use super::Counts;
 use crate::{
+    coupling::CouplingKind,
     ladder::{Diagnosis, Explanation},
     recorder::{Recorded, SecurityMark, Value},
 };
@@ -240,14 +241,17 @@ impl Frame {
         }
         let Self { signals, time_ns, ticks, sample: out, unsent, .. } = self;
         out.clear();
-        let [dropped, sent, fresh, late, missing] =
-            [&counts.dropped, &counts.sent, &counts.fresh, &counts.late, &counts.missing]
-                .map(|count| count.load(Ordering::Relaxed));
+        let Counts { dropped, sent, fresh, late, missing, coupling } = counts;
+        let [dropped, sent, fresh, late, missing, code] =
+            [dropped, sent, fresh, late, missing, coupling].map(|count| count.load(Ordering::Relaxed));
+        let coupling = u16::try_from(code).ok().and_then(CouplingKind::from_code).unwrap_or_default().name();
         let head = format!(
             r#"{{"kind":"sample","time_ns":{time_ns},"ticks":{ticks},"dropped":{dropped},"unsent_changes":{unsent}"#
         );
         out.extend_from_slice(head.as_bytes());
-        let link = format!(r#","link":{{"sent":{sent},"fresh":{fresh},"late":{late},"missing":{missing}}}"#);
+        let link = format!(
+            r#","link":{{"sent":{sent},"fresh":{fresh},"late":{late},"missing":{missing},"coupling":"{coupling}"}}"#
+        );
         out.extend_from_slice(link.as_bytes());
         out.extend_from_slice(br#","signals":{"#);
         let mut is_first = true;

@@ -71,6 +71,8 @@ struct Counts {
     fresh: AtomicU64,
     late: AtomicU64,
     missing: AtomicU64,
+    /// Code of the coupling.
+    coupling: AtomicU64,
 }
 
 impl Counts {
@@ -80,6 +82,7 @@ impl Counts {
             (&self.fresh, link.fresh),
             (&self.late, link.late),
             (&self.missing, link.missing),
+            (&self.coupling, link.coupling.code().into()),
         ];
         for (count, now) in counts {
             count.store(now, Ordering::Relaxed);
