@@ -52,6 +52,8 @@ demo: $(EXTENSION) ## run `haptether demo`
 
 NOT_THOROUGH = $() and not thorough
 LIVE_AT_ONCE := 5
+# `make test` judges the change and not the luck of a draw; `make thorough` draws new examples.
+SAME_EXAMPLES = PROPTEST_RNG_SEED=1
 
 # Tests of real time: options and markers of pytest. Each test that fails is retried once, by itself; out/retries.json
 # lists the retries of both runs.
@@ -60,13 +62,14 @@ with_retries = $(BIN)/python -m tests.retry -m '$(2)' -- $(1)
 .PHONY: test
 test: $(EXTENSION) $(SITE) ## cargo test and pytest
 	@rm -f out/retries.json
-	cargo test --locked --workspace --profile quick --tests
+	$(SAME_EXAMPLES) cargo test --locked --workspace --profile quick --tests
 	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m 'not live and not alone$(NOT_THOROUGH)'
 	$(call with_retries,--numprocesses $(LIVE_AT_ONCE) --dist worksteal,live and not alone$(NOT_THOROUGH))
 	$(call with_retries,,alone$(NOT_THOROUGH))
 
 .PHONY: thorough
 thorough: NOT_THOROUGH :=
+thorough: SAME_EXAMPLES :=
 thorough: LIVE_AT_ONCE := 3
 thorough: test ## `make test` with all cases of what it samples, in about half an hour
 

@@ -75,6 +75,7 @@ def test_no_published_constant_makes_more_of_a_force_than_its_limit(name: str, t
 
 
 @pytest.mark.live
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("name", "true_nm_per_a"),
     [("XC330-T288", 1.150), ("XC330-T288", 0.863), ("XM430-W210", 2.69), ("XM430-W210", 1.304), ("XM430-W350", 2.48)],

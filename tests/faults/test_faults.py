@@ -111,6 +111,7 @@ COUPLED = coupled.rows(LOOSE)
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", COUPLED)
+@anew_after_stalls
 def test_under_other_couplings(name: str) -> None:
     row = COUPLED[name]()
     judge(row)

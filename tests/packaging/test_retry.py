@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.retry import MAX_RETRIES
 
 pytestmark = pytest.mark.slow
 
@@ -62,9 +63,9 @@ def run(folder: Path, text: str) -> subprocess.CompletedProcess[str]:
     ("once", "always", "before", "status"),
     [
         (2, 0, 1, 0),
-        (1, 0, 3, 1),  # four in all runs
+        (1, 0, MAX_RETRIES, 1),  # one too many in all runs
         (1, 1, 0, 1),
-        (0, 4, 0, 1),
+        (0, MAX_RETRIES + 1, 0, 1),
     ],
 )
 def test_a_failure_counts_when_it_fails_twice(once: int, always: int, before: int, status: int, tmp_path: Path) -> None:
@@ -74,9 +75,9 @@ def test_a_failure_counts_when_it_fails_twice(once: int, always: int, before: in
     ended = run(tmp_path, TESTS.format(once=once, always=always))
     assert ended.returncode == status, ended.stdout + ended.stderr
     listed = json.loads((tmp_path / LIST).read_text("utf-8"))[before:]
-    if before + once + always > 3:
+    if before + once + always > MAX_RETRIES:
         assert listed == []
-        assert f"{3 - before} of 3 retries are left: no retry" in ended.stdout
+        assert f"{MAX_RETRIES - before} of {MAX_RETRIES} retries are left: no retry" in ended.stdout
         return
     assert [(entry["tries"], entry["passed"]) for entry in listed] == [(2, True)] * once + [(2, False)] * always
     for entry in listed:

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from tests.dynamixel.emulated import EmulatedBus, emulated_bus
+from tests.ur.stalls import anew_after_stalls
 
 from haptether.dynamixel.arm import ArmRefusedError
 from haptether.slave import Gripper, GripperCommand, GripperSample
@@ -161,6 +162,7 @@ def test_it_keeps_its_grip_through_the_end_and_the_next_begin(emulated: Emulated
     assert pressing(emulated) == pytest.approx(0.282, abs=0.01)
 
 
+@anew_after_stalls
 def test_a_grip_that_is_stronger_than_the_cap_is_let_down_to_it(emulated: EmulatedBus, tmp_path: Path) -> None:
     with opened(emulated, tmp_path) as pair:
         pair.until(grips, CLOSE)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from tests.ur.emulated import Emulated, client
 from tests.ur.raw_rtde import Client
+from tests.ur.stalls import anew_after_stalls
 from tests.ur.virtual import START
 
 pytestmark = pytest.mark.live
@@ -98,6 +99,7 @@ def test_a_program_that_cannot_be_read_is_logged_and_holds_no_client(arm: Emulat
     assert "knows only calls of its own functions" in arm.do("log 5")
 
 
+@anew_after_stalls
 def test_inputs_and_outputs(arm: Emulated) -> None:
     result = client("io", arm.host)
     assert all(result["set"])
