@@ -16,7 +16,7 @@ use rustix::net::{
 use serde_json::Value as Json;
 
 use super::*;
-use crate::{FaultText, coupling::CouplingKind, LadderState, Reason, record::MasterRecord, wire::Role};
+use crate::{FaultText, LadderState, Reason, coupling::CouplingKind, record::MasterRecord, wire::Role};
 
 type Record = MasterRecord<2>;
 
@@ -91,7 +91,10 @@ fn frame_has_minimum_maximum_and_last_of_each_axis() {
         [&sample["ticks"], &sample["time_ns"], &sample["dropped"]],
         [&Json::from(17), &16_000_000.into(), &3.into()]
     );
-    assert_eq!(sample["link"], serde_json::json!({"sent": 41, "fresh": 37, "late": 2, "missing": 1, "coupling": "wave"}));
+    assert_eq!(
+        sample["link"],
+        serde_json::json!({"sent": 41, "fresh": 37, "late": 2, "missing": 1, "coupling": "wave"})
+    );
 }
 
 #[test]
