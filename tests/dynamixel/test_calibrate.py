@@ -1,5 +1,6 @@
 """`haptether dynamixel find` and `calibrate`, with an emulated arm that answers like a person."""
 
+import contextlib
 import math
 import os
 import stat
@@ -79,7 +80,8 @@ class Calibration:
         self.process.wait()
         for stream in (self.process.stdin, self.process.stdout):
             if stream is not None:
-                stream.close()
+                with contextlib.suppress(BrokenPipeError):
+                    stream.close()
 
 
 def guided(emulated: EmulatedBus, path: Path, *arguments: str, beside: float = 0.0) -> tuple[int, str]:

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.dynamixel.emulated import emulated_bus
 from tests.dynamixel.test_calibrate import Calibration
+from tests.ur.stalls import anew_after_stalls
 
 from haptether.dynamixel import SERVO_MODELS
 from haptether.dynamixel.arm import GripServo, ServoSettings, read_calibration, write_calibration
@@ -185,6 +186,7 @@ def test_a_weight_that_says_too_little_is_refused(change_a: float, scatter_a: fl
 @pytest.mark.live
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("true_nm_per_a", [1.3, 2.48])
+@anew_after_stalls
 def test_calibrate_measures_a_constant_with_a_weight(tmp_path: Path, true_nm_per_a: float) -> None:
     path, mass, lever = tmp_path / "arm.toml", 0.5, 0.12
     write_calibration(path, 4_000_000, (SERVO, ServoSettings(servo_id=2, model="XL330-M288", sign=-1)))

@@ -12,12 +12,14 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 import venv
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tests.ur.stalls import anew_after_stalls
 
 pytestmark = [pytest.mark.live, pytest.mark.alone]
 
@@ -145,8 +147,9 @@ def unseen_quotes(page: str) -> Iterator[str]:
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@anew_after_stalls
 def test_a_page_runs_and_shows_what_its_commands_print(page: Path, tmp_path: Path, environment: dict[str, str]) -> None:
-    shown = list(run(page, tmp_path, environment))
+    shown = list(run(page, Path(tempfile.mkdtemp(dir=tmp_path)), environment))
     assert shown
     for mark, text, output in shown:
         tolerance = int(mark.split()[2]) / 100.0 if mark else TOLERANCE

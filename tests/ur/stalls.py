@@ -78,7 +78,7 @@ def anew_after_stalls(test: Callable[P, None]) -> Callable[P, None]:
             with Stalls() as stalls:
                 try:
                     test(*arguments, **named)
-                except (AssertionError, subprocess.TimeoutExpired) as error:
+                except (AssertionError, OSError, RuntimeError, subprocess.TimeoutExpired) as error:
                     if left == 0 or stalls.worst_s < STALL_S:
                         raise
                     message = (str(error).splitlines() or [""])[0]
