@@ -20,7 +20,7 @@ import pytest
 
 LIST = Path("out/retries.json")
 MAX_RETRIES = 6
-"""Of about 1800 tests: a virtual machine that is halted for half a second fails some at once."""
+"""Limit for about 1800 tests. A virtual machine may halt for half a second, and several tests then fail."""
 REPEATED = "repeated after a stall of the machine"
 """First words of the line that a test prints when it repeats within itself."""
 

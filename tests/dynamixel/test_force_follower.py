@@ -22,7 +22,7 @@ from haptether.slave.dynamixel.gripper.driver import DynamixelGripper
 from haptether.slave.dynamixel.observer import ReactionForceObserver
 
 UNIT_NM = (SERVO_MODELS[MODEL].current_unit_a or 0.0) * SERVO_MODELS[MODEL].nominal_nm_per_a
-"""Torque of one unit of current. Commands are truncated to units, and measurements are rounded."""
+"""Torque of one unit of current. A command is cut down to whole units. A measurement is rounded to the nearest unit."""
 INERTIA = 0.02
 BANDWIDTH = 25.0
 STIFFNESS, DAMPING = INERTIA * BANDWIDTH**2, 2.0 * INERTIA * BANDWIDTH
@@ -54,7 +54,7 @@ WEIGHT_NM = 0.5 * 9.81 * 0.15
 
 
 def one_joint(world: World, folder: Path, **given: Any) -> Follower:  # noqa: ANN401  # of joint and driver
-    """Return a follower of one joint; its inertia is `INERTIA`, in its options too."""
+    """Return a follower of one joint. Both the joint and the options have the inertia `INERTIA`."""
     loads: dict[str, float] = {key: given.pop(key) for key in ("coulomb", "viscous", "position_rad") if key in given}
     options: dict[str, Any] = {"inertia": [INERTIA], **given}
     options |= {key: [value] for key, value in loads.items() if key != "position_rad"}

@@ -280,6 +280,7 @@ def test_after_a_switch_the_margin_is_that_of_the_other_coupling() -> None:
     [
         "pd-damped",
         {"kind": "wave", "alternatives": [3]},
+        {"kind": "wave", "alternatives": None},
         None,
         {},
         [],

@@ -88,9 +88,6 @@ class SideState:
         """Latest ladder transitions and trips, with times in s."""
         self.events_seen = 0
         """Number of events, including dropped ones."""
-        scene_coupling = (hello.scene or {}).get("coupling")
-        self._coupling: dict[str, Any] = scene_coupling if isinstance(scene_coupling, dict) else {}
-        """Settings of the coupling in use; empty without one."""
         self._begun_s: float | None = None
         self._samples: deque[TelemetrySample] = deque(maxlen=MAX_SAMPLES)
 
@@ -98,15 +95,7 @@ class SideState:
         """Take the next message."""
         match message:
             case TelemetrySample():
-                self.time_s = message.time_ns * 1e-9
-                if self._begun_s is None:
-                    self._begun_s = self.time_s
-                self.ticks += message.ticks
-                self.dropped = message.dropped
-                self._switch(message)
-                self._samples.append(message)
-                while self._samples[0].time_ns < message.time_ns - SECOND_NS:
-                    self._samples.popleft()
+                self._take_sample(message)
             case TelemetryChange(signal="state"):
                 self._note(message.time_ns, str(message.to))
             case TelemetryChange(signal="tripped", from_=before, to=now):
@@ -126,6 +115,19 @@ class SideState:
                 self.has_ended = True
             case _:
                 pass
+
+    def _take_sample(self, message: TelemetrySample) -> None:
+        self.time_s = message.time_ns * 1e-9
+        if self._begun_s is None:
+            self._begun_s = self.time_s
+        self.ticks += message.ticks
+        self.dropped = message.dropped
+        before = self._coupling().get("kind")
+        self._samples.append(message)
+        if (kind := self._coupling().get("kind")) != before:
+            self._note(message.time_ns, f"coupling {kind}")
+        while self._samples[0].time_ns < message.time_ns - SECOND_NS:
+            self._samples.popleft()
 
     def _take_invalid(self, text: str) -> None:
         if not self.invalid:
@@ -216,7 +218,7 @@ class SideState:
         """
         scene, round_trip_s = self.hello.scene or {}, self.peak("round_trip_s")
         try:
-            table, period_s = self._coupling, max(scene["run"]["period_s"], scene["slave"]["period_s"])
+            table, period_s = self._coupling(), max(scene["run"]["period_s"], scene["slave"]["period_s"])
             facts = coupling_facts(
                 table["kind"], stiffness=table["stiffness"], damping=table["damping"],
                 round_trip_s=round_trip_s + period_s, period_s=period_s,
@@ -256,16 +258,17 @@ class SideState:
         missing = max(0, last.missing - first.missing)
         return missing / (arrived + missing) if arrived + missing > 0 else None
 
-    def _switch(self, message: TelemetrySample) -> None:
-        """Note another coupling, and take its gains from the scene."""
-        kind = message.link.coupling
-        if not self._coupling or not kind or kind == self._coupling.get("kind"):
-            return
-        first = self.hello.scene["coupling"] if self.hello.scene else {}
-        tables = (first, *first.get("alternatives", ()))
-        found = (table for table in tables if isinstance(table, dict) and table.get("kind") == kind)
-        self._coupling = first | next(found, {"kind": kind})
-        self._note(message.time_ns, f"coupling {kind}")
+    def _coupling(self) -> dict[str, Any]:
+        """Return kind and gains of the coupling in use; gains that the scene lacks are left out. Empty without one."""
+        first = (self.hello.scene or {}).get("coupling")
+        if not isinstance(first, dict):
+            return {}
+        kind = self.link.coupling if self.link else ""
+        if kind in {"", first.get("kind")}:
+            return first
+        others = first.get("alternatives")
+        found = (other for other in others if isinstance(other, dict)) if isinstance(others, list) else ()
+        return next((other for other in found if other.get("kind") == kind), {"kind": kind})
 
     def _note(self, time_ns: int, text: str) -> None:
         self.events.append((time_ns * 1e-9, text))

@@ -242,9 +242,9 @@ impl Frame {
         let Self { signals, time_ns, ticks, sample: out, unsent, .. } = self;
         out.clear();
         let Counts { dropped, sent, fresh, late, missing, coupling } = counts;
-        let [dropped, sent, fresh, late, missing, code] =
-            [dropped, sent, fresh, late, missing, coupling].map(|count| count.load(Ordering::Relaxed));
-        let coupling = u16::try_from(code).ok().and_then(CouplingKind::from_code).unwrap_or_default().name();
+        let [dropped, sent, fresh, late, missing] =
+            [dropped, sent, fresh, late, missing].map(|count| count.load(Ordering::Relaxed));
+        let coupling = CouplingKind::from_code(coupling.load(Ordering::Relaxed)).unwrap_or_default().name();
         let head = format!(
             r#"{{"kind":"sample","time_ns":{time_ns},"ticks":{ticks},"dropped":{dropped},"unsent_changes":{unsent}"#
         );

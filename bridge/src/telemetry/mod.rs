@@ -13,7 +13,7 @@ use std::{
     path::PathBuf,
     sync::{
         Arc,
-        atomic::{AtomicU8, AtomicU64, Ordering},
+        atomic::{AtomicU8, AtomicU16, AtomicU64, Ordering},
         mpsc,
     },
     thread,
@@ -72,7 +72,7 @@ struct Counts {
     late: AtomicU64,
     missing: AtomicU64,
     /// Code of the coupling.
-    coupling: AtomicU64,
+    coupling: AtomicU16,
 }
 
 impl Counts {
@@ -82,11 +82,11 @@ impl Counts {
             (&self.fresh, link.fresh),
             (&self.late, link.late),
             (&self.missing, link.missing),
-            (&self.coupling, link.coupling.code().into()),
         ];
         for (count, now) in counts {
             count.store(now, Ordering::Relaxed);
         }
+        self.coupling.store(link.coupling.code(), Ordering::Relaxed);
     }
 }
 

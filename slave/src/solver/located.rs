@@ -165,7 +165,7 @@ impl<const N: usize> Environment<N> {
 /// Share of a step in s just after the first change, as far as a test shows it at shares between [`FINEST`] and
 /// [`COARSEST`]; `clear_s` gives the time in s in which no contact begins after a share, and None after a change.
 ///
-/// A tool that passes the corner of a box touches it for less than a quarter of a step.
+/// A tool that passes the corner of a box may touch it for less than a quarter of a step.
 pub(crate) fn first_share(step: f64, mut clear_s: impl FnMut(f64) -> Option<f64>) -> Option<f64> {
     let (mut before, mut after) = (0.0, 0.0);
     let mut ahead = clear_s(0.0).unwrap_or(0.0);
